@@ -1,0 +1,184 @@
+"""Errors of the package; each carries the offending data and says what is allowed.
+
+Two families matter to a caller. `ConfigurationError` is bad input, found before anything runs (exit status 2).
+`RunFailure` ends a run midway and leaves its log behind (exit status 3); `reason` is a stable name for tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+
+class StewartDrakeError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+    reason: str = "error"
+
+
+class ConfigurationError(StewartDrakeError, ValueError):
+    """A value that the user gave is not usable.
+
+    Attributes:
+        key: Dotted name of the scenario key, parameter or file.
+        value: What was given.
+        allowed: What would have been accepted.
+    """
+
+    reason = "configuration"
+
+    def __init__(self, key: str, value: Any, allowed: str) -> None:
+        self.key, self.value, self.allowed = key, value, allowed
+        shown = repr(value)
+        if len(shown) > 120:
+            shown = shown[:117] + "..."
+        super().__init__(f"{key}: got {shown}; allowed: {allowed}")
+
+
+class InfeasibleReferenceError(ConfigurationError):
+    """A reference leaves the robot's limits; found before the run.
+
+    Attributes:
+        limit: Name of the limit that is broken first.
+        time: [s] first instant at which it is broken.
+        leg: Leg 0..5, or None where the limit belongs to the platform as a whole.
+        margin: Signed distance to the limit in its own unit; negative is outside.
+    """
+
+    reason = "infeasible_reference"
+
+    def __init__(self, limit: str, time: float, leg: int | None, margin: float, allowed: str) -> None:
+        self.limit, self.time, self.leg, self.margin = limit, time, leg, margin
+        where = "the platform" if leg is None else f"leg {leg}"
+        super().__init__("reference", f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}", allowed)
+
+    def __str__(self) -> str:
+        where = "the platform" if self.leg is None else f"leg {self.leg}"
+        return (
+            f"reference: breaks the limit {self.limit} at t = {self.time:.3f} s, {where}, "
+            f"margin {self.margin:.4g}; allowed: {self.allowed}"
+        )
+
+
+class RunFailure(StewartDrakeError, RuntimeError):
+    """Something that ends a run midway.
+
+    Attributes:
+        leg: Leg 0..5 to which the failure belongs, or None.
+        time: [s] simulated time, filled in by the system in which it happened.
+    """
+
+    reason = "run_failure"
+
+    def __init__(self, message: str, leg: int | None = None) -> None:
+        self.leg = leg
+        self.time: float | None = None
+        super().__init__(message)
+
+
+class UnreachablePoseError(RunFailure):
+    """A rod cannot span from its crank circle to its platform joint.
+
+    Attributes:
+        pose: (6,) [rad, m] the pose asked for.
+        margin: 1 - |C| / sqrt(A^2 + B^2) of the worst leg [-]; negative, zero at the edge.
+    """
+
+    reason = "unreachable_pose"
+
+    def __init__(self, pose: np.ndarray, leg: int, margin: float) -> None:
+        self.pose, self.margin = pose, margin
+        super().__init__(
+            f"pose {_format_pose(pose)} is out of reach of leg {leg} (margin {margin:.4g}; reachable: margin >= 0)",
+            leg,
+        )
+
+
+class SingularPoseError(RunFailure):
+    """The map between motor torques and platform wrench loses rank at this pose.
+
+    Attributes:
+        kind: `serial` (a crank at its dead centre) or `parallel` (the rods' lines lose rank).
+        pose: (6,) [rad, m].
+        margin: The measure that fell below its limit [-].
+    """
+
+    def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
+        self.kind, self.pose, self.margin = kind, pose, margin
+        self.reason = "crank_dead_centre" if kind == "serial" else "parallel_singularity"
+        what = (
+            f"crank of leg {leg} at its dead centre: transmission |e_l . e_N| = {margin:.4g}"
+            if kind == "serial"
+            else f"parallel singularity: sigma_min / sigma_max = {margin:.4g}"
+        )
+        super().__init__(f"{what} at pose {_format_pose(pose)} (allowed: >= {limit:g})", leg)
+
+
+class ForwardKinematicsError(RunFailure):
+    """Newton's method on the loop closure did not converge.
+
+    Attributes:
+        residual: [m] largest rod-length error at the last iterate.
+        iterations: Iterations spent.
+    """
+
+    reason = "forward_kinematics"
+
+    def __init__(self, residual: float, iterations: int) -> None:
+        self.residual, self.iterations = residual, iterations
+        super().__init__(
+            f"forward kinematics did not converge in {iterations} iterations: rod-length error {residual:.3g} m; "
+            "give a guess nearer to the pose, or check that these crank angles can be assembled"
+        )
+
+
+class RiccatiError(RunFailure):
+    """The discrete Riccati equation has no stabilising solution for these matrices."""
+
+    reason = "riccati"
+
+
+class NotFiniteError(RunFailure):
+    """A signal in the loop is NaN or infinite.
+
+    Attributes:
+        signal: Name of the signal.
+    """
+
+    reason = "not_finite"
+
+    def __init__(self, signal: str, value: Any) -> None:
+        self.signal = signal
+        super().__init__(f"{signal} is not finite: {np.asarray(value)}")
+
+
+class DrakeCheckError(RunFailure):
+    """A check inside Drake failed; Drake itself would have ended the process."""
+
+    reason = "drake_check"
+
+
+@contextmanager
+def drake_guard(doing: str) -> Iterator[None]:
+    """Turns what a failed Drake check raises (`SystemExit`, `RuntimeError`) into `DrakeCheckError`.
+
+    Args:
+        doing: What was being done, for the message.
+
+    Raises:
+        DrakeCheckError: In place of Drake's own. Errors of this package pass unchanged.
+    """
+    try:
+        yield
+    except StewartDrakeError:
+        raise
+    except (SystemExit, RuntimeError) as error:
+        text = str(error) or type(error).__name__
+        raise DrakeCheckError(f"{doing}: {' '.join(text.split())}") from error
+
+
+def _format_pose(pose: np.ndarray) -> str:
+    return "[" + ", ".join(f"{x:.4g}" for x in np.ravel(pose)) + "]"
