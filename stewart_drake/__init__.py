@@ -1,1 +1,73 @@
+"""Closed-loop torque control of rotary Stewart platforms, on Drake.
 
+    from stewart_drake import Scenario, run
+    log = run(Scenario(duration=2.0))
+
+Names below load on first use: the pure modules (kinematics, control law) need no Drake, and nothing here needs torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stewart_drake.control_law import ControlLaw as ControlLaw
+    from stewart_drake.control_law import LqiOptions as LqiOptions
+    from stewart_drake.control_law import Measurement as Measurement
+    from stewart_drake.control_law import Setpoint as Setpoint
+    from stewart_drake.diagram import ClosedLoop as ClosedLoop
+    from stewart_drake.diagram import build_diagram as build_diagram
+    from stewart_drake.errors import ConfigurationError as ConfigurationError
+    from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.kinematics import forward_kinematics as forward_kinematics
+    from stewart_drake.kinematics import inverse_kinematics as inverse_kinematics
+    from stewart_drake.log import SimulationLog as SimulationLog
+    from stewart_drake.log import load_log as load_log
+    from stewart_drake.metrics import run_metrics as run_metrics
+    from stewart_drake.plant import StewartPlant as StewartPlant
+    from stewart_drake.plant import add_plant as add_plant
+    from stewart_drake.plant import build_plant as build_plant
+    from stewart_drake.robot import RobotParameters as RobotParameters
+    from stewart_drake.scenario import Scenario as Scenario
+    from stewart_drake.scenario import load_scenario as load_scenario
+    from stewart_drake.sdf_model import write_sdf as write_sdf
+    from stewart_drake.simulation import run as run
+
+_HOME = {
+    "ControlLaw": "control_law",
+    "LqiOptions": "control_law",
+    "Measurement": "control_law",
+    "Setpoint": "control_law",
+    "ClosedLoop": "diagram",
+    "build_diagram": "diagram",
+    "ConfigurationError": "errors",
+    "StewartDrakeError": "errors",
+    "forward_kinematics": "kinematics",
+    "inverse_kinematics": "kinematics",
+    "SimulationLog": "log",
+    "load_log": "log",
+    "run_metrics": "metrics",
+    "StewartPlant": "plant",
+    "add_plant": "plant",
+    "build_plant": "plant",
+    "RobotParameters": "robot",
+    "Scenario": "scenario",
+    "load_scenario": "scenario",
+    "write_sdf": "sdf_model",
+    "run": "simulation",
+}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

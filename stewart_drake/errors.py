@@ -18,9 +18,15 @@ class StewartDrakeError(Exception):
 
     reason: str = "error"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The constructors take data, not the message; by default an error could not come back from a worker process.
+        return _restore, (type(self), self.args, self.__dict__)
 
-class ConfigurationError(StewartDrakeError, ValueError):
+
+class ConfigurationError(StewartDrakeError):
     """A value that the user gave is not usable.
+
+    Not a ValueError: pydantic would wrap that into an error of its own.
 
     Attributes:
         key: Dotted name of the scenario key, parameter or file.
@@ -178,6 +184,12 @@ def drake_guard(doing: str) -> Iterator[None]:
     except (SystemExit, RuntimeError) as error:
         text = str(error) or type(error).__name__
         raise DrakeCheckError(f"{doing}: {' '.join(text.split())}") from error
+
+
+def _restore(kind: type[StewartDrakeError], args: tuple[Any, ...], state: dict[str, Any]) -> StewartDrakeError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error
 
 
 def _format_pose(pose: np.ndarray) -> str:

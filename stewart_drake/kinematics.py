@@ -1,7 +1,7 @@
 """Inverse and forward kinematics of the 6-RSS platform, (1)-(6), and their Jacobians.
 
-Poses are [roll, pitch, yaw, X, Y, Z] of P in B; R_BP = Rz(yaw) Ry(pitch) Rx(roll), the inverse of the paper's (3). A twist is
-[w, v]: angular velocity of P and velocity of its origin, both in B. Everything is vectorised over leading axes.
+Poses are [roll, pitch, yaw, X, Y, Z] of P in B; R_BP = Rz(yaw) Ry(pitch) Rx(roll), the inverse of the paper's (3). A
+twist is [w, v]: angular velocity of P and velocity of its origin, both in B. All is vectorised over leading axes.
 """
 
 from __future__ import annotations
@@ -172,6 +172,13 @@ def _crank_equation(robot: RobotParameters, span: np.ndarray) -> tuple[np.ndarra
     return along, up, constant
 
 
+def _crank_ratio(along: np.ndarray, up: np.ndarray, constant: np.ndarray) -> np.ndarray:
+    """C / sqrt(A^2 + B^2) of each leg; infinite where the platform joint lies on the motor axis."""
+    size = np.hypot(along, up)
+    ratio: np.ndarray = np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
+    return ratio
+
+
 def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
@@ -182,8 +189,8 @@ def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     Returns:
         (..., 6) [-].
     """
-    along, up, constant = _crank_equation(robot, _spans(robot, pose)[1])
-    return 1.0 - np.abs(constant) / np.hypot(along, up)
+    margin: np.ndarray = 1.0 - np.abs(_crank_ratio(*_crank_equation(robot, _spans(robot, pose)[1])))
+    return margin
 
 
 def inverse_kinematics(robot: RobotParameters, pose: np.ndarray, branch: int | None = None) -> np.ndarray:
@@ -239,7 +246,7 @@ def _solve_cranks(
         raise ConfigurationError("branch", branch, "-1 or 1")
     arm, span = _spans(robot, pose)
     along, up, constant = _crank_equation(robot, span)
-    ratio = constant / np.hypot(along, up)
+    ratio = _crank_ratio(along, up, constant)
     size = np.abs(ratio)
     if size.max(initial=0.0) > 1.0:
         worst = np.unravel_index(int(size.argmax()), size.shape)

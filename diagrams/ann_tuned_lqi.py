@@ -1,0 +1,60 @@
+"""The control diagram of Fig. 6, wired by hand: LQI whose weights a neural network tunes online from density features."""
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+
+from stewart_drake import LqiOptions, RobotParameters, add_plant
+from stewart_drake.network import default_network_path, load_network
+from stewart_drake.references import paper_reference
+from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems.density_features import DensityFeatures
+from stewart_drake.systems.lqi_controller import LqiController
+from stewart_drake.systems.reference_source import ReferenceSource
+from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+
+DURATION = 4.0  # [s]
+GRAVITY = 9.81  # [m/s^2]
+
+
+def main() -> None:
+    """Builds, runs, prints."""
+    parameters, reference = RobotParameters(), paper_reference()
+    options = LqiOptions(period=0.005, feedforward="gravity")
+    network = load_network(default_network_path())
+
+    builder = DiagramBuilder()
+    robot = add_plant(builder, parameters, gravity=GRAVITY)
+    sensor = builder.AddNamedSystem("sensor", TaskSpaceSensor(robot))
+    source = builder.AddNamedSystem("reference", ReferenceSource(reference))
+    controller = builder.AddNamedSystem("controller", LqiController(parameters, options, GRAVITY))
+    density = builder.AddNamedSystem("density", DensityFeatures(network.window, options.period, network.density))
+    tuner = builder.AddNamedSystem("tuner", AnnTuner(network, options.period))
+    builder.Connect(robot.state_output_port, sensor.plant_state)
+    builder.Connect(sensor.measurement, controller.measurement)
+    builder.Connect(source.reference, controller.reference)
+    builder.Connect(controller.torque, robot.torque_input_port)
+    builder.Connect(controller.error, density.error)
+    builder.Connect(controller.torque, density.torque)
+    builder.Connect(density.density, tuner.density)
+    builder.Connect(tuner.weights, controller.weights)
+    errors = LogVectorOutput(controller.error, builder, publish_period=0.005)
+    weights = LogVectorOutput(tuner.weights, builder, publish_period=0.005)
+    diagram = builder.Build()
+
+    simulator = Simulator(diagram)
+    pose, rate, _ = reference.evaluate(0.0)
+    robot.set_state(simulator.get_mutable_context(), pose, rate)
+    simulator.AdvanceTo(DURATION)
+
+    context = simulator.get_context()
+    log = errors.FindLog(context)
+    rms = np.sqrt(np.mean(log.data()[:, log.sample_times() >= DURATION / 2] ** 2, axis=1))
+    omega = weights.FindLog(context).data()
+    print(f"RMSE, second half: roll pitch yaw {np.degrees(rms[:3]).round(4)} deg, X Y Z {(1e3 * rms[3:]).round(4)} mm")
+    print(f"omega_Q {omega[0].min():.3f} to {omega[0].max():.3f}, omega_R {omega[1].min():.3f} to {omega[1].max():.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""Command line: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
+
+if TYPE_CHECKING:
+    from stewart_drake.log import SimulationLog
+
+EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
+
+_STATUS = {"completed": 0, "failed": EXIT_RUN_FAILED, "interrupted": EXIT_INTERRUPTED}
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
+@click.version_option(package_name="stewart-drake")
+def cli() -> None:
+    """Closed-loop torque control of rotary Stewart platforms in Drake."""
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the results [default: runs/NAME].")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. --set duration=2.")
+@click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bool, quiet: bool) -> None:
+    """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
+
+    Exit status: 0 completed, 2 bad input, 3 the run broke midway (its log is kept), 130 interrupted.
+    """
+    from stewart_drake.outputs import prepare_folder, write_run
+    from stewart_drake.scenario import load_scenario
+
+    loaded = load_scenario(scenario, overrides)
+
+    from stewart_drake.diagram import build_diagram
+    from stewart_drake.simulation import check_scenario
+    from stewart_drake.simulation import run as simulate
+
+    check_scenario(loaded)
+    loaded.load_tuner_network()
+    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name)
+    viewer = None
+    if meshcat:
+        from pydrake.geometry import Meshcat
+
+        viewer = Meshcat()
+        click.echo(f"live view: {viewer.web_url()}", err=True)
+    with _progress(loaded.name, loaded.duration, quiet) as advance:
+        log = simulate(loaded, progress=advance, meshcat=viewer, check=False)
+    metrics = write_run(log, folder, build_diagram(loaded).GetGraphvizString())
+    if not quiet:
+        _print_run(log, metrics, folder)
+    if log.status == "failed":
+        click.echo(f"stewart-drake: {log.reason} at t = {log.end_time:.3f} s: {log.message}", err=True)
+    sys.exit(_STATUS[log.status])
+
+
+@cli.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/dataset.parquet"), show_default=True)
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def collect(out: Path, quiet: bool) -> None:
+    """Run the paper's nine experiments and write the tuner's training data (14,400 samples)."""
+    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.training.dataset import collect_dataset
+
+    prepare_folder(out.parent)
+    with _progress("nine experiments", 9.0, quiet, unit="runs") as advance:
+        dataset = collect_dataset(progress=advance)
+    dataset.save(out)
+    click.echo(f"{len(dataset.inputs)} samples in {out}")
+
+
+@cli.command()
+@click.argument("dataset", type=click.Path(path_type=Path), default=Path("runs/dataset.parquet"))
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/tuner.json"), show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True)
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def train(dataset: Path, out: Path, seed: int, epochs: int, quiet: bool) -> None:
+    """Train the 12-10-2 network on DATASET by back-propagation and write its weights file."""
+    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.training.dataset import load_dataset
+
+    data = load_dataset(dataset)
+    prepare_folder(out.parent)
+
+    from stewart_drake.training.train import TrainingOptions, train_network
+
+    with _progress("training", float(epochs), quiet, unit="epochs") as advance:
+        result = train_network(data, TrainingOptions(seed=seed, epochs=epochs), progress=advance)
+    result.network.save(out)
+    if not quiet:
+        _print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
+
+
+@cli.command()
+@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
+def schema(out: Path | None) -> None:
+    """JSON schema of scenario files, for editors."""
+    from stewart_drake.files import write_atomically
+    from stewart_drake.scenario import scenario_schema
+
+    text = json.dumps(scenario_schema(), indent=2) + "\n"
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_atomically(out, text.encode())
+
+
+@cli.command("write-sdf")
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. robot.rod_length=0.42.")
+def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...]) -> None:
+    """Write a robot as an SDF file; another geometry gives another robot."""
+    from stewart_drake.scenario import load_scenario
+    from stewart_drake.sdf_model import write_sdf
+
+    loaded = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
+    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint)
+
+
+def main() -> None:
+    """Entry point: errors of this package end in one line and an exit status, never in a traceback."""
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Abort:
+        click.echo("stewart-drake: interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    except KeyboardInterrupt:
+        click.echo("stewart-drake: interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        click.echo(f"stewart-drake: {' '.join(error.format_message().split())}", err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    except ConfigurationError as error:
+        click.echo(f"stewart-drake: {' '.join(str(error).split())}", err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    except StewartDrakeError as error:
+        click.echo(f"stewart-drake: {error.reason}: {' '.join(str(error).split())}", err=True)
+        sys.exit(EXIT_RUN_FAILED)
+
+
+class _progress:  # noqa: N801 - reads as a function at its call sites
+    """A progress bar of simulated seconds (or of runs, epochs) on the terminal."""
+
+    def __init__(self, title: str, total: float, quiet: bool, unit: str = "s") -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        digits = 2 if unit == "s" else 0
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn(f"{{task.completed:.{digits}f}} / {{task.total:.{digits}f}} {unit}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=_console(stderr=True),
+            disable=quiet,
+            # A refresh thread would take the interpreter from the simulation at every step.
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task(title, total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return self._advance
+
+    def _advance(self, completed: float) -> None:
+        self._bar.update(self._task, completed=completed, refresh=True)
+
+    def __exit__(self, *details: object) -> None:
+        self._bar.stop()
+
+
+def _console(stderr: bool = False) -> Any:
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def _print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    for name, value in rows:
+        table.add_row(name, value)
+    _console().print(table)
+
+
+def _print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
+    def numbers(values: list[float] | None, form: str = "{:.4g}") -> str:
+        return "-" if values is None else "  ".join(form.format(v) for v in values)
+
+    rows = [
+        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
+        ("simulated time", f"{log.end_time:.3f} s"),
+        ("RMSE roll pitch yaw, second half", f"{numbers(metrics['rmse_deg'])} deg"),
+        ("RMSE X Y Z, second half", f"{numbers(metrics['rmse_mm'])} mm"),
+        ("peak roll pitch yaw, second half", f"{numbers(metrics['peak_deg'])} deg"),
+        ("peak X Y Z, second half", f"{numbers(metrics['peak_mm'])} mm"),
+        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "{:.2g}")),
+    ]
+    if len(log.time):
+        rows += [
+            ("torque RMS, peak", f"{metrics['torque_rms']:.3f}, {metrics['torque_peak']:.3f} N m"),
+            ("share of torques at the limit", f"{metrics['saturated_fraction']:.2%}"),
+            ("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"),
+            ("largest loop gap", f"{metrics['loop_gap_max_m']:.2e} m"),
+        ]
+    factor = metrics["real_time_factor"]
+    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
+    _print_table(log.scenario.name, rows)

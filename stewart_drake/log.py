@@ -1,0 +1,201 @@
+"""The log of one run: named signals with units and frames, kept as one Parquet file."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import write_atomically
+from stewart_drake.scenario import Scenario
+
+AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+LEGS = tuple(str(i) for i in range(6))
+Status = Literal["completed", "failed", "interrupted"]
+
+_FORMAT_KEY = b"stewart_drake.run"
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """What a signal is.
+
+    Attributes:
+        components: Last part of each column's name; empty for a scalar.
+        units: One per component.
+        frame: In which frame, or about what.
+        text: One line of explanation.
+    """
+
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    frame: str
+    text: str
+
+
+def _axes(angle: str, length: str, text: str) -> SignalSpec:
+    return SignalSpec(AXES, (angle,) * 3 + (length,) * 3, "P in B", text)
+
+
+def _legs(unit: str, text: str) -> SignalSpec:
+    return SignalSpec(LEGS, (unit,) * 6, "leg 0..5", text)
+
+
+SIGNALS: Mapping[str, SignalSpec] = {
+    "time": SignalSpec((), ("s",), "", "simulated time"),
+    "pose": _axes("rad", "m", "pose of the platform"),
+    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform"),
+    "reference": _axes("rad", "m", "reference pose"),
+    "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
+    "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
+    "error": _axes("rad", "m", "measured pose minus reference at the latest tick"),
+    "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
+    "torque": _legs("N m", "torque commanded by the controller"),
+    "torque_applied": _legs("N m", "torque within the motor's limit"),
+    "crank_angle": _legs("rad", "theta, from the horizontal"),
+    "weights": SignalSpec(("omega_q", "omega_r"), ("1", "1"), "", "weights in force"),
+    "density": SignalSpec(
+        (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEGS)), ("1",) * 12, "", "density features"
+    ),
+    "loop_gap": _legs("m", "distance from rod end to platform joint"),
+    "plant_state": SignalSpec((), (), "W", "positions and velocities of the MultibodyPlant"),
+}
+"""Every signal of a log. `plant_state` has one column per entry of the plant's state, named by Drake."""
+
+
+@dataclass(frozen=True)
+class SimulationLog:
+    """Signals of one run and how it ended.
+
+    Attributes:
+        scenario: As run.
+        signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
+        state_names: Names of the columns of `plant_state`.
+        status: completed, failed or interrupted.
+        reason: Stable name of the failure, or None.
+        message: One line on the failure, or None.
+        end_time: [s] simulated time reached.
+        leg: Leg 0..5 of the failure, or None.
+        wall_time: [s] spent in the simulation.
+        versions: Versions of what ran.
+    """
+
+    scenario: Scenario
+    signals: Mapping[str, np.ndarray]
+    state_names: tuple[str, ...] = ()
+    status: Status = "completed"
+    reason: str | None = None
+    message: str | None = None
+    end_time: float = 0.0
+    leg: int | None = None
+    wall_time: float = 0.0
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Signal `name`.
+
+        Raises:
+            KeyError: Names the signals that exist.
+        """
+        try:
+            return self.signals[name]
+        except KeyError:
+            raise KeyError(f"{name}; this log has {', '.join(self.signals)}") from None
+
+    @property
+    def time(self) -> np.ndarray:
+        """(n,) [s] simulated time of each row."""
+        return self.signals["time"]
+
+    def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
+        """Column name -> (values (n,), unit, frame, explanation)."""
+        columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
+        for name, values in self.signals.items():
+            spec = SIGNALS[name]
+            if name == "plant_state":
+                for index, state in enumerate(self.state_names):
+                    columns[f"plant_state.{state}"] = (values[:, index], "SI", spec.frame, spec.text)
+            elif not spec.components:
+                columns[name] = (values, spec.units[0], spec.frame, spec.text)
+            else:
+                for index, (component, unit) in enumerate(zip(spec.components, spec.units, strict=True)):
+                    columns[f"{name}.{component}"] = (values[:, index], unit, spec.frame, spec.text)
+        return columns
+
+    def to_parquet(self) -> bytes:
+        """The log as a Parquet file: a column per signal component, units and frames in each field's metadata."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = self.columns()
+        fields = [
+            pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, "frame": frame, "text": text})
+            for name, (_, unit, frame, text) in columns.items()
+        ]
+        run = {
+            "version": 1,
+            "scenario": self.scenario.to_dict(),
+            "state_names": list(self.state_names),
+            "outcome": {name: getattr(self, name) for name in _OUTCOME},
+            "versions": dict(self.versions),
+        }
+        schema = pa.schema(fields, metadata={_FORMAT_KEY: json.dumps(run).encode()})
+        table = pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=schema)
+        stream = io.BytesIO()
+        pq.write_table(table, stream, compression="zstd")
+        return stream.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Writes `to_parquet` to a file.
+
+        Raises:
+            ConfigurationError: The folder is missing or not writable.
+        """
+        write_atomically(Path(path), self.to_parquet())
+
+
+_OUTCOME = ("status", "reason", "message", "end_time", "leg", "wall_time")
+
+
+def load_log(path: str | Path) -> SimulationLog:
+    """Reads a log written by `SimulationLog.save`.
+
+    Args:
+        path: The file, or a folder with a `log.parquet` in it.
+
+    Raises:
+        ConfigurationError: Missing file, or not a log of this package.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    path = path / "log.parquet" if path.is_dir() else path
+    try:
+        table = pq.read_table(path)
+    except OSError as error:
+        raise ConfigurationError(f"log {path}", error.strerror or str(error), "a readable file") from None
+    except pa.ArrowException as error:
+        raise ConfigurationError(f"log {path}", " ".join(str(error).split()), "a Parquet file") from None
+    metadata = table.schema.metadata or {}
+    if _FORMAT_KEY not in metadata:
+        raise ConfigurationError(f"log {path}", "another Parquet file", "a log written by this package")
+    run = json.loads(metadata[_FORMAT_KEY])
+    state_names = tuple(run["state_names"])
+    signals: dict[str, np.ndarray] = {}
+    for name, spec in SIGNALS.items():
+        components = state_names if name == "plant_state" else spec.components
+        wanted = [f"{name}.{component}" for component in components] if components else [name]
+        if all(column in table.column_names for column in wanted):
+            arrays = [table.column(column).to_numpy() for column in wanted]
+            signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
+    outcome: dict[str, Any] = run["outcome"]
+    return SimulationLog(
+        Scenario.from_dict(run["scenario"]), signals, state_names, versions=run["versions"], **outcome
+    )

@@ -1,0 +1,153 @@
+"""The tuner's neural network, Fig. 5: 12 densities in, one hidden layer of 10, omega_Q and omega_R out.
+
+Inference is numpy alone, so that a controller needs no torch. Weights live in a JSON file: readable, diffable, no pickle.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.density import DensityKind
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import write_atomically
+
+INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
+FORMAT = "stewart-drake tuner"
+VERSION = 1
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "input_mean": (INPUTS,),
+    "input_scale": (INPUTS,),
+    "hidden_weights": (HIDDEN, INPUTS),
+    "hidden_bias": (HIDDEN,),
+    "output_weights": (OUTPUTS, HIDDEN),
+    "output_bias": (OUTPUTS,),
+    "omega_min": (OUTPUTS,),
+    "omega_max": (OUTPUTS,),
+}
+
+
+@dataclass(frozen=True)
+class TunerNetwork:
+    """A trained 12-10-2 network.
+
+    Outputs are log10 of the weights, so that a weight cannot come out negative. Deviation: the paper does not say in which
+    scale its network answers.
+
+    Attributes:
+        input_mean: (12,) [-] subtracted from the densities.
+        input_scale: (12,) [-] divides them afterwards; > 0.
+        hidden_weights: (10, 12). hidden_bias: (10,). Hidden units are tanh.
+        output_weights: (2, 10). output_bias: (2,). log10 of omega_Q, omega_R.
+        omega_min: (2,) smallest omega_Q, omega_R of the training data; > 0.
+        omega_max: (2,) largest.
+        density: Kind of density that the network was trained on.
+        window: Window m of the training data [ticks].
+        provenance: Where the weights come from: data, seeds, versions.
+    """
+
+    input_mean: np.ndarray
+    input_scale: np.ndarray
+    hidden_weights: np.ndarray
+    hidden_bias: np.ndarray
+    output_weights: np.ndarray
+    output_bias: np.ndarray
+    omega_min: np.ndarray
+    omega_max: np.ndarray
+    density: DensityKind = "magnitude"
+    window: int = 49
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def log_weights(self, densities: np.ndarray) -> np.ndarray:
+        """Raw network output.
+
+        Args:
+            densities: (..., 12) [-], six of the errors, six of the torques.
+
+        Returns:
+            (..., 2) log10 of omega_Q, omega_R, not limited.
+        """
+        hidden = np.tanh((densities - self.input_mean) / self.input_scale @ self.hidden_weights.T + self.hidden_bias)
+        return np.asarray(hidden @ self.output_weights.T + self.output_bias)
+
+    def weights(self, densities: np.ndarray) -> np.ndarray:
+        """omega_Q, omega_R, held within the range of the training data.
+
+        Args:
+            densities: (..., 12) [-].
+
+        Returns:
+            (..., 2), positive.
+        """
+        # Limited as a logarithm: 10**x of a wild input would overflow first.
+        log = np.clip(self.log_weights(densities), np.log10(self.omega_min), np.log10(self.omega_max))
+        return np.clip(10.0**log, self.omega_min, self.omega_max)
+
+    def save(self, path: str | Path) -> None:
+        """Writes the network as JSON; the same network gives the same bytes."""
+        document = {
+            "format": FORMAT,
+            "version": VERSION,
+            "density": self.density,
+            "window": self.window,
+            **{name: getattr(self, name).tolist() for name in _SHAPES},
+            "provenance": self.provenance,
+        }
+        write_atomically(Path(path), (json.dumps(document, indent=1) + "\n").encode())
+
+
+def load_network(path: str | Path) -> TunerNetwork:
+    """Reads a weights file.
+
+    Args:
+        path: File written by `TunerNetwork.save`.
+
+    Raises:
+        ConfigurationError: Missing or unreadable file, wrong format, version or shape, numbers that are not finite,
+            scales or ranges that are not positive.
+    """
+    path = Path(path)
+    key = f"weights file {path}"
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(key, error.strerror or str(error), "a readable file") from error
+    except ValueError as error:
+        raise ConfigurationError(key, str(error), "a JSON document") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
+    if document.get("version") != VERSION:
+        raise ConfigurationError(f"{key}: version", document.get("version"), str(VERSION))
+    if document.get("density") not in ("magnitude", "signed"):
+        raise ConfigurationError(f"{key}: density", document.get("density"), "magnitude or signed")
+    window = document.get("window")
+    if type(window) is not int or window < 1:
+        raise ConfigurationError(f"{key}: window", window, "an integer >= 1")
+    arrays: dict[str, np.ndarray] = {}
+    for name, shape in _SHAPES.items():
+        try:
+            array = np.array(document.get(name), dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f"{key}: {name}", document.get(name), f"numbers of shape {shape}") from error
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ConfigurationError(f"{key}: {name}", document.get(name), f"finite numbers of shape {shape}")
+        arrays[name] = array
+    for name in ("input_scale", "omega_min", "omega_max"):
+        if not (arrays[name] > 0.0).all():
+            raise ConfigurationError(f"{key}: {name}", document[name], "positive numbers")
+    if not (arrays["omega_min"] <= arrays["omega_max"]).all():
+        raise ConfigurationError(f"{key}: omega_min", document["omega_min"], "at most omega_max")
+    provenance = document.get("provenance", {})
+    if not isinstance(provenance, dict):
+        raise ConfigurationError(f"{key}: provenance", provenance, "a mapping")
+    return TunerNetwork(**arrays, density=document["density"], window=window, provenance=provenance)
+
+
+def default_network_path() -> Path:
+    """The trained tuner that the package carries."""
+    return Path(__file__).parent / "weights" / "tuner.json"

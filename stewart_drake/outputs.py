@@ -1,0 +1,79 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import write_atomically
+from stewart_drake.log import SimulationLog
+from stewart_drake.metrics import run_metrics
+
+
+def prepare_folder(path: str | Path) -> Path:
+    """Makes sure, before a run, that its results can be written afterwards.
+
+    Raises:
+        ConfigurationError: The path is a file, or the folder cannot be made or written to.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigurationError("--out", str(path), f"a folder that can be written to ({error.strerror})") from None
+    return folder
+
+
+def write_run(log: SimulationLog, folder: str | Path, graph: str | None = None, pictures: bool = True) -> dict[str, Any]:
+    """Writes everything about a run: metrics.json, log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot.
+
+    Each file appears whole or not at all; files of an earlier run in the same folder are replaced.
+
+    Args:
+        log: The run.
+        folder: Where to.
+        graph: Graphviz text of the diagram, or None to leave it out. An SVG beside it where graphviz is installed.
+        pictures: Write the plots and the replay too.
+
+    Returns:
+        The metrics.
+
+    Raises:
+        ConfigurationError: The folder cannot be written to.
+    """
+    folder = prepare_folder(folder)
+    metrics = run_metrics(log)
+    log.save(folder / "log.parquet")
+    write_atomically(folder / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
+    write_atomically(folder / "scenario.yaml", log.scenario.to_yaml().encode())
+    if graph is not None:
+        write_atomically(folder / "diagram.dot", graph.encode())
+        svg = _render_graph(graph)
+        if svg is not None:
+            write_atomically(folder / "diagram.svg", svg)
+    if pictures and len(log.time):
+        # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
+        from stewart_drake.plotting import plot_states, plot_torques, save_figure
+        from stewart_drake.replay import write_replay
+
+        save_figure(plot_states(log), folder / "states.png")
+        save_figure(plot_torques(log), folder / "torques.png")
+        write_replay(log, folder / "replay.html")
+    return metrics
+
+
+def _render_graph(graph: str) -> bytes | None:
+    dot = shutil.which("dot")
+    if dot is None:
+        return None
+    try:
+        return subprocess.run([dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True).stdout
+    except (OSError, subprocess.SubprocessError):
+        return None

@@ -1,0 +1,62 @@
+"""What the simulated robot has beyond rigid bodies and ideal joints; pure, so that a scenario needs no Drake."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.scalars import SECTION, Flag, Real
+from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
+
+STICTION_SPEED = 1e-4
+"""[rad/s] below this speed friction of a motor is viscous: what should stick creeps, at most this fast."""
+
+MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
+"""[s] finer steps drown in rounding; coarser ones follow nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions:
+    """Options of the simulated robot.
+
+    Raises:
+        ConfigurationError: A value is not finite, out of range, or not one of those allowed.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    time_step: Real = 0.001
+    """[s] period of the discrete plant."""
+    rod_joint: RodJoint = "universal"
+    """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
+    collision: Flag = False
+    """Links collide: cranks, rods, platform and base, except where a joint holds them together."""
+    motor_damping: Real = 0.0
+    """[N m s/rad] viscous friction of each motor; implicit, stable at any step."""
+    universal_damping: Real = 0.0
+    """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
+    platform_joint_damping: Real = 0.0
+    """[N m s/rad] viscous friction of each ball between rod and platform; explicit, limited by the time step."""
+    motor_friction: Real = 0.0
+    """[N m] Coulomb friction of each motor; implicit, viscous below 1e-4 rad/s, so that a held robot creeps."""
+
+    def __post_init__(self) -> None:
+        if not is_finite(self.time_step) or not MIN_TIME_STEP <= self.time_step <= MAX_TIME_STEP:
+            raise ConfigurationError(
+                "plant.time_step", self.time_step, f"{MIN_TIME_STEP:g} to {MAX_TIME_STEP:g} s (discrete time only)"
+            )
+        if self.rod_joint not in ROD_JOINTS:
+            raise ConfigurationError("plant.rod_joint", self.rod_joint, " or ".join(ROD_JOINTS))
+        if not isinstance(self.collision, bool):
+            raise ConfigurationError("plant.collision", self.collision, "true or false")
+        for name in ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction"):
+            value = getattr(self, name)
+            if not is_finite(value) or value < 0.0:
+                raise ConfigurationError(f"plant.{name}", value, "a finite number, zero or positive")
+
+
+def is_finite(value: Any) -> bool:
+    """Whether a value is a finite number; true and false are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

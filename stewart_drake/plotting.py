@@ -1,0 +1,283 @@
+"""Figures of one run, Fig. 7 of the paper; the only place that uses matplotlib.
+
+Figures are plain objects made without pyplot: no backend is chosen, no window opens and no global setting changes.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullFormatter
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import write_atomically
+from stewart_drake.log import SimulationLog
+from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
+from stewart_drake.robot import LEGS
+
+DPI = 150
+"""[1/inch] resolution of saved figures."""
+
+# Okabe and Ito's palette, which people with any colour vision can tell apart. Axis 1, 2, 3 as in RGB triads.
+_AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
+_QUIET, _TEXT, _FAILURE = "#8C8C8C", "#222222", "#B2182B"
+_NEAR_LIMIT = 0.8
+_FADED: dict[str, Any] = {"color": _TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+
+
+class _Group(NamedTuple):
+    """Three coordinates that share a unit: a column of the figure."""
+
+    columns: slice
+    scale: float
+    unit: str
+    symbols: tuple[str, str, str]
+    main: int
+    title: str
+    metric: str
+
+
+_GROUPS = (
+    _Group(slice(0, 3), 180.0 / np.pi, "deg", (r"roll $\phi$", r"pitch $\theta$", r"yaw $\psi$"), 0, "Roll", "rmse_deg"),
+    _Group(slice(3, 6), 1e3, "mm", ("X", "Y", "Z"), 2, "Height Z", "rmse_mm"),
+)
+
+
+def plot_states(log: SimulationLog) -> Figure:
+    """The states against their reference, errors, integral states and weights over time; Fig. 7(a).
+
+    Rotations [deg] on the left, translations [mm] on the right. A row each for the axis that the paper moves (roll, Z),
+    the other two axes, the tracking error and the integral state; below them omega_Q, omega_R and their ratio.
+
+    Args:
+        log: A run, completed or not. The end of one that failed is marked.
+
+    Raises:
+        ConfigurationError: The log has no rows.
+    """
+    figure, axes = _figure(log, "states", rows=5, height=11.5, height_ratios=(1.35, 1.0, 1.0, 1.0, 1.0))
+    metrics = run_metrics(log)
+    for column, group in enumerate(_GROUPS):
+        _plot_group(axes[:4, column], log, group, metrics[group.metric])
+    _plot_weights(axes[4], log)
+    for panel in axes.flat:
+        _mark_end(panel, log)
+    _name_end(axes[0, 0], log)
+    return figure
+
+
+def plot_torques(log: SimulationLog) -> Figure:
+    """Torques of the six motors over time [N m], a panel each and all on one scale; Fig. 7(b).
+
+    What was commanded is drawn where the motor's limit kept it from being applied; the limits where they are near.
+
+    Args:
+        log: A run, completed or not. The end of one that failed is marked.
+
+    Raises:
+        ConfigurationError: The log has no rows.
+    """
+    figure, axes = _figure(log, "motor torques", rows=3, height=8.0, sharey=True)
+    time, applied, commanded = log.time, log["torque_applied"], log["torque"]
+    limit, peak = log.scenario.robot.effort_limit, np.abs(applied).max(axis=0)
+    beyond = np.where(applied == commanded, np.nan, commanded)
+    near = peak.max() >= _NEAR_LIMIT * limit
+    for leg, panel in enumerate(axes.flat):
+        rms = np.sqrt(np.mean(applied[:, leg] ** 2))
+        _title(panel, f"Motor {leg}", f"RMS {rms:.2f} N m, peak {peak[leg]:.2f} N m")
+        panel.axhline(0.0, color=_QUIET, linewidth=0.8)
+        if near:
+            for side in (-limit, limit):
+                panel.axhline(side, color=_QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
+        if np.isfinite(beyond[:, leg]).any():
+            _draw(panel, time, beyond[:, leg], color=_AXIS_COLORS[0], label="commanded beyond the limit", held=True)
+        _draw(panel, time, applied[:, leg], color=_AXIS_COLORS[2], label="applied", held=True)
+        if leg % 2 == 0:
+            panel.set_ylabel("torque [N m]")
+    _widen(axes[0, 0], 0.2)
+    if near:
+        # A controller that asks for far more than the motors have must not flatten what they gave.
+        low, high = axes[0, 0].get_ylim()
+        axes[0, 0].set_ylim(max(low, -1.4 * limit), min(high, 1.4 * limit))
+    entries: dict[str, Any] = {}
+    for panel in axes.flat:
+        handles, labels = panel.get_legend_handles_labels()
+        entries |= dict(zip(labels, handles, strict=True))
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False, fontsize=10)
+    for panel in axes.flat:
+        _mark_end(panel, log)
+    _name_end(axes[0, 0], log)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes a figure as a PNG of 150 dots an inch; a reader sees the old file or the new one, never a half.
+
+    Raises:
+        ConfigurationError: The folder is missing or not writable.
+    """
+    stream = io.BytesIO()
+    # Without a date or version in it, the same log gives the same file.
+    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+    write_atomically(Path(path), stream.getvalue())
+
+
+def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: list[float] | None) -> None:
+    """One column of the states: main axis, other axes, error, integral state."""
+    main, others, errors, integrals = panels
+    time, unit = log.time, group.unit
+    pose, reference, error, integral = (
+        group.scale * values[:, group.columns]
+        for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
+    )
+    for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
+        panel = main if axis == group.main else others
+        _draw(panel, time, pose[:, axis], color=color, label=symbol)
+        drawn = any(line.get_label() == "reference" for line in panel.lines)
+        _draw(panel, time, reference[:, axis], label=_once(not drawn, "reference"), **_FADED)
+        rms = "" if rmse is None else f"  {rmse[axis]:.3g}"
+        _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
+        _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
+    two = [symbol for axis, symbol in enumerate(group.symbols) if axis != group.main]
+    _title(main, group.title)
+    _title(others, f"{two[0][0].upper()}{two[0][1:]} and {two[1]}")
+    _title(errors, "Tracking error" + ("" if rmse is None else f"  (RMS of the second half, {unit})"))
+    _title(integrals, "Integral state z")
+    # Noise far below what matters must not fill a panel.
+    for panel, label, least in (
+        (main, f"{group.symbols[group.main]} [{unit}]", 1.0),
+        (others, f"{', '.join(symbol.split()[-1] for symbol in two)} [{unit}]", 1.0),
+        (errors, f"measured - reference [{unit}]", 0.02),
+        (integrals, f"z [{unit} s]", 0.02),
+    ):
+        panel.set_ylabel(label)
+        _widen(panel, least)
+        _legend(panel)
+    for panel in (errors, integrals):
+        panel.axhline(0.0, color=_QUIET, linewidth=0.8, zorder=1.0)
+    if time[0] < INTEGRAL_TIME < time[-1]:
+        integrals.axvline(INTEGRAL_TIME, color=_QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
+        at = integrals.get_xaxis_transform()
+        integrals.text(INTEGRAL_TIME, 0.03, f" {INTEGRAL_TIME:g} s", transform=at, color=_QUIET, fontsize=8)
+
+
+def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
+    both, ratio = panels
+    weights = log["weights"]
+    _draw(both, log.time, weights[:, 0], color=_AXIS_COLORS[2], label=r"$\omega_Q$", held=True)
+    # Dashed, because the two often coincide.
+    _draw(both, log.time, weights[:, 1], color=_AXIS_COLORS[0], label=r"$\omega_R$", held=True, linestyle=(0, (5, 2)))
+    _draw(ratio, log.time, weights[:, 0] / weights[:, 1], color=_TEXT, held=True)
+    _title(both, "Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed")
+    _title(ratio, "Ratio of the weights, on which alone the gain depends")
+    both.set_ylabel("weight [-]")
+    ratio.set_ylabel(r"$\omega_Q\,/\,\omega_R$ [-]")
+    _legend(both)
+    for panel in panels:
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter(NullFormatter())
+        _widen(panel, 2.0)
+
+
+def _figure(
+    log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any
+) -> tuple[Figure, np.ndarray]:
+    """Empty panels (rows, 2) [Axes] on one time axis, below a headline on the run."""
+    if len(log.time) == 0:
+        raise ConfigurationError("log", "no rows", "a log with at least one row to plot")
+    figure = Figure(figsize=(12.0, height), facecolor="white")
+    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - 0.75 / height), h_pad=0.06, w_pad=0.08)
+    axes: np.ndarray = figure.subplots(rows, 2, sharex=True, **subplots)
+    first, last = log.time[0], max(log.end_time, log.time[-1])
+    span = last - first if last > first else log.scenario.effective_log_period
+    for panel in axes.flat:
+        panel.set_facecolor("white")
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.spines[["left", "bottom"]].set_color(_QUIET)
+        panel.tick_params(colors=_TEXT, color=_QUIET, labelsize=9)
+        panel.grid(color="#E6E6E6", linewidth=0.8)
+        panel.set_axisbelow(True)
+        panel.yaxis.set_major_locator(MaxNLocator(5))
+    axes[0, 0].set_xlim(first, first + span * (1.0 if log.status == "completed" else 1.04))
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    top = 1.0 - 0.12 / height
+    headline, color = _outcome(log)
+    figure.suptitle(
+        f"{log.scenario.name}: {headline}", x=0.01, y=top, ha="left", va="top", fontsize=14, fontweight="bold", color=color
+    )
+    figure.text(0.01, top - 0.3 / height, f"{what}; {_settings(log)}", va="top", fontsize=10, color=_TEXT)
+    return figure, axes
+
+
+def _outcome(log: SimulationLog) -> tuple[str, str]:
+    """How the run ended, in words, and the colour of the words."""
+    if log.status == "completed":
+        return f"completed, {log.end_time:g} s", _TEXT
+    leg = "" if log.leg is None else f", leg {log.leg}"
+    end = f"{log.status} at {log.end_time:.3f} s of {log.scenario.duration:g} s"
+    return (end if log.reason in (None, log.status) else f"{end}: {log.reason}{leg}"), _FAILURE
+
+
+def _settings(log: SimulationLog) -> str:
+    scenario = log.scenario
+    return (
+        f"gravity {scenario.gravity:g} m/s², force map {scenario.controller.force_map}, "
+        f"feedforward {scenario.controller.feedforward}, control period {1e3 * scenario.controller.period:g} ms, "
+        f"tuner {scenario.tuner.kind}"
+    )
+
+
+def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = False, **style: Any) -> None:
+    """A line; a staircase where the value is held from tick to tick, a dot where there is but one row."""
+    style = {"linewidth": 1.6, "label": "_", **style}
+    if held:
+        style["drawstyle"] = "steps-post"
+    if len(time) == 1:
+        style["marker"] = "o"
+    panel.plot(time, values, **style)
+
+
+def _mark_end(panel: Axes, log: SimulationLog) -> None:
+    if log.status != "completed":
+        panel.axvline(log.end_time, color=_FAILURE, linewidth=1.4)
+        panel.axvspan(log.end_time, panel.get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
+
+
+def _name_end(panel: Axes, log: SimulationLog) -> None:
+    if log.status != "completed":
+        at = panel.get_xaxis_transform()
+        style: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": 9, "color": _FAILURE}
+        panel.text(log.end_time, 0.03, f"{log.reason or log.status} ", transform=at, **style)
+
+
+def _title(panel: Axes, left: str, right: str = "") -> None:
+    panel.set_title(left, loc="left", fontsize=10, fontweight="bold", color=_TEXT)
+    panel.set_title(right, loc="right", fontsize=9, color=_TEXT)
+
+
+def _legend(panel: Axes) -> None:
+    """Above the panel, where it hides no data."""
+    panel.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, borderaxespad=0.0,
+        handlelength=1.8, columnspacing=1.4,
+    )  # fmt: skip
+
+
+def _once(wanted: bool, label: str) -> str:
+    return label if wanted else "_"
+
+
+def _widen(panel: Axes, least: float) -> None:
+    """Opens the vertical range to at least `least`: a difference, or decades on a logarithmic axis."""
+    transform = panel.yaxis.get_transform()
+    low, high = transform.transform(np.array(panel.get_ylim()))
+    missing = 0.5 * max(least - (high - low), 0.0)
+    if missing > 0.0:
+        panel.set_ylim(*transform.inverted().transform(np.array([low - missing, high + missing])))

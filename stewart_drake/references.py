@@ -1,0 +1,156 @@
+"""Reference motions q(t) with exact first and second derivatives; poses are [roll, pitch, yaw, X, Y, Z] of P in B."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.scalars import SECTION, Real, Vector6
+
+_HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
+_ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Reference(Protocol):
+    """Anything that tells where the platform should be."""
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, rate and acceleration.
+
+        Args:
+            time: (...) [s].
+
+        Returns:
+            pose (..., 6) [rad, m], rate (..., 6) [rad/s, m/s], acceleration (..., 6) [rad/s^2, m/s^2].
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldReference:
+    """A pose held still."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["hold"] = "hold"
+    pose: Vector6 = _HOME
+    """[rad, m]"""
+
+    def __post_init__(self) -> None:
+        _check_vectors(self, "pose")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        shape = (*np.shape(time), 6)
+        return np.broadcast_to(np.array(self.pose), shape).copy(), np.zeros(shape), np.zeros(shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SineReference:
+    """center + amplitude sin(angular_frequency t + phase) on each axis.
+
+    The defaults are the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["sine"] = "sine"
+    center: Vector6 = _HOME
+    """[rad, m]"""
+    amplitude: Vector6 = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
+    """[rad, m]"""
+    angular_frequency: Vector6 = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
+    """[rad/s]"""
+    phase: Vector6 = _ZERO
+    """[rad]"""
+
+    def __post_init__(self) -> None:
+        _check_vectors(self, "center", "amplitude", "angular_frequency", "phase")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
+        angle = omega * np.asarray(time, dtype=float)[..., None] + np.array(self.phase)
+        wave = amplitude * np.sin(angle)
+        return np.array(self.center) + wave, amplitude * omega * np.cos(angle), -(omega**2) * wave
+
+
+@dataclass(frozen=True, kw_only=True)
+class SineBurstsReference:
+    """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
+
+    The paper's data covers 1 to 5 Hz; this puts them into one run that starts and ends every burst at rest in the centre. The
+    fade is a quintic smoothstep, so accelerations are continuous. After the last burst the centre is held.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["sine_bursts"] = "sine_bursts"
+    frequency: tuple[Real, ...]
+    """[Hz] one per burst."""
+    amplitude: tuple[Vector6, ...]
+    """[rad, m] one vector per burst."""
+    center: Vector6 = _HOME
+    """[rad, m]"""
+    phase: Vector6 = _ZERO
+    """[rad] per axis, the same in every burst."""
+    burst_duration: Real = 1.6
+    """[s]"""
+    fade: Real = 0.2
+    """[s] at each end of a burst."""
+
+    def __post_init__(self) -> None:
+        _check_vectors(self, "center", "phase")
+        if not self.frequency or not all(math.isfinite(f) and f > 0.0 for f in self.frequency):
+            raise ConfigurationError("reference.frequency", self.frequency, "positive numbers, at least one")
+        if len(self.amplitude) != len(self.frequency):
+            raise ConfigurationError("reference.amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers")
+        for vector in self.amplitude:
+            if len(vector) != 6 or not np.isfinite(vector).all():
+                raise ConfigurationError("reference.amplitude", vector, "vectors of 6 finite numbers")
+        if not (math.isfinite(self.fade) and self.fade > 0.0):
+            raise ConfigurationError("reference.fade", self.fade, "a positive number")
+        if not (math.isfinite(self.burst_duration) and self.burst_duration >= 2.0 * self.fade):
+            raise ConfigurationError("reference.burst_duration", self.burst_duration, "at least twice the fade")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        time = np.asarray(time, dtype=float)
+        count = len(self.frequency)
+        index = np.clip(np.floor(time / self.burst_duration).astype(int), 0, count - 1)
+        local = np.clip(time - index * self.burst_duration, 0.0, self.burst_duration)[..., None]
+        omega = 2.0 * np.pi * np.array(self.frequency)[index][..., None]
+        amplitude = np.array(self.amplitude)[index]
+        env, env_rate, env_acceleration = self._envelope(local)
+        angle = omega * local + np.array(self.phase)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        pose = np.array(self.center) + amplitude * env * sine
+        rate = amplitude * (env_rate * sine + env * omega * cosine)
+        acceleration = amplitude * (env_acceleration * sine + 2.0 * env_rate * omega * cosine - env * omega**2 * sine)
+        return pose, rate, acceleration
+
+    def _envelope(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Smoothstep 6 u^5 - 15 u^4 + 10 u^3 of the distance to the nearer end, and its derivatives."""
+        rising = local < 0.5 * self.burst_duration
+        distance = np.where(rising, local, self.burst_duration - local)
+        u = np.clip(distance / self.fade, 0.0, 1.0)
+        sign = np.where(rising, 1.0, -1.0)
+        value = u**3 * (u * (6.0 * u - 15.0) + 10.0)
+        rate = sign * 30.0 * u**2 * (1.0 - u) ** 2 / self.fade
+        acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / self.fade**2
+        return value, rate, acceleration
+
+
+def paper_reference() -> SineReference:
+    """(37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero."""
+    return SineReference()
+
+
+def _check_vectors(reference: object, *names: str) -> None:
+    for name in names:
+        value = getattr(reference, name)
+        if len(value) != 6 or not np.isfinite(value).all():
+            raise ConfigurationError(f"reference.{name}", value, "6 finite numbers")

@@ -1,0 +1,302 @@
+"""One run as typed YAML: read, checked to the last key, frozen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from ruamel.yaml import YAML, YAMLError
+
+from stewart_drake.control_law import ControlLaw, LqiOptions
+from stewart_drake.density import DensityKind
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.limits import Limits
+from stewart_drake.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.plant_options import PlantOptions
+from stewart_drake.references import HoldReference, SineBurstsReference, SineReference
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY
+from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import steps_per
+from stewart_drake.scalars import SECTION, Count, Real, Vector6
+
+MAX_SCENARIO_BYTES = 1_000_000
+
+AnyReference = Annotated[HoldReference | SineReference | SineBurstsReference, Field(discriminator="kind")]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, **SECTION)
+
+
+class _Tuner(_Section):
+    omega_q: Annotated[Real, Field(gt=0.0)] = 1.0
+    """omega_Q of (27); for a network, its value before the first inference."""
+    omega_r: Annotated[Real, Field(gt=0.0)] = 1.0
+    """omega_R of (27); for a network, its value before the first inference."""
+    density: DensityKind = "magnitude"
+    """Kind of density (35), (36); for a network, the one that it was trained on."""
+    window: Annotated[Count, Field(ge=1, le=100_000)] = 49
+    """Window m of (35), (36) [ticks]; means run over m + 1 samples."""
+
+
+class FixedTuner(_Tuner):
+    """Weights that stay as given; densities are logged all the same."""
+
+    kind: Literal["fixed"] = "fixed"
+
+
+class AnnTuner(_Tuner):
+    """Weights from the neural network of Fig. 5."""
+
+    kind: Literal["ann"] = "ann"
+    weights_file: str | None = None
+    """Path of a trained network, relative to the scenario file; null takes the one of the package."""
+
+
+class Scenario(_Section):
+    """Everything that one run depends on.
+
+    `Scenario(...)` and `Scenario.from_dict` check the same rules; `load_scenario` reads a file.
+
+    Raises:
+        ConfigurationError: Names the key, the value and what is allowed.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[\w .+-]+$")] = "scenario"
+    """Used for the output folder and titles."""
+    duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
+    """[s] simulated time; at most 8000, beyond which sample times would lose their exactness."""
+    gravity: Annotated[Real, Field(ge=0.0)] = STANDARD_GRAVITY
+    """[m/s^2] along -z of B; 0 for none."""
+    robot: RobotParameters = Field(default_factory=RobotParameters)
+    """Geometry, masses and limits."""
+    plant: PlantOptions = Field(default_factory=PlantOptions)
+    """The simulated robot."""
+    reference: AnyReference = Field(default_factory=SineReference)
+    """The motion to follow."""
+    initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
+    controller: LqiOptions = Field(default_factory=LqiOptions)
+    """The LQI."""
+    tuner: Annotated[FixedTuner | AnnTuner, Field(discriminator="kind")] = Field(default_factory=AnnTuner)
+    """Where omega_Q and omega_R come from."""
+    limits: Limits = Field(default_factory=Limits)
+    """What the reference must keep to; checked before the run."""
+    log_period: Annotated[Real, Field(gt=0.0)] | None = None
+    """[s] between log rows, a whole multiple of plant.time_step; null takes controller.period."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _validate(cls, data: Any, handler: ModelWrapValidatorHandler[Scenario]) -> Scenario:
+        try:
+            scenario = handler(data)
+        except ValidationError as error:
+            raise _explain(error, data) from None
+        scenario._check()
+        return scenario
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
+        """A scenario from plain values, as YAML gives them.
+
+        Raises:
+            ConfigurationError: As for the class.
+        """
+        if not isinstance(data, Mapping):
+            raise ConfigurationError("scenario", data, "a mapping of keys to values")
+        return cls.model_validate(dict(data))
+
+    def replace(self, changes: Mapping[str, Any]) -> Scenario:
+        """A scenario with some keys changed, checked again.
+
+        Args:
+            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
+
+        Raises:
+            ConfigurationError: As for the class.
+        """
+        data = self.to_dict()
+        for key, value in changes.items():
+            _assign(data, key, value)
+        return Scenario.from_dict(data)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Every key with its value, in plain types."""
+        return json.loads(self.model_dump_json())  # type: ignore[no-any-return]
+
+    def to_yaml(self) -> str:
+        """The whole scenario, defaults included, as YAML that `load_scenario` reads back."""
+        from io import StringIO
+
+        yaml = YAML(typ="safe", pure=True)
+        yaml.default_flow_style = None
+        yaml.width = 120
+        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+        stream = StringIO()
+        yaml.dump(self.to_dict(), stream)
+        return stream.getvalue()
+
+    @property
+    def effective_log_period(self) -> float:
+        """[s] between log rows."""
+        return self.controller.period if self.log_period is None else self.log_period
+
+    def load_tuner_network(self) -> TunerNetwork | None:
+        """The network that this scenario names, or None where the weights are fixed.
+
+        Raises:
+            ConfigurationError: Missing or corrupt file, or trained on another kind of density.
+        """
+        if not isinstance(self.tuner, AnnTuner):
+            return None
+        path = default_network_path() if self.tuner.weights_file is None else Path(self.tuner.weights_file)
+        network = load_network(path)
+        if network.density != self.tuner.density:
+            raise ConfigurationError("tuner.density", self.tuner.density, f"{network.density}, as {path} was trained on")
+        return network
+
+    def control_law(self) -> ControlLaw:
+        """The controller of this scenario as a pure function, see `ControlLaw`."""
+        return ControlLaw(
+            self.robot,
+            self.controller,
+            self.gravity,
+            self.load_tuner_network(),
+            self.tuner.density,
+            self.tuner.window,
+            (self.tuner.omega_q, self.tuner.omega_r),
+        )
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (6,) and pose rate (6,) at t = 0."""
+        pose, rate, _ = self.reference.evaluate(0.0)
+        return pose + np.array(self.initial_offset), rate
+
+    def _check(self) -> None:
+        """Rules between keys."""
+        steps_per("controller.period", self.controller.period, self.plant.time_step)
+        if self.log_period is not None:
+            steps_per("log_period", self.log_period, self.plant.time_step)
+        if self.duration < self.controller.period:
+            raise ConfigurationError("duration", self.duration, f"at least one control period, {self.controller.period}")
+
+
+def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+    """Reads a scenario file.
+
+    Args:
+        path: YAML file; `weights_file` in it is relative to its folder. A bare name such as `paper_fig7` is looked up
+            among the scenarios of the package.
+        overrides: `key=value` texts, keys dotted, values as YAML.
+
+    Raises:
+        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
+    """
+    path = find_scenario(path)
+    data = _read_yaml(path)
+    for text in overrides:
+        key, separator, value = text.partition("=")
+        if not separator or not key.strip():
+            raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
+        _assign(data, key.strip(), _parse_yaml(value, f"--set {key.strip()}"))
+    tuner = data.get("tuner")
+    if isinstance(tuner, dict) and isinstance(tuner.get("weights_file"), str):
+        tuner["weights_file"] = str((path.parent / tuner["weights_file"]).absolute())
+    data.setdefault("name", path.stem)
+    return Scenario.from_dict(data)
+
+
+def scenario_folder() -> Path:
+    """Folder of the scenarios that the package carries (in a checkout: diagrams/scenarios)."""
+    inside = Path(__file__).parent / "scenarios"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "diagrams" / "scenarios"
+
+
+def find_scenario(name: str | Path) -> Path:
+    """The file that `name` means: a path, or the stem of a scenario of the package.
+
+    Raises:
+        ConfigurationError: Neither.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    shipped = scenario_folder() / f"{name}.yaml"
+    if path.name == str(name) and shipped.is_file():
+        return shipped
+    known = ", ".join(sorted(p.stem for p in scenario_folder().glob("*.yaml")))
+    raise ConfigurationError("scenario file", str(name), f"an existing file, or one of {known}")
+
+
+def scenario_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file, for editors."""
+    schema = Scenario.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    return schema
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        size = path.stat().st_size
+        if size > MAX_SCENARIO_BYTES:
+            raise ConfigurationError(f"scenario file {path}", f"{size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(f"scenario file {path}", error.strerror or str(error), "a readable file") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"scenario file {path}", "binary content", "a YAML text in UTF-8") from None
+    data = _parse_yaml(text, f"scenario file {path}")
+    if not isinstance(data, dict):
+        raise ConfigurationError(f"scenario file {path}", data, "a mapping of keys to values")
+    return data
+
+
+def _parse_yaml(text: str, key: str) -> Any:
+    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
+    try:
+        return YAML(typ="safe", pure=True).load(text)
+    except YAMLError as error:
+        raise ConfigurationError(key, " ".join(str(error).split()), "well-formed YAML without tags") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "well-formed YAML") from None
+
+
+def _assign(data: dict[str, Any], key: str, value: Any) -> None:
+    *parents, last = key.split(".")
+    section: Any = data
+    for depth, part in enumerate(parents):
+        if section.get(part) is None:
+            section[part] = {}
+        section = section[part]
+        if not isinstance(section, dict):
+            raise ConfigurationError(".".join(parents[: depth + 1]), section, f"a section, to set {key} in it")
+    section[last] = value
+
+
+def _explain(error: ValidationError, data: Any) -> ConfigurationError:
+    """The first problem of pydantic's report, in one line, under the key as the user wrote it."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    keys: list[str] = []
+    here: Any = data
+    for part in first["loc"]:
+        inside = (isinstance(here, Mapping) and part in here) or (
+            isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
+        )
+        if inside:
+            here = here[part]
+            keys.append(str(part))
+        elif part == first["loc"][-1]:
+            # Missing and unknown keys end here; the tag of a union, which the user never wrote, does not.
+            keys.append(str(part))
+    allowed = first["msg"][0].lower() + first["msg"][1:]
+    if first["type"] == "extra_forbidden":
+        allowed = "no such key exists; see the scenario schema"
+    if first["type"] == "missing":
+        allowed = "a value; the key is required"
+    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    return ConfigurationError(".".join(keys) or "scenario", first["input"], allowed + more)

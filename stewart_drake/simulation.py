@@ -1,0 +1,132 @@
+"""Running a scenario: one Diagram, one Simulator, one log."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
+
+from stewart_drake.diagram import ClosedLoop
+from stewart_drake.errors import RunFailure, drake_guard
+from stewart_drake.feasibility import check_reference
+from stewart_drake.log import SimulationLog, Status
+from stewart_drake.sampling import on_grid
+from stewart_drake.scenario import Scenario
+from stewart_drake.versions import collect_versions
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+CHUNK = 0.05
+"""[s] simulated time between two calls of `progress`."""
+
+
+def run(
+    scenario: Scenario,
+    progress: Callable[[float], None] | None = None,
+    meshcat: Meshcat | None = None,
+    check: bool = True,
+) -> SimulationLog:
+    """Simulates a scenario.
+
+    A run that breaks midway does not raise: its log so far comes back with status `failed`, reason, time and leg; after Ctrl-C
+    with status `interrupted`.
+
+    Args:
+        scenario: What to run.
+        progress: Called with the simulated time [s] now and then.
+        meshcat: Shows the run while it happens.
+        check: Check the reference against `scenario.limits` first.
+
+    Raises:
+        ConfigurationError: Found before the run: infeasible reference, weights file that cannot be used.
+    """
+    if check:
+        check_scenario(scenario)
+    loop = ClosedLoop(scenario, meshcat)
+    with drake_guard("preparing the simulator"):
+        simulator = Simulator(loop, loop.create_start_context())
+    context = simulator.get_context()
+
+    step = on_grid(scenario.plant.time_step)
+    total = int(scenario.duration / scenario.plant.time_step + 1e-6)
+    stride = max(1, int(CHUNK / scenario.plant.time_step))
+    status: Status = "completed"
+    reason = message = None
+    leg: int | None = None
+    end: float | None = None
+    start = time.perf_counter()
+    try:
+        with drake_guard("simulation"):
+            simulator.Initialize()
+            for done in range(stride, total + stride, stride):
+                simulator.AdvanceTo(min(done, total) * step)
+                if progress is not None:
+                    progress(context.get_time())
+    except RunFailure as failure:
+        status, reason, message, leg, end = "failed", failure.reason, str(failure), failure.leg, failure.time
+    except KeyboardInterrupt:
+        status, reason, message = "interrupted", "interrupted", "stopped by the user"
+    wall = time.perf_counter() - start
+    return SimulationLog(
+        scenario=scenario,
+        signals=_signals(loop, context),
+        state_names=loop.plant.state_names,
+        status=status,
+        reason=reason,
+        message=message,
+        end_time=_nominal(end if end is not None else context.get_time(), scenario.plant.time_step),
+        leg=leg,
+        wall_time=wall,
+        versions=collect_versions(),
+    )
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Checks that the reference keeps to the limits over the whole run.
+
+    Raises:
+        InfeasibleReferenceError: Names limit, time, leg and margin.
+    """
+    report = check_reference(scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
+    report.raise_if_infeasible()
+
+
+def _nominal(time_on_grid: float, time_step: float) -> float:
+    """Simulated time without the rounding of `sampling.on_grid`."""
+    return float(np.round(time_on_grid / time_step) * time_step)
+
+
+def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
+    scenario, plant = loop.scenario, loop.plant
+    data = {name: sink.FindLog(context) for name, sink in loop.sinks.items()}
+    # A row is complete once the slowest sink has it: a failure can stop a publish halfway.
+    rows = min(log.num_samples() for log in data.values())
+    values = {name: np.array(log.data().T[:rows]) for name, log in data.items()}
+    time_on_grid = data["plant_state"].sample_times()[:rows]
+    multiple = np.round(time_on_grid / scenario.plant.time_step)
+    limit = scenario.robot.effort_limit
+    pose, pose_rate = plant.pose_and_rate(values["plant_state"])
+    return {
+        "time": multiple * scenario.plant.time_step,
+        "pose": pose,
+        "pose_rate": pose_rate,
+        "reference": values["reference"][:, :6],
+        "reference_rate": values["reference"][:, 6:12],
+        "reference_acceleration": values["reference"][:, 12:],
+        "error": values["error"],
+        "integral": values["integral"],
+        "torque": values["torque"],
+        "torque_applied": np.clip(values["torque"], -limit, limit),
+        "crank_angle": plant.crank_angles(values["plant_state"]),
+        "weights": values["weights"],
+        "density": values["density"],
+        "loop_gap": plant.loop_gap(values["plant_state"]),
+        "plant_state": values["plant_state"],
+    }
+
+

@@ -1,0 +1,162 @@
+"""Back-propagation for the 12-10-2 tuner, section III.D."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
+from stewart_drake.training.dataset import Dataset
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingOptions:
+    """How to train.
+
+    Raises:
+        ConfigurationError: A value out of range.
+    """
+
+    seed: int = 0
+    """Of the split and of the first weights."""
+    epochs: int = 2000
+    """Steps of Adam over the whole training set."""
+    learning_rate: float = 0.01
+    training_share: float = 0.7
+    """Share of the samples (or runs) for training; the rest validates. 0.7 in the paper."""
+    split: Literal["samples", "runs"] = "samples"
+    """samples: at random, as in the paper; neighbours in time leak into each other. runs: whole experiments."""
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1:
+            raise ConfigurationError("training.epochs", self.epochs, "at least 1")
+        if not 0.0 < self.learning_rate < 10.0:
+            raise ConfigurationError("training.learning_rate", self.learning_rate, "between 0 and 10")
+        if not 0.0 < self.training_share < 1.0:
+            raise ConfigurationError("training.training_share", self.training_share, "between 0 and 1")
+        if self.split not in ("samples", "runs"):
+            raise ConfigurationError("training.split", self.split, "samples or runs")
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """A trained network and how well it does.
+
+    Attributes:
+        network: With its provenance.
+        training_loss: (epochs,) mean squared error of log10 omega.
+        validation_loss: (epochs,).
+        scores: R^2 on training and validation samples, for log omega_Q, log omega_R and log ratio.
+    """
+
+    network: TunerNetwork
+    training_loss: np.ndarray
+    validation_loss: np.ndarray
+    scores: dict[str, float]
+
+
+def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
+    """(n,) mask of the training samples.
+
+    Raises:
+        ConfigurationError: One side of the split is empty.
+    """
+    rng = np.random.default_rng(options.seed)
+    groups = np.arange(len(dataset.run)) if options.split == "samples" else np.unique(dataset.run)
+    chosen = rng.permutation(groups)[: round(options.training_share * len(groups))]
+    mask = np.isin(np.arange(len(dataset.run)) if options.split == "samples" else dataset.run, chosen)
+    if mask.all() or not mask.any():
+        raise ConfigurationError("training.training_share", options.training_share, "a share that leaves no side empty")
+    return mask
+
+
+def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
+    """1 - residual / total sum of squares; NaN where the target does not vary."""
+    total = float(np.sum((target - target.mean()) ** 2))
+    return 1.0 - float(np.sum((target - predicted) ** 2)) / total if total > 0.0 else float("nan")
+
+
+def train_network(
+    dataset: Dataset, options: TrainingOptions | None = None, progress: Callable[[float], None] | None = None
+) -> TrainingResult:
+    """Trains the tuner; the same data, options and torch give the same network to the last bit.
+
+    Args:
+        dataset: From `collect_dataset` or `load_dataset`.
+        options: See `TrainingOptions`.
+        progress: Called with the epochs done, now and then.
+
+    Raises:
+        ConfigurationError: A split that leaves one side empty.
+    """
+    options = TrainingOptions() if options is None else options
+    training = split_samples(dataset, options)
+    target = np.log10(dataset.outputs)
+    mean, scale = dataset.inputs[training].mean(axis=0), dataset.inputs[training].std(axis=0)
+    scale = np.where(scale > 1e-9, scale, 1.0)
+
+    # One thread and double precision: sums are then taken in one order, and the result repeats to the bit.
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        generator = torch.Generator().manual_seed(options.seed)
+        inputs = torch.from_numpy((dataset.inputs - mean) / scale)
+        targets = torch.from_numpy(target)
+        mask = torch.from_numpy(training)
+        network = torch.nn.Sequential(
+            torch.nn.Linear(INPUTS, HIDDEN, dtype=torch.float64),
+            torch.nn.Tanh(),
+            torch.nn.Linear(HIDDEN, OUTPUTS, dtype=torch.float64),
+        )
+        with torch.no_grad():
+            for layer in (network[0], network[2]):
+                bound = layer.in_features**-0.5
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                layer.bias.uniform_(-bound, bound, generator=generator)
+        optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
+        training_loss, validation_loss = np.empty(options.epochs), np.empty(options.epochs)
+        for epoch in range(options.epochs):
+            optimiser.zero_grad()
+            squared = (network(inputs) - targets) ** 2
+            loss = squared[mask].mean()
+            loss.backward()
+            optimiser.step()
+            training_loss[epoch] = loss.item()
+            validation_loss[epoch] = squared[~mask].mean().item()
+            if progress is not None and (epoch % 50 == 49 or epoch == options.epochs - 1):
+                progress(epoch + 1.0)
+        arrays = [p.detach().numpy().copy() for p in network.parameters()]
+    finally:
+        torch.set_num_threads(threads)
+
+    result = TunerNetwork(
+        mean,
+        scale,
+        *arrays,
+        omega_min=dataset.outputs.min(axis=0),
+        omega_max=dataset.outputs.max(axis=0),
+        density=dataset.metadata.get("density", "magnitude"),
+        window=dataset.metadata.get("window", 49),
+    )
+    predicted = result.log_weights(dataset.inputs)
+    scores = {}
+    for side, rows in (("training", training), ("validation", ~training)):
+        for name, mix in (("omega_Q", (1, 0)), ("omega_R", (0, 1)), ("ratio", (1, -1))):
+            scores[f"{side} R^2 of log {name}"] = r_squared(target[rows] @ mix, predicted[rows] @ mix)
+    provenance = {
+        "made_by": "stewart-drake collect, stewart-drake train",
+        "dataset_sha256": dataset.digest(),
+        "samples": len(dataset.run),
+        "options": vars(options),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "scores": scores,
+        "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
+    }
+    result.provenance.update(provenance)
+    return TrainingResult(result, training_loss, validation_loss, scores)

@@ -1,0 +1,132 @@
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from stewart_drake import errors
+from stewart_drake.errors import (
+    ConfigurationError,
+    DrakeCheckError,
+    ForwardKinematicsError,
+    InfeasibleReferenceError,
+    NotFiniteError,
+    RiccatiError,
+    RunFailure,
+    SingularPoseError,
+    StewartDrakeError,
+    UnreachablePoseError,
+    drake_guard,
+)
+
+POSE = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.5])
+EXAMPLES = [
+    StewartDrakeError("plain"),
+    ConfigurationError("robot.branch", 2, "-1 or 1"),
+    InfeasibleReferenceError("torque", 0.25, 3, -1.5, "|motor torque| <= 5 N m"),
+    RunFailure("stopped", leg=2),
+    UnreachablePoseError(POSE, 4, -0.125),
+    SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),
+    SingularPoseError("parallel", POSE, 1e-4, 0.01),
+    ForwardKinematicsError(0.02, 30),
+    RiccatiError("no solution"),
+    NotFiniteError("torque", np.array([1.0, np.nan])),
+    DrakeCheckError("Simulator: condition failed"),
+]
+
+
+@pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_every_error_is_caught_as_one_of_the_package_and_has_a_stable_reason(error):
+    assert isinstance(error, StewartDrakeError)
+    assert error.reason.isidentifier()
+    assert str(error)
+
+
+def test_reasons_tell_the_errors_apart():
+    reasons = [error.reason for error in EXAMPLES]
+    assert len(set(reasons)) == len(reasons)
+
+
+def test_all_kinds_of_the_module_are_covered_here():
+    kinds = {k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, StewartDrakeError)}
+    assert kinds == {type(error) for error in EXAMPLES}
+
+
+@pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
+@pytest.mark.parametrize("duplicate", [copy.copy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+def test_an_error_crosses_a_process_boundary_with_all_it_carries(error, duplicate):
+    twin = duplicate(error)
+    assert type(twin) is type(error)
+    assert str(twin) == str(error)
+    assert twin.reason == error.reason
+    assert vars(twin).keys() == vars(error).keys()
+    for name, value in vars(error).items():
+        np.testing.assert_equal(getattr(twin, name), value)
+
+
+def test_the_two_families_are_apart_and_pydantic_wraps_neither():
+    assert issubclass(InfeasibleReferenceError, ConfigurationError)
+    assert not issubclass(ConfigurationError, RunFailure)
+    assert not issubclass(ConfigurationError, ValueError)
+    assert issubclass(RunFailure, RuntimeError)
+
+
+def test_configuration_error_names_key_value_and_what_is_allowed():
+    error = ConfigurationError("robot.branch", 2, "-1 or 1")
+    assert (error.key, error.value, error.allowed) == ("robot.branch", 2, "-1 or 1")
+    assert str(error) == "robot.branch: got 2; allowed: -1 or 1"
+
+
+def test_a_long_value_is_shortened_in_the_message_only():
+    value = list(range(1000))
+    error = ConfigurationError("pose", value, "six numbers")
+    assert error.value is value
+    assert "..." in str(error)
+    assert len(str(error)) < 200
+
+
+@pytest.mark.parametrize(("leg", "place"), [(3, "leg 3"), (None, "the platform")])
+def test_infeasible_reference_names_limit_time_place_and_margin(leg, place):
+    error = InfeasibleReferenceError("conditioning", 0.25, leg, -0.01, "sigma_min / sigma_max >= 0.05")
+    assert (error.limit, error.time, error.leg, error.margin) == ("conditioning", 0.25, leg, -0.01)
+    for part in ("reference", "conditioning", "0.250 s", place, "-0.01", "sigma_min / sigma_max >= 0.05"):
+        assert part in str(error)
+
+
+def test_unreachable_pose_names_leg_pose_and_margin():
+    error = UnreachablePoseError(POSE, 4, -0.125)
+    assert error.leg == 4
+    assert error.margin == -0.125
+    np.testing.assert_array_equal(error.pose, POSE)
+    assert "leg 4" in str(error)
+    assert "-0.125" in str(error)
+    assert "0.1, 0.2, 0.3, 0.01, 0.02, 0.5" in str(error)
+
+
+def test_a_run_failure_gets_its_time_from_the_system_in_which_it_happened():
+    error = RunFailure("stopped", leg=1)
+    assert error.time is None
+    error.time = 0.5
+    assert error.time == 0.5
+
+
+@pytest.mark.parametrize("inner", [SystemExit("condition 'x > 0' failed."), RuntimeError("bad\n  state"), SystemExit()])
+def test_drake_guard_turns_what_drake_raises_into_our_error(inner):
+    with pytest.raises(DrakeCheckError, match="solving") as caught, drake_guard("solving"):
+        raise inner
+    assert caught.value.__cause__ is inner
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("inner", [UnreachablePoseError(POSE, 0, -1.0), KeyError("k"), KeyboardInterrupt()])
+def test_drake_guard_lets_everything_else_pass(inner):
+    with pytest.raises(type(inner)) as caught, drake_guard("solving"):
+        raise inner
+    assert caught.value is inner
+
+
+def test_drake_guard_catches_a_real_failed_check_of_drake():
+    from pydrake.math import DiscreteAlgebraicRiccatiEquation
+
+    with pytest.raises(DrakeCheckError), drake_guard("Riccati"):
+        DiscreteAlgebraicRiccatiEquation(2.0 * np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))

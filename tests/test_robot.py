@@ -1,0 +1,128 @@
+import dataclasses
+import math
+
+import numpy as np
+import pydantic
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.kinematics import inverse_kinematics
+from stewart_drake.robot import RobotParameters
+
+ROBOT = RobotParameters()
+NUMBERS = [f.name for f in dataclasses.fields(RobotParameters) if f.name != "branch"]
+
+
+def turn(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_joints_lie_on_their_circles():
+    np.testing.assert_allclose(np.hypot(*ROBOT.shaft_positions[:, :2].T), 0.20, rtol=1e-15)
+    np.testing.assert_allclose(np.hypot(*ROBOT.platform_joints[:, :2].T), 0.11, rtol=1e-15)
+    np.testing.assert_array_equal(ROBOT.shaft_positions[:, 2], -0.07)
+    np.testing.assert_array_equal(ROBOT.platform_joints[:, 2], 0.0)
+
+
+def test_even_legs_stand_clockwise_of_their_pair_and_odd_legs_counter_clockwise():
+    for leg in range(6):
+        direction = math.radians(120.0 * (leg // 2))
+        side = -1.0 if leg % 2 == 0 else 1.0
+        for point, half_angle in ((ROBOT.shaft_positions[leg], 8.0), (ROBOT.platform_joints[leg], 52.0)):
+            angle = math.atan2(point[1], point[0]) - direction
+            expected = side * math.radians(half_angle)
+            assert math.remainder(angle - expected, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("array", ["shaft_positions", "platform_joints", "crank_zero_directions"])
+def test_three_pairs_are_120_degrees_apart(array):
+    points = getattr(ROBOT, array)
+    np.testing.assert_allclose(points[:4] @ turn(2.0 * math.pi / 3.0).T, points[2:], atol=1e-15)
+
+
+def test_the_two_shafts_of_a_pair_are_coaxial():
+    for leg in (0, 2, 4):
+        between = ROBOT.shaft_positions[leg + 1] - ROBOT.shaft_positions[leg]
+        motor_axis = np.cross([0.0, 0.0, 1.0], ROBOT.crank_zero_directions[leg])
+        np.testing.assert_allclose(np.cross(between, motor_axis), 0.0, atol=1e-16)
+
+
+def test_home_is_the_stated_pose():
+    np.testing.assert_array_equal(ROBOT.home_pose, [0, 0, 0, 0, 0, 0.3])
+    np.testing.assert_allclose(np.degrees(inverse_kinematics(ROBOT, ROBOT.home_pose)), 23.546289, atol=5e-7)
+
+
+def test_crank_inertia_about_the_motor_axis_by_the_parallel_axis_theorem():
+    assert ROBOT.crank_axis_inertia == pytest.approx(5.8e-5 + 0.04 * 0.055**2, rel=1e-15)
+
+
+def test_robots_are_values():
+    assert RobotParameters() == ROBOT
+    assert hash(RobotParameters()) == hash(ROBOT)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        ROBOT.rod_mass = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        ROBOT.home_pose[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        ROBOT.platform_joints[0, 0] = 1.0
+
+
+def test_replace_gives_another_robot_with_its_own_geometry():
+    longer = ROBOT.replace(platform_joint_radius=0.12)
+    assert longer.platform_joints[0] == pytest.approx(ROBOT.platform_joints[0] * 0.12 / 0.11)
+    assert ROBOT.platform_joint_radius == 0.11
+
+
+def test_replace_validates_and_names_a_typo():
+    with pytest.raises(ConfigurationError, match=r"robot\.rod_lenght.*rod_length"):
+        ROBOT.replace(rod_lenght=0.5)
+    with pytest.raises(ConfigurationError, match=r"robot\.rod_mass"):
+        ROBOT.replace(rod_mass=0.0)
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0])
+def test_unusable_numbers_are_refused_by_name(name, bad):
+    value = getattr(ROBOT, name)
+    changed = (bad, *value[1:]) if isinstance(value, tuple) else bad
+    with pytest.raises(ConfigurationError) as caught:
+        ROBOT.replace(**{name: changed})
+    # A shaft height of -1 m is a number like any other; what fails is the assembly.
+    assert caught.value.key == ("robot.home_height" if (name, bad) == ("shaft_height", -1.0) else f"robot.{name}")
+
+
+@pytest.mark.parametrize("branch", [0, 2, math.nan])
+def test_branch_is_a_sign(branch):
+    with pytest.raises(ConfigurationError, match=r"robot\.branch"):
+        ROBOT.replace(branch=branch)
+
+
+def test_the_printed_crank_inertia_is_refused_and_ours_is_the_nearest_that_is_not():
+    with pytest.raises(ConfigurationError, match=r"robot\.crank_inertia"):
+        ROBOT.replace(crank_inertia=(1e-6, 5.8e-5, 6.0e-5))
+    assert ROBOT.crank_inertia[2] == pytest.approx(ROBOT.crank_inertia[0] + ROBOT.crank_inertia[1])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"platform_inertia": (0.003, 0.003)},
+        {"rod_inertia": (0.0016, 0.0015, 0.0002)},
+        {"platform_half_angle": math.pi / 3.0},
+        {"home_height": 0.6},
+        {"rod_length": 0.1},
+    ],
+)
+def test_robots_that_cannot_be_built_are_refused(changes):
+    with pytest.raises(ConfigurationError):
+        ROBOT.replace(**changes)
+
+
+def test_pydantic_reads_it_and_refuses_unknown_keys_and_infinities():
+    adapter = pydantic.TypeAdapter(RobotParameters)
+    assert adapter.validate_python({"rod_mass": 0.09}).rod_mass == 0.09
+    with pytest.raises(pydantic.ValidationError, match="rod_mas"):
+        adapter.validate_python({"rod_mas": 0.09})
+    with pytest.raises(pydantic.ValidationError, match="finite"):
+        adapter.validate_python({"rod_mass": math.inf})
