@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.density import DensityKind, density, push
-from stewart_drake.errors import ConfigurationError, NotFiniteError, SingularPoseError
+from stewart_drake.errors import ConfigurationError, NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.force_map import ForceMapKind, force_map_of_legs
 from stewart_drake.kinematics import LegGeometry, leg_geometry, line_conditioning
 from stewart_drake.network import TunerNetwork
@@ -35,6 +35,9 @@ from stewart_drake.state_space import (
 )
 
 Feedforward = Literal["none", "gravity", "platform"]
+
+_DEAD_CENTRE_SLACK = 0.05
+"""[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +116,13 @@ def checked_legs(robot: RobotParameters, options: LqiOptions, pose: np.ndarray) 
     """
     if not np.isfinite(pose).all():
         raise NotFiniteError("measured pose", pose)
-    legs = leg_geometry(robot, pose)
+    try:
+        legs = leg_geometry(robot, pose)
+    except UnreachablePoseError as error:
+        if error.margin < -_DEAD_CENTRE_SLACK:
+            raise
+        # The robot stands there, so it can: the crank has been carried across its dead centre, where reach ends.
+        raise SingularPoseError("serial", pose, 0.0, options.min_transmission, error.leg) from error
     transmission = np.abs(legs.transmission)
     leg = int(transmission.argmin())
     if transmission[leg] < options.min_transmission:

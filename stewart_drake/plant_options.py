@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import SECTION, Flag, Real
 from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
 
 STICTION_SPEED = 1e-4
-"""[rad/s] below this speed friction of a motor is viscous: what should stick creeps, at most this fast."""
+"""[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""
@@ -38,9 +39,10 @@ class PlantOptions:
     universal_damping: Real = 0.0
     """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
     platform_joint_damping: Real = 0.0
-    """[N m s/rad] viscous friction of each ball between rod and platform; explicit, limited by the time step."""
+    """[N m s/rad] viscous friction of each ball between rod and platform; explicit, see `platform_damping_limit`. The
+    same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
     motor_friction: Real = 0.0
-    """[N m] Coulomb friction of each motor; implicit, viscous below 1e-4 rad/s, so that a held robot creeps."""
+    """[N m] Coulomb friction of each motor; implicit, viscous below `STICTION_SPEED`, so that a held robot creeps."""
 
     def __post_init__(self) -> None:
         if not is_finite(self.time_step) or not MIN_TIME_STEP <= self.time_step <= MAX_TIME_STEP:
@@ -55,6 +57,25 @@ class PlantOptions:
             value = getattr(self, name)
             if not is_finite(value) or value < 0.0:
                 raise ConfigurationError(f"plant.{name}", value, "a finite number, zero or positive")
+
+
+def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:
+    """Largest `platform_joint_damping` d that its explicit integration bears.
+
+    A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2). Against the rods' and the
+    platform's own inertia alone, no motion decays faster than d max(2 / I_rod, 12 / I_platform); the limit makes that
+    1 / time_step, half of what is stable. A rod between two balls may spin about its thin axis: I_rod is small then.
+
+    Args:
+        robot: Inertias.
+        options: Time step and rod joint.
+
+    Returns:
+        [N m s/rad].
+    """
+    rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
+    fastest = max(2.0 / rod_inertia, 12.0 / min(robot.platform_inertia))
+    return 1.0 / (options.time_step * fastest)
 
 
 def is_finite(value: Any) -> bool:

@@ -18,7 +18,6 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
-from stewart_drake.robot import LEGS
 
 DPI = 150
 """[1/inch] resolution of saved figures."""
@@ -27,7 +26,7 @@ DPI = 150
 _AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
 _QUIET, _TEXT, _FAILURE = "#8C8C8C", "#222222", "#B2182B"
 _NEAR_LIMIT = 0.8
-_FADED: dict[str, Any] = {"color": _TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+_DASHED: dict[str, Any] = {"color": _TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
 
 
 class _Group(NamedTuple):
@@ -36,15 +35,31 @@ class _Group(NamedTuple):
     columns: slice
     scale: float
     unit: str
+    names: tuple[str, str, str]
     symbols: tuple[str, str, str]
     main: int
-    title: str
     metric: str
 
 
 _GROUPS = (
-    _Group(slice(0, 3), 180.0 / np.pi, "deg", (r"roll $\phi$", r"pitch $\theta$", r"yaw $\psi$"), 0, "Roll", "rmse_deg"),
-    _Group(slice(3, 6), 1e3, "mm", ("X", "Y", "Z"), 2, "Height Z", "rmse_mm"),
+    _Group(
+        columns=slice(0, 3),
+        scale=180.0 / np.pi,
+        unit="deg",
+        names=("roll", "pitch", "yaw"),
+        symbols=(r"$\phi$", r"$\theta$", r"$\psi$"),
+        main=0,
+        metric="rmse_deg",
+    ),
+    _Group(
+        columns=slice(3, 6),
+        scale=1e3,
+        unit="mm",
+        names=("X", "Y", "height"),
+        symbols=("X", "Y", "Z"),
+        main=2,
+        metric="rmse_mm",
+    ),
 )
 
 
@@ -60,21 +75,21 @@ def plot_states(log: SimulationLog) -> Figure:
     Raises:
         ConfigurationError: The log has no rows.
     """
-    figure, axes = _figure(log, "states", rows=5, height=11.5, height_ratios=(1.35, 1.0, 1.0, 1.0, 1.0))
+    figure, axes = _figure(
+        log, "states, RMS over the second half", rows=5, height=11.5, height_ratios=(1.35, 1.0, 1.0, 1.0, 1.0)
+    )
     metrics = run_metrics(log)
     for column, group in enumerate(_GROUPS):
         _plot_group(axes[:4, column], log, group, metrics[group.metric])
     _plot_weights(axes[4], log)
-    for panel in axes.flat:
-        _mark_end(panel, log)
-    _name_end(axes[0, 0], log)
+    _finish(figure, axes, log)
     return figure
 
 
 def plot_torques(log: SimulationLog) -> Figure:
     """Torques of the six motors over time [N m], a panel each and all on one scale; Fig. 7(b).
 
-    What was commanded is drawn where the motor's limit kept it from being applied; the limits where they are near.
+    The commanded torque shows where the limit of the motor cut it; the limits are drawn where they are near.
 
     Args:
         log: A run, completed or not. The end of one that failed is marked.
@@ -85,7 +100,6 @@ def plot_torques(log: SimulationLog) -> Figure:
     figure, axes = _figure(log, "motor torques", rows=3, height=8.0, sharey=True)
     time, applied, commanded = log.time, log["torque_applied"], log["torque"]
     limit, peak = log.scenario.robot.effort_limit, np.abs(applied).max(axis=0)
-    beyond = np.where(applied == commanded, np.nan, commanded)
     near = peak.max() >= _NEAR_LIMIT * limit
     for leg, panel in enumerate(axes.flat):
         rms = np.sqrt(np.mean(applied[:, leg] ** 2))
@@ -94,8 +108,9 @@ def plot_torques(log: SimulationLog) -> Figure:
         if near:
             for side in (-limit, limit):
                 panel.axhline(side, color=_QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
-        if np.isfinite(beyond[:, leg]).any():
-            _draw(panel, time, beyond[:, leg], color=_AXIS_COLORS[0], label="commanded beyond the limit", held=True)
+        if np.any(commanded[:, leg] != applied[:, leg]):
+            # Thinner and underneath: seen only where the two differ.
+            _draw(panel, time, commanded[:, leg], color=_AXIS_COLORS[0], label="commanded", held=True, linewidth=1.2)
         _draw(panel, time, applied[:, leg], color=_AXIS_COLORS[2], label="applied", held=True)
         if leg % 2 == 0:
             panel.set_ylabel("torque [N m]")
@@ -108,10 +123,9 @@ def plot_torques(log: SimulationLog) -> Figure:
     for panel in axes.flat:
         handles, labels = panel.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False, fontsize=10)
-    for panel in axes.flat:
-        _mark_end(panel, log)
-    _name_end(axes[0, 0], log)
+    if len(entries) > 1:
+        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False, fontsize=10)
+    _finish(figure, axes, log)
     return figure
 
 
@@ -136,34 +150,33 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
         for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
-        panel = main if axis == group.main else others
-        _draw(panel, time, pose[:, axis], color=color, label=symbol)
-        drawn = any(line.get_label() == "reference" for line in panel.lines)
-        _draw(panel, time, reference[:, axis], label=_once(not drawn, "reference"), **_FADED)
-        rms = "" if rmse is None else f"  {rmse[axis]:.3g}"
+        _draw(main if axis == group.main else others, time, pose[:, axis], color=color, label=symbol)
+        rms = "" if rmse is None else f"  {rmse[axis]:.3f}"
         _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
         _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
-    two = [symbol for axis, symbol in enumerate(group.symbols) if axis != group.main]
-    _title(main, group.title)
-    _title(others, f"{two[0][0].upper()}{two[0][1:]} and {two[1]}")
-    _title(errors, "Tracking error" + ("" if rmse is None else f"  (RMS of the second half, {unit})"))
-    _title(integrals, "Integral state z")
+    two = [axis for axis in range(3) if axis != group.main]
+    _draw(main, time, reference[:, group.main], label="reference", **_DASHED)
+    for axis in two:
+        _draw(others, time, reference[:, axis], label=_once(axis == two[0], "reference"), **_DASHED)
+    _title(main, group.names[group.main])
+    _title(others, " and ".join(group.names[axis] for axis in two))
+    _title(errors, "Tracking error" + ("" if rmse is None else " and its RMS"))
+    _title(integrals, "Integral state")
     # Noise far below what matters must not fill a panel.
-    for panel, label, least in (
-        (main, f"{group.symbols[group.main]} [{unit}]", 1.0),
-        (others, f"{', '.join(symbol.split()[-1] for symbol in two)} [{unit}]", 1.0),
-        (errors, f"measured - reference [{unit}]", 0.02),
-        (integrals, f"z [{unit} s]", 0.02),
+    for panel, quantity, least in (
+        (main, group.symbols[group.main], 1.0),
+        (others, ", ".join(group.symbols[axis] for axis in two), 1.0),
+        (errors, "error", 0.02),
+        (integrals, "z", 0.02),
     ):
-        panel.set_ylabel(label)
+        panel.set_ylabel(f"{quantity} [{unit}{' s' * (panel is integrals)}]")
         _widen(panel, least)
         _legend(panel)
     for panel in (errors, integrals):
         panel.axhline(0.0, color=_QUIET, linewidth=0.8, zorder=1.0)
     if time[0] < INTEGRAL_TIME < time[-1]:
         integrals.axvline(INTEGRAL_TIME, color=_QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
-        at = integrals.get_xaxis_transform()
-        integrals.text(INTEGRAL_TIME, 0.03, f" {INTEGRAL_TIME:g} s", transform=at, color=_QUIET, fontsize=8)
+        _title(integrals, f"Integral state (dotted: {INTEGRAL_TIME:g} s)")
 
 
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
@@ -185,9 +198,7 @@ def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
         _widen(panel, 2.0)
 
 
-def _figure(
-    log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any
-) -> tuple[Figure, np.ndarray]:
+def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:
     """Empty panels (rows, 2) [Axes] on one time axis, below a headline on the run."""
     if len(log.time) == 0:
         raise ConfigurationError("log", "no rows", "a log with at least one row to plot")
@@ -209,10 +220,9 @@ def _figure(
         panel.set_xlabel("time [s]")
     top = 1.0 - 0.12 / height
     headline, color = _outcome(log)
-    figure.suptitle(
-        f"{log.scenario.name}: {headline}", x=0.01, y=top, ha="left", va="top", fontsize=14, fontweight="bold", color=color
-    )
-    figure.text(0.01, top - 0.3 / height, f"{what}; {_settings(log)}", va="top", fontsize=10, color=_TEXT)
+    style: dict[str, Any] = {"x": 0.01, "ha": "left", "va": "top"}
+    figure.suptitle(f"{log.scenario.name}: {headline}", y=top, fontsize=14, fontweight="bold", color=color, **style)
+    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=_TEXT, **style)
     return figure, axes
 
 
@@ -244,21 +254,22 @@ def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = Fal
     panel.plot(time, values, **style)
 
 
-def _mark_end(panel: Axes, log: SimulationLog) -> None:
-    if log.status != "completed":
+def _finish(figure: Figure, axes: np.ndarray, log: SimulationLog) -> None:
+    """Last touch of every figure: aligned labels, and where and why the run ended early."""
+    figure.align_ylabels(axes)
+    if log.status == "completed":
+        return
+    for panel in axes.flat:
         panel.axvline(log.end_time, color=_FAILURE, linewidth=1.4)
         panel.axvspan(log.end_time, panel.get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
-
-
-def _name_end(panel: Axes, log: SimulationLog) -> None:
-    if log.status != "completed":
-        at = panel.get_xaxis_transform()
-        style: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": 9, "color": _FAILURE}
-        panel.text(log.end_time, 0.03, f"{log.reason or log.status} ", transform=at, **style)
+    for panel in axes[0]:
+        middle = 0.5 * (log.end_time + panel.get_xlim()[1])
+        style: dict[str, Any] = {"rotation": 90.0, "ha": "center", "va": "center", "fontsize": 9, "color": _FAILURE}
+        panel.text(middle, 0.5, log.reason or log.status, transform=panel.get_xaxis_transform(), **style)
 
 
 def _title(panel: Axes, left: str, right: str = "") -> None:
-    panel.set_title(left, loc="left", fontsize=10, fontweight="bold", color=_TEXT)
+    panel.set_title(left[0].upper() + left[1:], loc="left", fontsize=10, fontweight="bold", color=_TEXT)
     panel.set_title(right, loc="right", fontsize=9, color=_TEXT)
 
 

@@ -31,13 +31,13 @@ _HOUSING_RADIUS, _PLATE_THICKNESS, _DISC_THICKNESS, _TOOL_LENGTH = 3.6, 2.0, 1.6
 """Decoration in multiples of the link radius, so that any robot looks like itself."""
 
 _COLOURS = {
-    "plate": (0.22, 0.25, 0.30, 1.0),
-    "motor": (0.10, 0.11, 0.13, 1.0),
-    "crank": (0.85, 0.45, 0.15, 1.0),
-    "rod": (0.72, 0.75, 0.78, 1.0),
-    "joint": (0.30, 0.32, 0.36, 1.0),
-    "disc": (0.16, 0.45, 0.70, 1.0),
-    "tool": (0.90, 0.91, 0.93, 1.0),
+    "plate": (0.55, 0.58, 0.62, 1.0),
+    "motor": (0.25, 0.27, 0.30, 1.0),
+    "crank": (0.90, 0.48, 0.15, 1.0),
+    "rod": (0.80, 0.82, 0.85, 1.0),
+    "joint": (0.38, 0.40, 0.44, 1.0),
+    "disc": (0.25, 0.55, 0.80, 1.0),
+    "tool": (0.92, 0.93, 0.95, 1.0),
 }
 
 
