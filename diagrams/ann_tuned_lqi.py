@@ -1,4 +1,4 @@
-"""The control diagram of Fig. 6, wired by hand: LQI whose weights a neural network tunes online from density features."""
+"""The diagram of Fig. 6, wired by hand: LQI whose weights a neural network tunes online from density features."""
 
 import numpy as np
 from pydrake.systems.analysis import Simulator

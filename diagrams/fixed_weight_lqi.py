@@ -1,4 +1,4 @@
-"""LQI with fixed weights, wired by hand: plant, sensor, reference, controller. Prints the tracking error of (37), (38)."""
+"""LQI with fixed weights, wired by hand: plant, sensor, reference, controller. Prints the error on (37), (38)."""
 
 import numpy as np
 from pydrake.systems.analysis import Simulator

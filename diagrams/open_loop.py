@@ -1,4 +1,4 @@
-"""The plant alone: constant motor torques, no controller. Prints where the platform goes and how well the loops stay closed."""
+"""The plant alone under constant motor torques. Prints where the platform goes and how well the loops stay closed."""
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -26,7 +26,8 @@ def main() -> None:
     log = sink.FindLog(simulator.get_context())
     pose, _ = robot.pose_and_rate(log.data().T)
     for time, row in zip(log.sample_times(), pose, strict=True):
-        print(f"t = {time:.2f} s   roll pitch yaw [deg] {np.degrees(row[:3]).round(3)}   X Y Z [mm] {1e3 * row[3:].round(6)}")
+        angles, position = np.degrees(row[:3]).round(3), (1e3 * row[3:]).round(3)
+        print(f"t = {time:.2f} s   roll pitch yaw {angles} deg   X Y Z {position} mm")
     print(f"largest loop gap: {robot.loop_gap(log.data().T).max():.1e} m")
 
 

@@ -19,10 +19,25 @@ EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 _STATUS = {"completed": 0, "failed": EXIT_RUN_FAILED, "interrupted": EXIT_INTERRUPTED}
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
-@click.version_option(package_name="stewart-drake")
-def cli() -> None:
+def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        from stewart_drake.versions import package_version
+
+        click.echo(f"stewart-drake {package_version('stewart-drake') or 'not installed'}")
+        context.exit()
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120}, invoke_without_command=True
+)
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show the version."
+)
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Closed-loop torque control of rotary Stewart platforms in Drake."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 @cli.command()
@@ -46,7 +61,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
     from stewart_drake.simulation import run as simulate
 
     check_scenario(loaded)
-    loaded.load_tuner_network()
+    graph = build_diagram(loaded).GetGraphvizString()
+    # Only now, with everything checked, does anything appear on the disk.
     folder = prepare_folder(out if out is not None else Path("runs") / loaded.name)
     viewer = None
     if meshcat:
@@ -56,11 +72,13 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
         click.echo(f"live view: {viewer.web_url()}", err=True)
     with _progress(loaded.name, loaded.duration, quiet) as advance:
         log = simulate(loaded, progress=advance, meshcat=viewer, check=False)
-    metrics = write_run(log, folder, build_diagram(loaded).GetGraphvizString())
+    metrics = write_run(log, folder, graph)
     if not quiet:
         _print_run(log, metrics, folder)
     if log.status == "failed":
         click.echo(f"stewart-drake: {log.reason} at t = {log.end_time:.3f} s: {log.message}", err=True)
+    elif log.status == "interrupted":
+        click.echo(f"stewart-drake: interrupted at t = {log.end_time:.3f} s; results so far in {folder}", err=True)
     sys.exit(_STATUS[log.status])
 
 
@@ -70,7 +88,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 def collect(out: Path, quiet: bool) -> None:
     """Run the paper's nine experiments and write the tuner's training data (14,400 samples)."""
     from stewart_drake.outputs import prepare_folder
-    from stewart_drake.training.dataset import collect_dataset
+    from stewart_drake.training.collect import collect_dataset
 
     prepare_folder(out.parent)
     with _progress("nine experiments", 9.0, quiet, unit="runs") as advance:
@@ -119,7 +137,9 @@ def schema(out: Path | None) -> None:
 @cli.command("write-sdf")
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. robot.rod_length=0.42.")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. robot.rod_length=0.42."
+)
 def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...]) -> None:
     """Write a robot as an SDF file; another geometry gives another robot."""
     from stewart_drake.scenario import load_scenario
@@ -188,13 +208,14 @@ def _console(stderr: bool = False) -> Any:
 
 
 def _print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", show_header=False)
+    table = Table(title=escape(title), title_justify="left", show_header=False)
     table.add_column()
-    table.add_column(justify="right")
+    table.add_column(justify="right", overflow="fold")
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(name, escape(value))
     _console().print(table)
 
 

@@ -1,7 +1,7 @@
 """One tick of the paper's controller as a pure function, (19)-(36): what a port to hardware needs, without Drake.
 
-`ControlLaw` is the whole of Fig. 6: LQI, density features and tuner. The LeafSystems of `stewart_drake.systems` call the same
-parts; nothing of the mathematics lives in them.
+`ControlLaw` is the whole of Fig. 6: LQI, density features and tuner. The LeafSystems of `stewart_drake.systems` call
+the same parts; nothing of the mathematics lives in them.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class LqiOptions:
     force_map: ForceMapKind = "statics"
     """tau_2 of (15) as printed, or by statics."""
     feedforward: Feedforward = "gravity"
-    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds to that
-    M q''_d of (9) through the force map at the measured pose."""
+    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
+    to that M q''_d of (9) through the force map at the measured pose."""
     discretization: Discretization = "exact"
     """Zero-order hold of (25): exact, or first order (euler)."""
     solver: RiccatiSolver = "drake"
@@ -257,9 +257,7 @@ class ControlLaw:
         Raises:
             RunFailure: See `lqi_tick`.
         """
-        output = lqi_tick(
-            self.robot, self.options, self.gravity, measurement, setpoint, state.weights, state.integral
-        )
+        output = lqi_tick(self.robot, self.options, self.gravity, measurement, setpoint, state.weights, state.integral)
         state = replace(state, integral=output.integral)
         if self.network is not None:
             sample = np.concatenate([output.error, output.torque])

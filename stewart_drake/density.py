@@ -15,8 +15,8 @@ MEAN_FLOOR = 1e-9
 def density(samples: np.ndarray, kind: DensityKind = "magnitude", scale: float | np.ndarray = 1.0) -> np.ndarray:
     """Density of the last sample of a window, (35), (36).
 
-    `signed` is the print: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero; the
-    result is held within +-n there. `magnitude` is |x| over the window's mean |x|, which lies in [0, n] by itself.
+    `signed` is the print: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
+    the result is held within +-n there. `magnitude` is |x| over the window's mean |x|, which lies in [0, n] by itself.
 
     Args:
         samples: (n, k) the window, oldest first, n <= m + 1 (fewer while it fills).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar, cast
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, VectorLogSink
@@ -21,11 +21,21 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
 
+_System = TypeVar("_System")
+
+
 class ClosedLoop(Diagram):
     """Plant, sensor, reference, LQI, density features and tuner of one scenario, wired and logged.
 
-    Output ports, each also a system's own port: plant_state (nq + nv,), measurement (12,), reference (18,), torque (6,),
-    error (6,), integral (6,), weights (2,), density (12,).
+    Output ports, each also a system's own port: plant_state (nq + nv,), measurement (12,), reference (18,), torque
+    (6,), error (6,), integral (6,), weights (2,), density (12,).
+
+    Args:
+        scenario: The run to build.
+        meshcat: A Meshcat to show the run in while it happens, or None.
+
+    Raises:
+        ConfigurationError: The tuner's weights file is missing or corrupt.
 
     Attributes:
         scenario: What it was built from.
@@ -35,14 +45,6 @@ class ClosedLoop(Diagram):
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
-        """
-        Args:
-            scenario: The run to build.
-            meshcat: A Meshcat to show the run in while it happens, or None.
-
-        Raises:
-            ConfigurationError: The tuner's weights file is missing or corrupt.
-        """
         super().__init__()
         self.scenario = scenario
         network = scenario.load_tuner_network()
@@ -58,19 +60,21 @@ class ClosedLoop(Diagram):
 
             config = VisualizationConfig(publish_contacts=False, enable_alpha_sliders=False)
             ApplyVisualizationConfig(config, builder=builder, meshcat=meshcat)
-        sensor = builder.AddNamedSystem("sensor", TaskSpaceSensor(self.plant))
-        reference = builder.AddNamedSystem("reference", ReferenceSource(scenario.reference))
-        self.controller = builder.AddNamedSystem(
-            "controller", LqiController(scenario.robot, scenario.controller, scenario.gravity)
+
+        def add(name: str, system: _System) -> _System:
+            return cast(_System, builder.AddNamedSystem(name, system))
+
+        sensor = add("sensor", TaskSpaceSensor(self.plant))
+        reference = add("reference", ReferenceSource(scenario.reference))
+        self.controller = add(
+            "controller", LqiController(scenario.believed_robot, scenario.controller, scenario.gravity)
         )
-        density = builder.AddNamedSystem(
-            "density", DensityFeatures(scenario.tuner.window, period, scenario.tuner.density)
-        )
+        density = add("density", DensityFeatures(scenario.tuner.window, period, scenario.tuner.density))
         initial = (scenario.tuner.omega_q, scenario.tuner.omega_r)
         if network is None:
-            weights = builder.AddNamedSystem("tuner", ConstantVectorSource(initial)).get_output_port()
+            weights = add("tuner", ConstantVectorSource(initial)).get_output_port()
         else:
-            tuner = builder.AddNamedSystem("tuner", AnnTuner(network, period, initial))
+            tuner = add("tuner", AnnTuner(network, period, initial))
             builder.Connect(density.density, tuner.density)
             weights = tuner.weights
 

@@ -26,8 +26,8 @@ def rod_map(legs: LegGeometry) -> np.ndarray:
 def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
     """Diagonal of tau_2 of (16): force in a rod per unit of motor torque.
 
-    `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)), `statics`; the
-    two agree only where the rod lies along e_N.
+    `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
+    `statics`; the two agree only where the rod lies along e_N.
 
     Returns:
         (..., 6) [1/m]; `statics` is infinite at a crank's dead centre.
@@ -39,12 +39,12 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
 
 
 def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
-    """tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
+    """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
     return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
 
 
 def force_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
-    """tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
+    """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
 
     Args:
         robot: Geometry.

@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Real
 from stewart_drake.kinematics import (
     LegGeometry,
     cross,
@@ -29,6 +28,7 @@ from stewart_drake.kinematics import (
 )
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.scalars import SECTION, Real
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
 

@@ -20,6 +20,7 @@ LEGS = tuple(str(i) for i in range(6))
 Status = Literal["completed", "failed", "interrupted"]
 
 _FORMAT_KEY = b"stewart_drake.run"
+_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
 """Every signal of a log. `plant_state` has one column per entry of the plant's state, named by Drake."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SimulationLog:
     """Signals of one run and how it ended.
 
@@ -139,7 +140,7 @@ class SimulationLog:
             for name, (_, unit, frame, text) in columns.items()
         ]
         run = {
-            "version": 1,
+            "version": _VERSION,
             "scenario": self.scenario.to_dict(),
             "state_names": list(self.state_names),
             "outcome": {name: getattr(self, name) for name in _OUTCOME},
@@ -178,7 +179,8 @@ def load_log(path: str | Path) -> SimulationLog:
     path = Path(path)
     path = path / "log.parquet" if path.is_dir() else path
     try:
-        table = pq.read_table(path)
+        # Not read_table: of a folder such as runs/time=3 it would make a column.
+        table = pq.ParquetFile(path).read()
     except OSError as error:
         raise ConfigurationError(f"log {path}", error.strerror or str(error), "a readable file") from None
     except pa.ArrowException as error:
@@ -187,6 +189,8 @@ def load_log(path: str | Path) -> SimulationLog:
     if _FORMAT_KEY not in metadata:
         raise ConfigurationError(f"log {path}", "another Parquet file", "a log written by this package")
     run = json.loads(metadata[_FORMAT_KEY])
+    if run["version"] != _VERSION:
+        raise ConfigurationError(f"log {path}", f"version {run['version']}", f"version {_VERSION}")
     state_names = tuple(run["state_names"])
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
@@ -196,6 +200,4 @@ def load_log(path: str | Path) -> SimulationLog:
             arrays = [table.column(column).to_numpy() for column in wanted]
             signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
     outcome: dict[str, Any] = run["outcome"]
-    return SimulationLog(
-        Scenario.from_dict(run["scenario"]), signals, state_names, versions=run["versions"], **outcome
-    )
+    return SimulationLog(Scenario.from_dict(run["scenario"]), signals, state_names, versions=run["versions"], **outcome)

@@ -25,8 +25,8 @@ def second_half(log: SimulationLog) -> np.ndarray:
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
     """Figures of a run, ready for JSON.
 
-    RMSE and peak are taken over the second half of the planned duration and are None where the run did not get there; torques are those
-    within the motors' limits, over the whole run.
+    RMSE and peak are taken over the second half of the planned duration and are None where the run did not get there;
+    torques are those within the motors' limits, over the whole run. Every key is always there.
 
     Returns:
         status, reason, message, end_time [s], leg; rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
@@ -45,6 +45,12 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         "rmse_mm": None,
         "peak_deg": None,
         "peak_mm": None,
+        "torque_rms": None,
+        "torque_peak": None,
+        "saturated_fraction": None,
+        "loop_gap_max_m": None,
+        "omega_q": None,
+        "omega_r": None,
     }
     if len(error):
         rms, peak = np.sqrt(np.mean(error**2, axis=0)), np.abs(error).max(axis=0)
@@ -66,8 +72,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
 
 
 def integral_at(log: SimulationLog, time: float) -> list[float] | None:
-    """z (6,) [rad s, m s] at the last row at or before `time`; None where the run ended earlier."""
+    """Integral states z (6,) [rad s, m s] at the last row at or before `time`; None where the run ended earlier."""
     if not len(log.time) or log.time[-1] < time - 1e-9:
         return None
     row = int(np.searchsorted(log.time, time + 1e-9)) - 1
-    return log["integral"][row].tolist()  # type: ignore[no-any-return]
+    return log["integral"][row].tolist()

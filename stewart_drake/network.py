@@ -1,6 +1,7 @@
 """The tuner's neural network, Fig. 5: 12 densities in, one hidden layer of 10, omega_Q and omega_R out.
 
-Inference is numpy alone, so that a controller needs no torch. Weights live in a JSON file: readable, diffable, no pickle.
+Inference is numpy alone, so that a controller needs no torch. Weights live in a JSON file: readable, diffable, no
+pickle.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT = "stewart-drake tuner"
 VERSION = 1
 
+_LARGEST_DENSITY = 1e6
+"""Densities lie within +-(m + 1); anything beyond this is as good as it, and products of it stay finite."""
+_LARGEST_NUMBER = 1e100
+"""Numbers of a weights file beyond this, or their reciprocals, would overflow on the way through the network."""
+
 _SHAPES: dict[str, tuple[int, ...]] = {
     "input_mean": (INPUTS,),
     "input_scale": (INPUTS,),
@@ -36,8 +42,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 class TunerNetwork:
     """A trained 12-10-2 network.
 
-    Outputs are log10 of the weights, so that a weight cannot come out negative. Deviation: the paper does not say in which
-    scale its network answers.
+    Outputs are log10 of the weights, so that a weight cannot come out negative. Deviation: the paper does not say in
+    which scale its network answers.
 
     Attributes:
         input_mean: (12,) [-] subtracted from the densities.
@@ -82,10 +88,11 @@ class TunerNetwork:
             densities: (..., 12) [-].
 
         Returns:
-            (..., 2), positive.
+            (..., 2), positive; NaN where a density is NaN.
         """
-        # Limited as a logarithm: 10**x of a wild input would overflow first.
-        log = np.clip(self.log_weights(densities), np.log10(self.omega_min), np.log10(self.omega_max))
+        # Limited before and as a logarithm: on wild inputs the layers or 10**x would overflow first.
+        limited = np.clip(densities, -_LARGEST_DENSITY, _LARGEST_DENSITY)
+        log = np.clip(self.log_weights(limited), np.log10(self.omega_min), np.log10(self.omega_max))
         return np.clip(10.0**log, self.omega_min, self.omega_max)
 
     def save(self, path: str | Path) -> None:
@@ -108,8 +115,8 @@ def load_network(path: str | Path) -> TunerNetwork:
         path: File written by `TunerNetwork.save`.
 
     Raises:
-        ConfigurationError: Missing or unreadable file, wrong format, version or shape, numbers that are not finite,
-            scales or ranges that are not positive.
+        ConfigurationError: Missing or unreadable file, wrong format, version or shape, numbers that are not finite
+            or beyond 1e100, scales or ranges that are not positive.
     """
     path = Path(path)
     key = f"weights file {path}"
@@ -117,7 +124,7 @@ def load_network(path: str | Path) -> TunerNetwork:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigurationError(key, error.strerror or str(error), "a readable file") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(key, str(error), "a JSON document") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
@@ -131,14 +138,15 @@ def load_network(path: str | Path) -> TunerNetwork:
     arrays: dict[str, np.ndarray] = {}
     for name, shape in _SHAPES.items():
         try:
-            array = np.array(document.get(name), dtype=float)
-        except (TypeError, ValueError) as error:
+            array = np.array(document.get(name))
+        except ValueError as error:
             raise ConfigurationError(f"{key}: {name}", document.get(name), f"numbers of shape {shape}") from error
-        if array.shape != shape or not np.isfinite(array).all():
+        # Texts and integers beyond 64 bits come as other kinds; NaN is not below anything.
+        if array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < _LARGEST_NUMBER).all():
             raise ConfigurationError(f"{key}: {name}", document.get(name), f"finite numbers of shape {shape}")
-        arrays[name] = array
+        arrays[name] = array.astype(float)
     for name in ("input_scale", "omega_min", "omega_max"):
-        if not (arrays[name] > 0.0).all():
+        if not (arrays[name] > 1.0 / _LARGEST_NUMBER).all():
             raise ConfigurationError(f"{key}: {name}", document[name], "positive numbers")
     if not (arrays["omega_min"] <= arrays["omega_max"]).all():
         raise ConfigurationError(f"{key}: omega_min", document["omega_min"], "at most omega_max")

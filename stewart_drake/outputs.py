@@ -15,6 +15,10 @@ from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import run_metrics
 
 
+_OPTIONAL = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
+"""Files that not every run leaves."""
+
+
 def prepare_folder(path: str | Path) -> Path:
     """Makes sure, before a run, that its results can be written afterwards.
 
@@ -27,14 +31,18 @@ def prepare_folder(path: str | Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise ConfigurationError("--out", str(path), f"a folder that can be written to ({error.strerror})") from None
+        why = "this is a file" if folder.is_file() else error.strerror
+        raise ConfigurationError("--out", str(path), f"a folder that can be written to ({why})") from None
     return folder
 
 
-def write_run(log: SimulationLog, folder: str | Path, graph: str | None = None, pictures: bool = True) -> dict[str, Any]:
-    """Writes everything about a run: metrics.json, log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot.
+def write_run(
+    log: SimulationLog, folder: str | Path, graph: str | None = None, pictures: bool = True
+) -> dict[str, Any]:
+    """Writes everything about a run.
 
-    Each file appears whole or not at all; files of an earlier run in the same folder are replaced.
+    Files: metrics.json, log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot. Each appears
+    whole or not at all; those of an earlier run in the same folder are replaced or, where this run has none, removed.
 
     Args:
         log: The run.
@@ -53,6 +61,9 @@ def write_run(log: SimulationLog, folder: str | Path, graph: str | None = None, 
     log.save(folder / "log.parquet")
     write_atomically(folder / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
     write_atomically(folder / "scenario.yaml", log.scenario.to_yaml().encode())
+    for name in _OPTIONAL:
+        if (folder / name).is_file():
+            (folder / name).unlink()
     if graph is not None:
         write_atomically(folder / "diagram.dot", graph.encode())
         svg = _render_graph(graph)

@@ -82,8 +82,8 @@ class SineReference:
 class SineBurstsReference:
     """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
 
-    The paper's data covers 1 to 5 Hz; this puts them into one run that starts and ends every burst at rest in the centre. The
-    fade is a quintic smoothstep, so accelerations are continuous. After the last burst the centre is held.
+    The paper's data covers 1 to 5 Hz; this puts them into one run that starts and ends every burst at rest in the
+    centre. The fade is a quintic smoothstep, so accelerations are continuous. After the last burst the centre is held.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
@@ -107,9 +107,11 @@ class SineBurstsReference:
         if not self.frequency or not all(math.isfinite(f) and f > 0.0 for f in self.frequency):
             raise ConfigurationError("reference.frequency", self.frequency, "positive numbers, at least one")
         if len(self.amplitude) != len(self.frequency):
-            raise ConfigurationError("reference.amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers")
+            raise ConfigurationError(
+                "reference.amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers"
+            )
         for vector in self.amplitude:
-            if len(vector) != 6 or not np.isfinite(vector).all():
+            if not _is_six(vector):
                 raise ConfigurationError("reference.amplitude", vector, "vectors of 6 finite numbers")
         if not (math.isfinite(self.fade) and self.fade > 0.0):
             raise ConfigurationError("reference.fade", self.fade, "a positive number")
@@ -151,6 +153,13 @@ def paper_reference() -> SineReference:
 
 def _check_vectors(reference: object, *names: str) -> None:
     for name in names:
-        value = getattr(reference, name)
-        if len(value) != 6 or not np.isfinite(value).all():
-            raise ConfigurationError(f"reference.{name}", value, "6 finite numbers")
+        if not _is_six(getattr(reference, name)):
+            raise ConfigurationError(f"reference.{name}", getattr(reference, name), "6 finite numbers")
+
+
+def _is_six(value: Any) -> bool:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    return array.shape == (6,) and bool(np.isfinite(array).all())

@@ -21,10 +21,14 @@ def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> 
 def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
     """Stabilising P of the discrete Riccati equation, by Drake.
 
-    Deviation: (32) as printed has sizes that do not fit and lacks a factor; this is the standard equation with Q of (27).
+    Deviation: (32) as printed has sizes that do not fit and lacks a factor; this is the standard equation with Q of
+    (27).
 
     Args:
-        a: (n, n). b: (n, m). q: (n, n) positive semidefinite. r: (m, m) positive definite.
+        a: (n, n) of x+ = A x + B u.
+        b: (n, m).
+        q: (n, n) positive semidefinite.
+        r: (m, m) positive definite.
 
     Returns:
         (n, n).
@@ -49,8 +53,8 @@ def split_gain(
 ) -> np.ndarray:
     """LQI gain from six 3-state problems in the singular vectors of M^-1 tau; needs no Drake.
 
-    With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the six
-    problems differ in r / s_i^2 alone. They are solved together by the structure-preserving doubling algorithm.
+    With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
+    six problems differ in r / s_i^2 alone. They are solved together by the structure-preserving doubling algorithm.
 
     Args:
         acceleration_map: (6, 6) M^-1 tau.

@@ -23,8 +23,8 @@ class RobotParameters:
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
     Leg i = 0..5 belongs to pair k = i // 2 and stands on side s = -1 (even i) or +1 (odd i) of the pair's direction
-    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Lengths, radii, masses
-    and inertias are those of Table I; the joint positions are our own, because the paper gives none.
+    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Lengths, radii,
+    masses and inertias are those of Table I; the joint positions are our own, because the paper gives none.
 
     Deviation: crank Izz is 5.9e-5 kg m^2, not the printed 6.0e-5, which breaks the triangle inequality.
 

@@ -6,18 +6,38 @@ import math
 
 from stewart_drake.errors import ConfigurationError
 
-_GRID = 2.0**40
+_PER_SECOND = 192_000_000
+"""Units in a second: whole microseconds, their thirds and sixty-fourths (so k / 4096 s too) are whole numbers of units."""
+_UNIT = math.ceil(2.0**56 / _PER_SECOND) / 2.0**56
+"""[s] the unit, rounded up to 29 bits, 1.4e-10 of itself too long."""
+_STRETCH = 1.0 + 2.0**-32
+"""More than the unit's own."""
+_TOLERANCE = 1e-11
+"""What two decimal numbers may be apart, as a share, and still mean the same sample time."""
 
 
 def on_grid(seconds: float) -> float:
-    """The first multiple of 2^-40 s at or after `seconds`.
+    """`seconds` as a sample time of which multiples are exact: on_grid(n x) is n on_grid(x) to the last bit.
 
-    Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and k * 0.001 s differ
-    for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the second case sees it one step too late.
-    Multiples of a power of two are exact up to 8192 s, so events coincide always. A period grows by less than 1e-12 s; it never
-    shrinks, so that an event at a decimal time still comes before the plant's step of that time, as it should.
+    Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and k
+    * 0.001 s differ for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the
+    second case sees it one step too late. Here a period is a whole number of units of so few bits that their product is
+    exact. Then (10 k) * 0.0001 s and k * 0.001 s are the same real number before Drake rounds it, so events coincide
+    always. A period grows by 1.4e-10 of itself; it never shrinks, so that an event at a decimal time still comes before
+    the plant's step of that time, as it should.
+
+    A time that is no whole number of units (such as 1/7000 s) is rounded up a little further. Its multiples do not all
+    coincide then, but ticks still come before the plant's step and never after it.
+
+    Raises:
+        ConfigurationError: `seconds` is not finite or not positive; Drake would fire once and never again.
     """
-    return math.ceil(seconds * _GRID) / _GRID
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise ConfigurationError("period", seconds, "a positive number of seconds")
+    count = round(seconds * _PER_SECOND)
+    if abs(seconds * _PER_SECOND - count) <= _TOLERANCE * count:
+        return count * _UNIT
+    return math.ceil(seconds * _STRETCH * 2.0**40) / 2.0**40
 
 
 def steps_per(key: str, period: float, time_step: float) -> int:
@@ -28,6 +48,6 @@ def steps_per(key: str, period: float, time_step: float) -> int:
     """
     ratio = period / time_step if time_step > 0.0 and math.isfinite(time_step) else math.nan
     count = round(ratio) if math.isfinite(ratio) else 0
-    if count < 1 or abs(ratio - count) > 1e-6:
+    if count < 1 or abs(ratio - count) > _TOLERANCE * count:
         raise ConfigurationError(key, period, f"a whole multiple of the plant's time step {time_step:g} s")
     return count

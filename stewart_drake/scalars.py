@@ -14,5 +14,5 @@ Vector3 = tuple[Real, Real, Real]
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 """roll, pitch, yaw, X, Y, Z."""
 
-SECTION: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False, "use_attribute_docstrings": True}
+SECTION: Any = {"extra": "forbid", "allow_inf_nan": False, "use_attribute_docstrings": True}
 """How pydantic reads a plain dataclass as a section of a scenario; its docstrings become the schema's descriptions."""

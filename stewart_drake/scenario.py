@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from collections.abc import Iterable, Mapping
+from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
-from ruamel.yaml import YAML, YAMLError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
 
 from stewart_drake.control_law import ControlLaw, LqiOptions
 from stewart_drake.density import DensityKind
@@ -22,6 +35,7 @@ from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import steps_per
 from stewart_drake.scalars import SECTION, Count, Real, Vector6
+from stewart_drake.scenario_errors import explain, keys_of, kind_class
 
 MAX_SCENARIO_BYTES = 1_000_000
 
@@ -29,7 +43,7 @@ AnyReference = Annotated[HoldReference | SineReference | SineBurstsReference, Fi
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, **SECTION)
+    model_config = cast(ConfigDict, {**SECTION, "frozen": True})
 
 
 class _Tuner(_Section):
@@ -66,14 +80,16 @@ class Scenario(_Section):
         ConfigurationError: Names the key, the value and what is allowed.
     """
 
-    name: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[\w .+-]+$")] = "scenario"
-    """Used for the output folder and titles."""
+    name: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^\w[\w .+-]*$")] = "scenario"
+    """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
     """[s] simulated time; at most 8000, beyond which sample times would lose their exactness."""
     gravity: Annotated[Real, Field(ge=0.0)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
     robot: RobotParameters = Field(default_factory=RobotParameters)
-    """Geometry, masses and limits."""
+    """Geometry, masses and limits of the simulated robot."""
+    model_robot: RobotParameters | None = None
+    """The robot as the controller believes it to be; null for the truth."""
     plant: PlantOptions = Field(default_factory=PlantOptions)
     """The simulated robot."""
     reference: AnyReference = Field(default_factory=SineReference)
@@ -87,17 +103,31 @@ class Scenario(_Section):
     limits: Limits = Field(default_factory=Limits)
     """What the reference must keep to; checked before the run."""
     log_period: Annotated[Real, Field(gt=0.0)] | None = None
-    """[s] between log rows, a whole multiple of plant.time_step; null takes controller.period."""
+    """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
     @model_validator(mode="wrap")
     @classmethod
     def _validate(cls, data: Any, handler: ModelWrapValidatorHandler[Scenario]) -> Scenario:
         try:
-            scenario = handler(data)
+            # Numbers near the largest overflow to infinity, which the checks refuse; numpy need not say so as well.
+            with np.errstate(all="ignore"):
+                scenario = handler(data)
         except ValidationError as error:
-            raise _explain(error, data) from None
+            raise explain(cls, error, data) from None
+        except OverflowError:
+            raise ConfigurationError(
+                "robot", data["robot"], "lengths and masses of a robot that can be built"
+            ) from None
         scenario._check()
         return scenario
+
+    @field_validator("model_robot", mode="wrap")
+    @classmethod
+    def _name_model_robot(cls, data: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        try:
+            return handler(data)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"model_{error.key}", error.value, error.allowed) from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
@@ -113,6 +143,8 @@ class Scenario(_Section):
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
+        Another `kind` of reference or tuner drops the keys that only the old kind has.
+
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
 
@@ -126,12 +158,10 @@ class Scenario(_Section):
 
     def to_dict(self) -> dict[str, Any]:
         """Every key with its value, in plain types."""
-        return json.loads(self.model_dump_json())  # type: ignore[no-any-return]
+        return json.loads(self.model_dump_json())
 
     def to_yaml(self) -> str:
         """The whole scenario, defaults included, as YAML that `load_scenario` reads back."""
-        from io import StringIO
-
         yaml = YAML(typ="safe", pure=True)
         yaml.default_flow_style = None
         yaml.width = 120
@@ -139,6 +169,11 @@ class Scenario(_Section):
         stream = StringIO()
         yaml.dump(self.to_dict(), stream)
         return stream.getvalue()
+
+    @property
+    def believed_robot(self) -> RobotParameters:
+        """The robot that the controller computes with."""
+        return self.robot if self.model_robot is None else self.model_robot
 
     @property
     def effective_log_period(self) -> float:
@@ -156,13 +191,15 @@ class Scenario(_Section):
         path = default_network_path() if self.tuner.weights_file is None else Path(self.tuner.weights_file)
         network = load_network(path)
         if network.density != self.tuner.density:
-            raise ConfigurationError("tuner.density", self.tuner.density, f"{network.density}, as {path} was trained on")
+            raise ConfigurationError(
+                "tuner.density", self.tuner.density, f"{network.density}, as {path} was trained on"
+            )
         return network
 
     def control_law(self) -> ControlLaw:
         """The controller of this scenario as a pure function, see `ControlLaw`."""
         return ControlLaw(
-            self.robot,
+            self.believed_robot,
             self.controller,
             self.gravity,
             self.load_tuner_network(),
@@ -182,7 +219,11 @@ class Scenario(_Section):
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
         if self.duration < self.controller.period:
-            raise ConfigurationError("duration", self.duration, f"at least one control period, {self.controller.period}")
+            raise ConfigurationError(
+                "duration", self.duration, f"at least one control period, {self.controller.period:g} s"
+            )
+        if self.log_period is not None and self.log_period > self.duration:
+            raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
@@ -191,22 +232,23 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     Args:
         path: YAML file; `weights_file` in it is relative to its folder. A bare name such as `paper_fig7` is looked up
             among the scenarios of the package.
-        overrides: `key=value` texts, keys dotted, values as YAML.
+        overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` among them is relative to the
+            current folder. Another `kind` of reference or tuner drops the keys that only the old kind has.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_scenario(path)
     data = _read_yaml(path)
+    _anchor_weights_file(data, path.parent)
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
         _assign(data, key.strip(), _parse_yaml(value, f"--set {key.strip()}"))
-    tuner = data.get("tuner")
-    if isinstance(tuner, dict) and isinstance(tuner.get("weights_file"), str):
-        tuner["weights_file"] = str((path.parent / tuner["weights_file"]).absolute())
-    data.setdefault("name", path.stem)
+    _anchor_weights_file(data, Path())
+    # The name of a file may hold what the name of a scenario may not.
+    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem)[:100])
     return Scenario.from_dict(data)
 
 
@@ -223,11 +265,14 @@ def find_scenario(name: str | Path) -> Path:
         ConfigurationError: Neither.
     """
     path = Path(name)
-    if path.is_file():
-        return path
-    shipped = scenario_folder() / f"{name}.yaml"
-    if path.name == str(name) and shipped.is_file():
-        return shipped
+    try:
+        if path.is_file():
+            return path
+        shipped = scenario_folder() / f"{name}.yaml"
+        if path.name == str(name) and shipped.is_file():
+            return shipped
+    except OSError as error:
+        raise ConfigurationError("scenario file", str(name), f"a path that can be read ({error.strerror})") from None
     known = ", ".join(sorted(p.stem for p in scenario_folder().glob("*.yaml")))
     raise ConfigurationError("scenario file", str(name), f"an existing file, or one of {known}")
 
@@ -244,25 +289,42 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         size = path.stat().st_size
         if size > MAX_SCENARIO_BYTES:
             raise ConfigurationError(f"scenario file {path}", f"{size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ConfigurationError(f"scenario file {path}", error.strerror or str(error), "a readable file") from None
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"scenario file {path}", "binary content", "a YAML text in UTF-8") from None
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(
+            f"scenario file {path}", f"byte {error.object[error.start]:#04x} at {error.start}", "a YAML text in UTF-8"
+        ) from None
     data = _parse_yaml(text, f"scenario file {path}")
     if not isinstance(data, dict):
-        raise ConfigurationError(f"scenario file {path}", data, "a mapping of keys to values")
+        found = "an empty file" if data is None else data
+        raise ConfigurationError(f"scenario file {path}", found, "a mapping of keys to values")
     return data
 
 
 def _parse_yaml(text: str, key: str) -> Any:
     # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
     try:
-        return YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
-        raise ConfigurationError(key, " ".join(str(error).split()), "well-formed YAML without tags") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "well-formed YAML") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return YAML(typ="safe", pure=True).load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        what = " ".join(str(error.problem).removeprefix("but ").split())
+        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags") from None
+    except Exception as error:
+        # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
+        text = " ".join(str(error).split())
+        raise ConfigurationError(key, f"{type(error).__name__}: {text}", "well-formed YAML without tags") from None
+
+
+def _anchor_weights_file(data: dict[str, Any], folder: Path) -> None:
+    """Makes a relative path of a weights file absolute, from `folder`."""
+    tuner = data.get("tuner")
+    if isinstance(tuner, dict) and isinstance(tuner.get("weights_file"), str):
+        tuner["weights_file"] = str((folder / tuner["weights_file"]).absolute())
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
@@ -274,29 +336,8 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         section = section[part]
         if not isinstance(section, dict):
             raise ConfigurationError(".".join(parents[: depth + 1]), section, f"a section, to set {key} in it")
+    if last == "kind" and parents in (["reference"], ["tuner"]):
+        old, new = (kind_class(Scenario, parents[0], kind) for kind in (section.get("kind"), value))
+        for name in set(keys_of(old)) - set(keys_of(new)) if old is not None and new is not None else ():
+            section.pop(name, None)
     section[last] = value
-
-
-def _explain(error: ValidationError, data: Any) -> ConfigurationError:
-    """The first problem of pydantic's report, in one line, under the key as the user wrote it."""
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    keys: list[str] = []
-    here: Any = data
-    for part in first["loc"]:
-        inside = (isinstance(here, Mapping) and part in here) or (
-            isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
-        )
-        if inside:
-            here = here[part]
-            keys.append(str(part))
-        elif part == first["loc"][-1]:
-            # Missing and unknown keys end here; the tag of a union, which the user never wrote, does not.
-            keys.append(str(part))
-    allowed = first["msg"][0].lower() + first["msg"][1:]
-    if first["type"] == "extra_forbidden":
-        allowed = "no such key exists; see the scenario schema"
-    if first["type"] == "missing":
-        allowed = "a value; the key is required"
-    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
-    return ConfigurationError(".".join(keys) or "scenario", first["input"], allowed + more)

@@ -6,6 +6,7 @@ there. `sdf/stewart.sdf` is this text for the default robot; `sdf/README.md` say
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -162,7 +163,9 @@ def _base(model: ET.Element, robot: RobotParameters, frames: HomeFrames, collisi
     _inertial(link, robot.base_mass, robot.base_inertia, (0.0, 0.0, robot.shaft_height))
     plate_z = robot.shaft_height - (_HOUSING_RADIUS + 0.5 * _PLATE_THICKNESS) * r
     plate = _cylinder(robot.shaft_circle_radius, _PLATE_THICKNESS * r)
-    _shape(link, "plate", plate, (0.0, 0.0, plate_z), colour="plate", collision=collision)
+    _shape(link, "plate", plate, (0.0, 0.0, plate_z), colour="plate")
+    if collision:
+        _disc_collision(link, "plate", robot.shaft_circle_radius, _PLATE_THICKNESS * r, plate_z)
     # The two motors of a pair stand back to back between their cranks.
     gap = robot.shaft_circle_radius * np.sin(robot.shaft_half_angle)
     length = max(gap - 2.0 * r, r)
@@ -171,7 +174,9 @@ def _base(model: ET.Element, robot: RobotParameters, frames: HomeFrames, collisi
     housing = _cylinder(_HOUSING_RADIUS * r, length)
     for leg, centre in enumerate(centres):
         turn = (0.5 * np.pi, 0.0, robot.pair_angles[leg])
-        _shape(link, f"motor_{leg}", housing, centre, turn, colour="motor", collision=collision)
+        _shape(link, f"motor_{leg}", housing, centre, turn, colour="motor")
+        if collision:
+            _collision(link, f"motor_{leg}", _sphere(_HOUSING_RADIUS * r), centre)
     weld = _add(model, "joint", name="base_weld", type="fixed")
     _add(weld, "parent", "world")
     _add(weld, "child", "base")
@@ -191,7 +196,7 @@ def _crank(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: i
     _shape(link, "shaft", _cylinder(1.6 * r, 2.4 * r), (0.0, 0.0, 0.0), (0.5 * np.pi, 0.0, 0.0), colour="crank")
     _shape(link, "tip", _sphere(1.5 * r), (a, 0.0, 0.0), colour="joint")
     if collision:
-        _collision(link, "capsule", _capsule(r, a), middle, (0.0, 0.5 * np.pi, 0.0))
+        _collision(link, "bar", _box(_free_length(a, r), 2.0 * r, 2.0 * r), middle)
 
 
 def _rod(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int, collision: bool) -> None:
@@ -205,7 +210,7 @@ def _rod(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int
     _shape(link, "tube", _cylinder(0.8 * r, length), middle, colour="rod")
     _shape(link, "end", _sphere(1.5 * r), (0.0, 0.0, length), colour="joint")
     if collision:
-        _collision(link, "capsule", _capsule(r, length), middle)
+        _collision(link, "bar", _box(2.0 * r, 2.0 * r, _free_length(length, r)), middle)
 
 
 def _platform(model: ET.Element, robot: RobotParameters, collision: bool) -> None:
@@ -215,7 +220,9 @@ def _platform(model: ET.Element, robot: RobotParameters, collision: bool) -> Non
     _add(link, "pose", _numbers((0.0, 0.0, robot.home_height, 0.0, 0.0, 0.0)))
     _inertial(link, robot.platform_mass, robot.platform_inertia, (0.0, 0.0, 0.0))
     disc = _cylinder(robot.platform_joint_radius, thickness)
-    _shape(link, "disc", disc, (0.0, 0.0, 0.0), colour="disc", collision=collision)
+    _shape(link, "disc", disc, (0.0, 0.0, 0.0), colour="disc")
+    if collision:
+        _disc_collision(link, "disc", robot.platform_joint_radius, thickness, 0.0)
     _note(link, "A surgical tool, and a bead towards x that makes yaw visible: pictures only.")
     top, tool = 0.5 * thickness, _TOOL_LENGTH * r
     _shape(link, "tool_holder", _cylinder(3.0 * r, 2.0 * r), (0.0, 0.0, top + r), colour="joint")
@@ -293,13 +300,9 @@ def _shape(
     rpy: Iterable[float] = (0.0, 0.0, 0.0),
     *,
     colour: str,
-    collision: bool = False,
 ) -> None:
-    """A visual, and the same shape as a collision body where asked."""
     visual = _geometry(link, "visual", name, geometry, position, rpy)
     _add(_add(visual, "material"), "diffuse", _numbers(_COLOURS[colour]))
-    if collision:
-        _collision(link, name, geometry, position, rpy)
 
 
 def _collision(
@@ -309,7 +312,25 @@ def _collision(
     position: Iterable[float],
     rpy: Iterable[float] = (0.0, 0.0, 0.0),
 ) -> None:
+    """A collision shape: boxes and spheres alone.
+
+    Drake's penetration depth is exact for those. For capsules and cylinders as slender as links, and for thin discs, it
+    is found by iteration, which in one deep overlap of five ends far off, by up to the length of the link.
+    """
     _geometry(link, "collision", f"{name}_collision", geometry, position, rpy)
+
+
+def _disc_collision(link: ET.Element, name: str, radius: float, thickness: float, z: float) -> None:
+    """A regular prism of twelve sides in the circle, as six boxes across it."""
+    half = math.pi / 12.0
+    bar = _box(2.0 * radius * math.cos(half), 2.0 * radius * math.sin(half), thickness)
+    for side in range(6):
+        _collision(link, f"{name}_{side}", bar, (0.0, 0.0, z), (0.0, 0.0, 2.0 * half * side))
+
+
+def _free_length(span: float, radius: float) -> float:
+    """Length of a link that may collide: all but two radii at either joint of the two that are `span` apart."""
+    return max(span - 4.0 * radius, radius)
 
 
 def _geometry(
@@ -331,11 +352,6 @@ def _geometry(
 
 def _cylinder(radius: float, length: float) -> _Geometry:
     return "cylinder", {"radius": _rounded((radius,)), "length": _rounded((length,))}
-
-
-def _capsule(radius: float, span: float) -> _Geometry:
-    """Capsule for a link between joints `span` apart; its caps end two radii before either joint."""
-    return "capsule", {"radius": _rounded((radius,)), "length": _rounded((max(span - 6.0 * radius, radius),))}
 
 
 def _box(*size: float) -> _Geometry:

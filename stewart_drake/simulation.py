@@ -10,8 +10,9 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
+from stewart_drake.control_law import checked_legs
 from stewart_drake.diagram import ClosedLoop
-from stewart_drake.errors import RunFailure, drake_guard
+from stewart_drake.errors import ConfigurationError, RunFailure, drake_guard
 from stewart_drake.feasibility import check_reference
 from stewart_drake.log import SimulationLog, Status
 from stewart_drake.sampling import on_grid
@@ -33,17 +34,20 @@ def run(
 ) -> SimulationLog:
     """Simulates a scenario.
 
-    A run that breaks midway does not raise: its log so far comes back with status `failed`, reason, time and leg; after Ctrl-C
-    with status `interrupted`.
+    A run that breaks midway does not raise: its log so far comes back with status `failed`, reason, time and leg; after
+    Ctrl-C with status `interrupted`.
 
     Args:
         scenario: What to run.
-        progress: Called with the simulated time [s] now and then.
+        progress: Called with the simulated time [s] now and then; what it raises passes, but for KeyboardInterrupt,
+            which ends the run as Ctrl-C does.
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
 
     Raises:
-        ConfigurationError: Found before the run: infeasible reference, weights file that cannot be used.
+        ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
+            that cannot be used.
+        RunFailure: The start pose cannot be assembled; only with `check` off.
     """
     if check:
         check_scenario(scenario)
@@ -63,10 +67,12 @@ def run(
     try:
         with drake_guard("simulation"):
             simulator.Initialize()
-            for done in range(stride, total + stride, stride):
+        for done in range(stride, total + stride, stride):
+            # What `progress` raises is the caller's own affair, so it stays outside of the guard.
+            with drake_guard("simulation"):
                 simulator.AdvanceTo(min(done, total) * step)
-                if progress is not None:
-                    progress(context.get_time())
+            if progress is not None:
+                progress(_nominal(context.get_time(), scenario.plant.time_step))
     except RunFailure as failure:
         status, reason, message, leg, end = "failed", failure.reason, str(failure), failure.leg, failure.time
     except KeyboardInterrupt:
@@ -87,13 +93,27 @@ def run(
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Checks that the reference keeps to the limits over the whole run.
+    """Checks that the reference keeps to the limits over the whole run, and that the robot can stand at its start.
 
     Raises:
         InfeasibleReferenceError: Names limit, time, leg and margin.
+        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers.
     """
-    report = check_reference(scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
-    report.raise_if_infeasible()
+    reference = scenario.reference
+    # Where numbers overflow a limit is broken, or the check below names the signal; warnings would only add noise.
+    with np.errstate(all="ignore"):
+        try:
+            report = check_reference(scenario.robot, scenario.limits, reference, scenario.duration, scenario.gravity)
+        except ConfigurationError as error:
+            raise ConfigurationError("reference", reference, f"a motion whose {error.key} stays finite") from None
+        report.raise_if_infeasible()
+        try:
+            checked_legs(scenario.robot, scenario.controller, scenario.start()[0])
+        except RunFailure as failure:
+            key, value = "reference", scenario.start()[0].tolist()
+            if any(scenario.initial_offset):
+                key, value = "initial_offset", list(scenario.initial_offset)
+            raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
 
 
 def _nominal(time_on_grid: float, time_step: float) -> float:
@@ -128,5 +148,3 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
         "loop_gap": plant.loop_gap(values["plant_state"]),
         "plant_state": values["plant_state"],
     }
-
-

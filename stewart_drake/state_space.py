@@ -5,6 +5,7 @@ State order is the paper's: [phi, phi', theta, theta', psi, psi', X, X', Y, Y', 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,8 @@ INTEGRAL = np.arange(12, 18)
 def mass_diagonal(robot: RobotParameters) -> np.ndarray:
     """Diagonal of M in (9): Ixx, Iyy, Izz, m, m, m of the platform alone.
 
-    Deviation, kept from the paper: legs, gravity and gyroscopic terms are left out, and moments in B act on inertia in P.
+    Deviation, kept from the paper: legs, gravity and gyroscopic terms are left out, and moments in B act on inertia in
+    P.
 
     Returns:
         (6,) [kg m^2, kg].
@@ -111,9 +113,12 @@ def hautus_detectability(a: np.ndarray, c: np.ndarray) -> int:
     return _smallest_rank(a, lambda mode: np.vstack([mode * np.eye(a.shape[0]) - a, c]))
 
 
-def _smallest_rank(a: np.ndarray, pencil) -> int:  # type: ignore[no-untyped-def]
-    # Triple eigenvalues at zero come back from the solver as a small circle; its radius grows as eps^(1/3).
+def _smallest_rank(a: np.ndarray, pencil: Callable[[complex], np.ndarray]) -> int:
+    # Triple eigenvalues at zero come back from the solver as a small circle whose radius grows as eps^(1/3). Zero is
+    # tried beside them, not in their place: a slow unstable mode must not pass for an integrator.
     radius = 10.0 * np.finfo(float).eps ** (1.0 / 3.0) * max(1.0, float(np.abs(a).max()))
     modes = np.linalg.eigvals(a)
-    modes = np.where(np.abs(modes) < radius, 0.0, modes)
-    return min((int(np.linalg.matrix_rank(pencil(m))) for m in set(modes[modes.real >= 0.0])), default=a.shape[0])
+    candidates = {complex(mode) for mode in modes[modes.real >= 0.0]}
+    if np.any(np.abs(modes) < radius):
+        candidates.add(0.0j)
+    return min((int(np.linalg.matrix_rank(pencil(mode))) for mode in candidates), default=a.shape[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import platform
 import subprocess
@@ -12,12 +13,27 @@ def collect_versions() -> dict[str, str | None]:
     """Versions of Python, of this package and of what it computes with; the git revision where run from a checkout."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
     for name in ("stewart-drake", "drake", "numpy", "scipy"):
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = None
+        versions[name] = package_version(name)
     versions["git_revision"] = git_revision()
+    versions["source"] = source_digest()
     return versions
+
+
+def package_version(name: str) -> str | None:
+    """Version of an installed distribution; None where it is not installed."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def source_digest() -> str:
+    """Digest of this package's Python files: tells changed code from unchanged where there is no git."""
+    root = Path(__file__).parent
+    content = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        content.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return content.hexdigest()[:16]
 
 
 def git_revision() -> str | None:

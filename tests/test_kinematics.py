@@ -154,7 +154,7 @@ def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
 
 
 def test_forward_kinematics_stops_after_the_iterations_it_was_given():
-    theta = inverse_kinematics(ROBOT, ROBOT.home_pose + 0.1)
+    theta = inverse_kinematics(ROBOT, ROBOT.home_pose + 0.05)
     with pytest.raises(ForwardKinematicsError) as caught:
         forward_kinematics(ROBOT, theta, max_iterations=1)
     assert caught.value.iterations == 1

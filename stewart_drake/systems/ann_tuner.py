@@ -15,8 +15,9 @@ from stewart_drake.sampling import on_grid
 class AnnTuner(LeafSystem):
     """omega_Q and omega_R from the densities, Fig. 5.
 
-    The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs the weights. Until the
-    first inference they are `initial`; they are never zero and never outside the range that the network was trained on.
+    The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs the
+    weights. Until the first inference they are `initial`; they are never zero and never outside the range that the
+    network was trained on.
 
     Ports:
         density: in (12,) [-].

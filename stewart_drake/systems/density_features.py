@@ -16,6 +16,11 @@ class DensityFeatures(TickedSystem):
 
     The window lives in the Context: two runs of one Diagram never share it.
 
+    Args:
+        window: m of (35) [ticks]; means run over m + 1 samples.
+        period: [s] tick period.
+        kind: See `density.density`.
+
     Ports:
         error: in (6,) [rad, m].
         torque: in (6,) [N m].
@@ -23,12 +28,6 @@ class DensityFeatures(TickedSystem):
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
-        """
-        Args:
-            window: m of (35) [ticks]; means run over m + 1 samples.
-            period: [s] tick period.
-            kind: See `density.density`.
-        """
         # Result: density, then rows filled, then the window.
         super().__init__(period, np.concatenate([np.ones(_SIGNALS), [0.0], np.zeros((window + 1) * _SIGNALS)]))
         self._kind: DensityKind = kind

@@ -11,9 +11,10 @@ from stewart_drake.systems.ticked import TickedSystem
 
 
 class LqiController(TickedSystem):
-    """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from the pose and the weights of that tick.
+    """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
 
-    The torque answers within the tick (no added delay) and is held until the next; see `TickedSystem`. z lives in the Context.
+    The torque answers within the tick (no added delay) and is held until the next; see `TickedSystem`. z lives in the
+    Context.
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].

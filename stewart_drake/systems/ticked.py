@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
 
 from stewart_drake.errors import RunFailure
 from stewart_drake.sampling import on_grid
@@ -16,23 +16,22 @@ from stewart_drake.sampling import on_grid
 class TickedSystem(LeafSystem):
     """A sampled system without added delay: at a tick, outputs are computed from the inputs of that very instant.
 
-    A torque kept in discrete state would reach the plant one plant step late, because both update at once from what was there
-    before. Here the result of a tick is computed on demand (and cached) as soon as an output is asked for at the tick's time, and the
-    update event then stores it; until the next tick outputs repeat it. State, in the Context: the result vector, and the
-    number of ticks done.
+    A torque kept in discrete state would reach the plant one plant step late, because both update at once from what was
+    there before. Here the result of a tick is computed on demand (and cached) as soon as an output is asked for at the
+    tick's time, and the update event then stores it; until the next tick outputs repeat it. State, in the Context: the
+    result vector, and the number of ticks done.
+
+    Args:
+        period: [s] tick period; ticks at 0, period, 2 period, ...
+        initial: (n,) result before the first tick.
     """
 
     def __init__(self, period: float, initial: np.ndarray) -> None:
-        """
-        Args:
-            period: [s] tick period; ticks at 0, period, 2 period, ...
-            initial: (n,) result before the first tick.
-        """
         super().__init__()
         self.period = on_grid(period)
         self._result_index = self.DeclareDiscreteState(np.asarray(initial, dtype=float))
         self._ticks_index = self.DeclareDiscreteState([0.0])
-        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def _declare_result(self) -> None:
         """Declares the cached result; called once the input ports exist."""
@@ -52,7 +51,7 @@ class TickedSystem(LeafSystem):
 
     def result(self, context: Context) -> np.ndarray:
         """(n,) result of the latest tick at or before the context's time."""
-        return self._result.Eval(context)[0]  # type: ignore[no-any-return]
+        return self._result.Eval(context)[0]
 
     @abstractmethod
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
@@ -69,6 +68,7 @@ class TickedSystem(LeafSystem):
             error.time = context.get_time()
             raise
 
-    def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
+    def _store(self, context: Context, state: State) -> None:
+        discrete_state = state.get_mutable_discrete_state()
         discrete_state.set_value(self._result_index, self.result(context))
         discrete_state.set_value(self._ticks_index, [np.floor(context.get_time() / self.period + 1e-6) + 1.0])

@@ -33,6 +33,8 @@ class TrainingOptions:
     """samples: at random, as in the paper; neighbours in time leak into each other. runs: whole experiments."""
 
     def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**63:
+            raise ConfigurationError("training.seed", self.seed, "an integer from 0 to 2^63 - 1")
         if self.epochs < 1:
             raise ConfigurationError("training.epochs", self.epochs, "at least 1")
         if not 0.0 < self.learning_rate < 10.0:
@@ -108,13 +110,13 @@ def train_network(
         inputs = torch.from_numpy((dataset.inputs - mean) / scale)
         targets = torch.from_numpy(target)
         mask = torch.from_numpy(training)
-        network = torch.nn.Sequential(
+        layers = (
             torch.nn.Linear(INPUTS, HIDDEN, dtype=torch.float64),
-            torch.nn.Tanh(),
             torch.nn.Linear(HIDDEN, OUTPUTS, dtype=torch.float64),
         )
+        network = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1])
         with torch.no_grad():
-            for layer in (network[0], network[2]):
+            for layer in layers:
                 bound = layer.in_features**-0.5
                 layer.weight.uniform_(-bound, bound, generator=generator)
                 layer.bias.uniform_(-bound, bound, generator=generator)
@@ -130,14 +132,19 @@ def train_network(
             validation_loss[epoch] = squared[~mask].mean().item()
             if progress is not None and (epoch % 50 == 49 or epoch == options.epochs - 1):
                 progress(epoch + 1.0)
-        arrays = [p.detach().numpy().copy() for p in network.parameters()]
+        hidden_weights, hidden_bias, output_weights, output_bias = (
+            p.detach().numpy().copy() for p in network.parameters()
+        )
     finally:
         torch.set_num_threads(threads)
 
     result = TunerNetwork(
         mean,
         scale,
-        *arrays,
+        hidden_weights,
+        hidden_bias,
+        output_weights,
+        output_bias,
         omega_min=dataset.outputs.min(axis=0),
         omega_max=dataset.outputs.max(axis=0),
         density=dataset.metadata.get("density", "magnitude"),
@@ -155,7 +162,8 @@ def train_network(
         "options": vars(options),
         "torch": torch.__version__,
         "numpy": np.__version__,
-        "scores": scores,
+        # JSON has no NaN, which is the score of a target that does not vary.
+        "scores": {name: score if np.isfinite(score) else None for name, score in scores.items()},
         "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
     }
     result.provenance.update(provenance)

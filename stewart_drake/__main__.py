@@ -1,0 +1,5 @@
+"""`python -m stewart_drake` is the command `stewart-drake`."""
+
+from stewart_drake.cli import main
+
+main()

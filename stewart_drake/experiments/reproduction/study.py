@@ -1,0 +1,51 @@
+"""What every section of the reproduction works with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stewart_drake.experiments.runs import RunStore
+from stewart_drake.scenario import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SEED = 20_210_601
+"""Of every random choice in the report, unless a section says otherwise."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """One reproduction under way.
+
+    Attributes:
+        folder: The report's folder.
+        quick: Smaller sizes: under two minutes for the whole report on two cores.
+        base: Scenario that the sections vary; the main job of the project unless the user gives another robot.
+        progress: Called with the share of the present section that is done, 0 to 1.
+    """
+
+    folder: Path
+    quick: bool = False
+    base: Scenario = field(default_factory=Scenario)
+    progress: Callable[[float], None] = lambda _: None
+
+    @property
+    def store(self) -> RunStore:
+        """Runs that are kept on disk."""
+        return RunStore(self.folder / "runs")
+
+    def pick(self, full: Any, quick: Any) -> Any:
+        """One of two sizes."""
+        return quick if self.quick else full
+
+    def save_figure(self, figure: Figure, name: str) -> str:
+        """Keeps a picture for the report; returns the file's name for `Section.figure`."""
+        from stewart_drake.plotting import save_figure
+
+        (self.folder / "figures").mkdir(parents=True, exist_ok=True)
+        save_figure(figure, self.folder / "figures" / f"{name}.png")
+        return f"{name}.png"

@@ -1,0 +1,187 @@
+"""What is wrong with a scenario, in words: pydantic's report as one `ConfigurationError`."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel, ValidationError
+
+from stewart_drake.errors import ConfigurationError
+
+_UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
+_BOUNDS = {"greater_than": ("gt", "above"), "greater_than_equal": ("ge", "at least")}
+_BOUNDS |= {"less_than": ("lt", "below"), "less_than_equal": ("le", "at most")}
+_NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
+_SHOWN_KEY = 60
+
+
+def explain(root: type, error: ValidationError, data: Any) -> ConfigurationError:
+    """The first problem of pydantic's report, in one line, under the key as the user wrote it.
+
+    Args:
+        root: Class of the scenario.
+        error: The report.
+        data: What was validated.
+    """
+    problems = error.errors(include_url=False)
+    # A mistyped key that is required shows up twice; as an unknown key the message can name the right one.
+    first = next((problem for problem in problems if problem["type"] in _UNKNOWN_KEY), problems[0])
+    kind, location, value = first["type"], list(first["loc"]), first["input"]
+    context: dict[str, Any] = first.get("ctx", {})
+    keys = _keys_written(location, data)
+    expected = _type_at(root, location)
+
+    if kind in _UNKNOWN_KEY:
+        allowed = _known_keys(_members(_type_at(root, location[:-1]))[0], str(location[-1]))
+    elif kind == "missing" and isinstance(location[-1], int):
+        keys, allowed = keys[:-1], _describe(_type_at(root, location[:-1]))
+    elif kind == "missing":
+        value, allowed = None, f"{_describe(expected)}; this key is required"
+    elif kind == "union_tag_invalid":
+        keys.append("kind")
+        value, allowed = value["kind"], _kinds(expected)
+    elif kind == "union_tag_not_found":
+        keys.append("kind")
+        value, allowed = None, f"{_kinds(expected)}; this key is required"
+    elif kind in _BOUNDS:
+        name, word = _BOUNDS[kind]
+        allowed = _describe(expected, f" {word} {context[name]:g}")
+    elif kind == "finite_number":
+        allowed = _describe(expected, finite="finite ")
+    elif kind == "string_pattern_mismatch":
+        allowed = "letters, digits and _, and after the first of them space and . + - too"
+    elif kind in ("string_too_short", "string_too_long"):
+        (size,) = context.values()
+        allowed = f"a text of at {'least' if kind == 'string_too_short' else 'most'} {size} characters"
+    elif kind == "invalid_key":
+        allowed = "keys that are texts"
+    else:
+        allowed = _describe(expected)
+        if isinstance(value, str) and _is_number(value) and "number" in allowed:
+            allowed += " (without quotes)"
+    if len(problems) > 1:
+        allowed += f" (and {len(problems) - 1} more problem{'s' if len(problems) > 2 else ''})"
+    return ConfigurationError(".".join(map(_shown, keys)) or "scenario", value, allowed)
+
+
+def keys_of(section: Any) -> list[str]:
+    """Keys of a section of the scenario, given its class."""
+    if isinstance(section, type) and issubclass(section, BaseModel):
+        return list(section.model_fields)
+    return [field.name for field in dataclasses.fields(section)] if dataclasses.is_dataclass(section) else []
+
+
+def kind_class(root: type, key: str, kind: Any) -> type | None:
+    """The class that a section with a `kind` has for that kind; None where there is no such kind."""
+    return next((member for member in _members(get_type_hints(root)[key]) if _kind(member) == kind), None)
+
+
+def _keys_written(location: Iterable[int | str], data: Any) -> list[str]:
+    """The parts of pydantic's location that the user wrote: the tag of a union is none of them."""
+    location = list(location)
+    keys: list[str] = []
+    here: Any = data
+    for depth, part in enumerate(location):
+        inside = (isinstance(here, Mapping) and part in here) or (
+            isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
+        )
+        if inside:
+            here = here[part]
+            keys.append(str(part))
+        elif depth == len(location) - 1 and part != "[key]":
+            keys.append(str(part))
+    return keys
+
+
+def _type_at(root: Any, location: Iterable[int | str]) -> Any:
+    """The annotation at a location of pydantic's report."""
+    here = root
+    for part in location:
+        members = _members(here)
+        tagged = [member for member in members if part == _kind(member)]
+        if tagged and part not in keys_of(tagged[0]):
+            here = tagged[0]
+            continue
+        here = members[0] if len(members) == 1 else here
+        if part in keys_of(here):
+            here = get_type_hints(here)[part]
+        elif get_origin(here) is tuple and isinstance(part, int):
+            here = get_args(here)[0 if Ellipsis in get_args(here) else part]
+        else:
+            return None
+    return here
+
+
+def _members(annotation: Any) -> list[Any]:
+    """The types of a union without None; a list of itself for any other type."""
+    if get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [member for member in get_args(annotation) if member is not type(None)]
+    return [annotation]
+
+
+def _kind(section: Any) -> Any:
+    """Value of `kind` in a section's class; None where it has none."""
+    if "kind" not in keys_of(section):
+        return None
+    (kind,) = get_args(get_type_hints(section)["kind"])
+    return kind
+
+
+def _kinds(annotation: Any) -> str:
+    return _either([str(_kind(member)) for member in _members(annotation)])
+
+
+def _describe(annotation: Any, bound: str = "", finite: str = "") -> str:
+    """A type in words, with its bound."""
+    members = _members(annotation)
+    suffix = ", or null" if type(None) in get_args(annotation) else ""
+    if len(members) > 1:
+        return f"a section, with kind: {_kinds(annotation)}{suffix}"
+    (one,) = members
+    if get_origin(one) is Literal:
+        return _either([str(option) for option in get_args(one)]) + suffix
+    if one is bool:
+        return f"true or false{suffix}"
+    if keys_of(one):
+        return f"a section, with keys such as {', '.join(keys_of(one)[:3])}{suffix}"
+    return f"a {finite}{_noun(one)}{bound}{suffix}"
+
+
+def _noun(annotation: Any) -> str:
+    if get_origin(annotation) is tuple:
+        first, *rest = get_args(annotation)
+        count = "" if Ellipsis in rest else f"{len(rest) + 1} "
+        plural = _noun(first).replace("list of", "lists of") if get_origin(first) is tuple else f"{_noun(first)}s"
+        return f"list of {count}{plural}"
+    return _NOUNS.get(annotation, "value of another type")
+
+
+def _known_keys(section: Any, given: str) -> str:
+    known = keys_of(section)
+    close = difflib.get_close_matches(given, known, n=1)
+    text = f"no such key; the keys here are {', '.join(known)}"
+    return f"no such key, did you mean {close[0]}? The keys here are {', '.join(known)}" if close else text
+
+
+def _either(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _shown(key: str) -> str:
+    """A key on one line, whatever is in it."""
+    key = key if key.isprintable() else repr(key)
+    return key if len(key) <= _SHOWN_KEY else f"{key[: _SHOWN_KEY - 3]}..."
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,171 @@
+"""The nine experiments of section III.D, run in the Diagram."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.density import DensityKind, density
+from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.feasibility import amplitude_table, largest_scale
+from stewart_drake.log import SimulationLog
+from stewart_drake.references import SineBurstsReference
+from stewart_drake.scalars import Vector6
+from stewart_drake.scenario import FixedTuner, Scenario
+from stewart_drake.training.dataset import Dataset
+
+OMEGAS = (0.1, 1.0, 10.0)
+"""Values of omega_Q and of omega_R; their nine pairs are the experiments."""
+FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)
+"""[Hz] one burst each, in every experiment."""
+PHASES = tuple(np.pi / 3.0 * k for k in range(6))
+"""[rad] of the six axes: sixty degrees apart, so that they do not peak together."""
+SHARE = 0.8
+"""Share of the largest feasible amplitudes that is used: at the whole of it the weaker of the nine pairs overshoot into
+a crank's dead centre."""
+SAMPLES_PER_RUN = 1600
+BURST = 1.6
+"""[s] of each frequency: 320 samples of 5 ms."""
+
+
+def experiment_reference(base: Scenario) -> SineBurstsReference:
+    """The motion of every experiment: 1 to 5 Hz on all six axes, as large as the limits of `base` allow.
+
+    Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2). Each
+    axis alone has a largest feasible amplitude per frequency; all six move at once with the largest common share of
+    these, times `SHARE`.
+    """
+    alone = amplitude_table(base.robot, base.limits, np.array(FREQUENCIES), base.gravity)
+    amplitudes = []
+    for frequency, single in zip(FREQUENCIES, alone, strict=True):
+
+        def burst(scale: float, frequency: float = frequency, single: np.ndarray = single) -> SineBurstsReference:
+            return SineBurstsReference(
+                frequency=(frequency,), amplitude=(_six(scale * single),), phase=_six(PHASES), burst_duration=BURST
+            )
+
+        scale = largest_scale(base.robot, base.limits, burst, BURST, base.gravity)
+        amplitudes.append(_six(SHARE * scale * single))
+    return SineBurstsReference(
+        frequency=FREQUENCIES, amplitude=tuple(amplitudes), phase=_six(PHASES), burst_duration=BURST
+    )
+
+
+def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
+    """The nine experiments: every pair of `OMEGAS` held fixed, on `experiment_reference`.
+
+    Args:
+        base: Robot, plant, controller, limits and density settings.
+        samples: Samples (ticks) per experiment.
+
+    Raises:
+        ConfigurationError: A key of `base` does not go with the experiments.
+    """
+    reference = experiment_reference(base)
+    return [
+        Scenario(
+            name=f"experiment {index}",
+            duration=samples * base.controller.period,
+            gravity=base.gravity,
+            robot=base.robot,
+            model_robot=base.model_robot,
+            plant=base.plant,
+            reference=reference,
+            controller=base.controller,
+            tuner=FixedTuner(omega_q=omega_q, omega_r=omega_r, density=base.tuner.density, window=base.tuner.window),
+            limits=base.limits,
+        )
+        for index, (omega_q, omega_r) in enumerate(itertools.product(OMEGAS, OMEGAS))
+    ]
+
+
+def dataset_from_logs(
+    logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, Any]
+) -> Dataset:
+    """Densities of logged errors and torques, one row a tick.
+
+    Args:
+        logs: One per experiment, a row a tick, fixed weights.
+        samples: Rows to take of each.
+        kind: Kind of density.
+        window: m of (35), (36) [ticks].
+        metadata: Goes into the dataset.
+
+    Raises:
+        RunFailure: A run ended before its last sample; it says which.
+    """
+    inputs, outputs, runs, times = [], [], [], []
+    for index, log in enumerate(logs):
+        if log.status != "completed" or len(log.time) < samples:
+            omega_q, omega_r = log.scenario.tuner.omega_q, log.scenario.tuner.omega_r
+            raise RunFailure(
+                f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "
+                f"{log.message}"
+            )
+        signals = np.concatenate([log["error"], log["torque"]], axis=1)[:samples]
+        inputs.append([density(signals[max(0, k - window) : k + 1], kind) for k in range(samples)])
+        outputs.append(log["weights"][:samples])
+        runs.append(np.full(samples, index))
+        times.append(log.time[:samples])
+    return Dataset(
+        np.concatenate(inputs), np.concatenate(outputs), np.concatenate(runs), np.concatenate(times), metadata
+    )
+
+
+def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
+    """How the data was made: sample time, window, kind, amplitudes per frequency, and the whole scenario."""
+    return {
+        "sample_time": base.controller.period,
+        "density": base.tuner.density,
+        "window": base.tuner.window,
+        "frequency": list(reference.frequency),
+        "amplitude": [list(row) for row in reference.amplitude],
+        "phase": list(reference.phase),
+        "gravity": base.gravity,
+        "feedforward": base.controller.feedforward,
+        "force_map": base.controller.force_map,
+        "omegas": list(OMEGAS),
+        "scenario": base.to_dict(),
+    }
+
+
+def collect_dataset(
+    base: Scenario | None = None,
+    progress: Callable[[float], None] | None = None,
+    samples: int = SAMPLES_PER_RUN,
+) -> Dataset:
+    """Runs the nine experiments in the Diagram, one after the other, and gathers their densities.
+
+    Args:
+        base: Robot, plant, controller, limits and density settings; None takes the defaults (gravity on, `feedforward:
+            gravity`, 5 ms).
+        progress: Called with the number of experiments done.
+        samples: Samples per experiment.
+
+    Raises:
+        ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.
+        RunFailure: An experiment ended early; it says which.
+    """
+    from stewart_drake.simulation import run
+
+    base = Scenario() if base is None else base
+    if isinstance(base.tuner, FixedTuner):
+        raise ConfigurationError("tuner.kind", "fixed", "ann: its density and window settings are those of the data")
+    scenarios = experiment_scenarios(base, samples)
+    reference = scenarios[0].reference
+    assert isinstance(reference, SineBurstsReference)
+    logs = []
+    for index, scenario in enumerate(scenarios):
+        logs.append(run(scenario))
+        if progress is not None:
+            progress(index + 1.0)
+    metadata = dataset_metadata(base, reference)
+    return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
+
+
+def _six(values: Any) -> Vector6:
+    a, b, c, d, e, f = (float(v) for v in values)
+    return a, b, c, d, e, f
