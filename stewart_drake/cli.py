@@ -159,6 +159,12 @@ def main() -> None:
     except KeyboardInterrupt:
         click.echo("stewart-drake: interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
+    except ImportError as error:
+        # Ctrl-C while a compiled module loads comes out as this.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        click.echo("stewart-drake: interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
     except click.ClickException as error:
         click.echo(f"stewart-drake: {' '.join(error.format_message().split())}", err=True)
         sys.exit(EXIT_BAD_INPUT)

@@ -14,7 +14,6 @@ from stewart_drake.files import write_atomically
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import run_metrics
 
-
 _OPTIONAL = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """Files that not every run leaves."""
 

@@ -171,8 +171,8 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
     Drake takes its torque from the state before the step, and Euler rates are singular at a pitch of 90 deg.
+    Its energy is not implemented: `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
-    # Not in the SDF: there Drake reads the damping of a universal joint's first axis only.
     for leg in range(LEGS):
         for name, damping in (("motor", options.motor_damping), (options.rod_joint, options.universal_damping)):
             joint = plant.GetJointByName(f"{name}_{leg}")

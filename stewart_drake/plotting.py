@@ -124,7 +124,8 @@ def plot_torques(log: SimulationLog) -> Figure:
         handles, labels = panel.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
     if len(entries) > 1:
-        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False, fontsize=10)
+        style: dict[str, Any] = {"ncols": 3, "frameon": False, "fontsize": 10, "labelcolor": _TEXT}
+        figure.legend(entries.values(), entries.keys(), loc="outside lower center", **style)
     _finish(figure, axes, log)
     return figure
 
@@ -137,7 +138,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     """
     stream = io.BytesIO()
     # Without a date or version in it, the same log gives the same file.
-    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+    figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
     write_atomically(Path(path), stream.getvalue())
 
 
@@ -211,6 +212,8 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
         panel.set_facecolor("white")
         panel.spines[["top", "right"]].set_visible(False)
         panel.spines[["left", "bottom"]].set_color(_QUIET)
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.label.set(color=_TEXT, fontsize=10)
         panel.tick_params(colors=_TEXT, color=_QUIET, labelsize=9)
         panel.grid(color="#E6E6E6", linewidth=0.8)
         panel.set_axisbelow(True)
@@ -276,8 +279,8 @@ def _title(panel: Axes, left: str, right: str = "") -> None:
 def _legend(panel: Axes) -> None:
     """Above the panel, where it hides no data."""
     panel.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, borderaxespad=0.0,
-        handlelength=1.8, columnspacing=1.4,
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=_TEXT,
+        borderaxespad=0.0, handlelength=1.8, columnspacing=1.4,
     )  # fmt: skip
 
 

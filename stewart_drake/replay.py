@@ -255,11 +255,12 @@ def _studio(passes: int) -> list[list[LightParameter]]:
     angle = 2.0 * np.pi * _spread(count)[:, 1]
     disc = np.sqrt(_spread(count)[:, :1]) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     one = np.ones((count, 1))
-    # Directions in which light travels; together they light the floor just white. The sky's are those of a hemisphere, denser towards its top (Lambert's law).
+    # Directions in which light travels; those of the sky fill a hemisphere, denser towards its top (Lambert's law). The
+    # intensities together light the floor just white, like the background.
     sky = 0.97 * disc
     groups = (
-        ("world", 0.48, np.hstack([0.1 * disc + [-0.3, 0.38], -one])),
-        ("world", 0.56, np.hstack([sky, -np.sqrt(1.0 - np.sum(sky**2, axis=1, keepdims=True))])),
+        ("world", 0.53, np.hstack([0.1 * disc + [-0.3, 0.38], -one])),
+        ("world", 0.62, np.hstack([sky, -np.sqrt(1.0 - np.sum(sky**2, axis=1, keepdims=True))])),
         ("camera", 0.42, np.hstack([0.5 * disc, one])),
     )
     return [

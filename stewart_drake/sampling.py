@@ -7,7 +7,7 @@ import math
 from stewart_drake.errors import ConfigurationError
 
 _PER_SECOND = 192_000_000
-"""Units in a second: whole microseconds, their thirds and sixty-fourths (so k / 4096 s too) are whole numbers of units."""
+"""Units in a second: microseconds, their thirds and their sixty-fourths (so 1/4096 s too) are whole numbers of it."""
 _UNIT = math.ceil(2.0**56 / _PER_SECOND) / 2.0**56
 """[s] the unit, rounded up to 29 bits, 1.4e-10 of itself too long."""
 _STRETCH = 1.0 + 2.0**-32
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-11
 
 
 def on_grid(seconds: float) -> float:
-    """`seconds` as a sample time of which multiples are exact: on_grid(n x) is n on_grid(x) to the last bit.
+    """Sample time for `seconds`, of which multiples are exact: that of n x is n times that of x, to the last bit.
 
     Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and k
     * 0.001 s differ for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the

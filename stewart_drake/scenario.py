@@ -17,6 +17,7 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     ValidationError,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
     field_validator,
     model_validator,
@@ -114,20 +115,19 @@ class Scenario(_Section):
                 scenario = handler(data)
         except ValidationError as error:
             raise explain(cls, error, data) from None
-        except OverflowError:
-            raise ConfigurationError(
-                "robot", data["robot"], "lengths and masses of a robot that can be built"
-            ) from None
         scenario._check()
         return scenario
 
-    @field_validator("model_robot", mode="wrap")
+    @field_validator("robot", "model_robot", mode="wrap")
     @classmethod
-    def _name_model_robot(cls, data: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+    def _validate_robot(cls, data: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         try:
             return handler(data)
+        except OverflowError:
+            raise ConfigurationError(str(info.field_name), data, "numbers of a robot that can be built") from None
         except ConfigurationError as error:
-            raise ConfigurationError(f"model_{error.key}", error.value, error.allowed) from None
+            key = error.key.replace("robot", str(info.field_name), 1)
+            raise ConfigurationError(key, error.value, error.allowed) from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
@@ -248,7 +248,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         _assign(data, key.strip(), _parse_yaml(value, f"--set {key.strip()}"))
     _anchor_weights_file(data, Path())
     # The name of a file may hold what the name of a scenario may not.
-    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem)[:100])
+    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:100])
     return Scenario.from_dict(data)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.network import TunerNetwork
@@ -30,12 +30,13 @@ class AnnTuner(LeafSystem):
         self.density = self.DeclareVectorInputPort("density", 12)
         index = self.DeclareDiscreteState(np.clip(initial, network.omega_min, network.omega_max))
         self.weights = self.DeclareStateOutputPort("weights", index)
-        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
+        # Unrestricted, as in `TickedSystem`, so that every system of the loop updates from the same instant.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
 
-    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+    def _update(self, context: Context, state: State) -> None:
         features = self.density.Eval(context)
         if not np.isfinite(features).all():
             error = NotFiniteError("density", features)
             error.time = context.get_time()
             raise error
-        discrete_state.set_value(self._network.weights(features))
+        state.get_mutable_discrete_state().set_value(self._network.weights(features))

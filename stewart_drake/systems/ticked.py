@@ -31,6 +31,8 @@ class TickedSystem(LeafSystem):
         self.period = on_grid(period)
         self._result_index = self.DeclareDiscreteState(np.asarray(initial, dtype=float))
         self._ticks_index = self.DeclareDiscreteState([0.0])
+        # Not a discrete update: MultibodyPlant's own is unrestricted, as long as it samples its outputs, and Drake does
+        # those first. A discrete update of the same instant would find the plant one step ahead.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def _declare_result(self) -> None:

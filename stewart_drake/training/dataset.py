@@ -68,8 +68,7 @@ def load_dataset(path: str | Path) -> Dataset:
 
     Raises:
         ConfigurationError: Missing file, another format or version, missing columns, numbers that are not finite,
-        weights that are not
-            positive, no samples.
+            weights that are not positive, no samples.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
