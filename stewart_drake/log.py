@@ -180,10 +180,11 @@ def load_log(path: str | Path) -> SimulationLog:
     path = path / "log.parquet" if path.is_dir() else path
     try:
         # Not read_table: of a folder such as runs/time=3 it would make a column.
-        table = pq.ParquetFile(path).read()
-    except OSError as error:
-        raise ConfigurationError(f"log {path}", error.strerror or str(error), "a readable file") from None
-    except pa.ArrowException as error:
+        with path.open("rb") as stream:
+            table = pq.ParquetFile(stream).read()
+    except (OSError, pa.ArrowException) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise ConfigurationError(f"log {path}", error.strerror, "a readable file") from None
         raise ConfigurationError(f"log {path}", " ".join(str(error).split()), "a Parquet file") from None
     metadata = table.schema.metadata or {}
     if _FORMAT_KEY not in metadata:

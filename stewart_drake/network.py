@@ -95,8 +95,8 @@ class TunerNetwork:
         log = np.clip(self.log_weights(limited), np.log10(self.omega_min), np.log10(self.omega_max))
         return np.clip(10.0**log, self.omega_min, self.omega_max)
 
-    def save(self, path: str | Path) -> None:
-        """Writes the network as JSON; the same network gives the same bytes."""
+    def to_bytes(self) -> bytes:
+        """The network as JSON; the same network gives the same bytes."""
         document = {
             "format": FORMAT,
             "version": VERSION,
@@ -105,7 +105,15 @@ class TunerNetwork:
             **{name: getattr(self, name).tolist() for name in _SHAPES},
             "provenance": self.provenance,
         }
-        write_atomically(Path(path), (json.dumps(document, indent=1) + "\n").encode())
+        return (json.dumps(document, indent=1) + "\n").encode()
+
+    def save(self, path: str | Path) -> None:
+        """Writes `to_bytes` to a file.
+
+        Raises:
+            ConfigurationError: The folder is missing or not writable.
+        """
+        write_atomically(Path(path), self.to_bytes())
 
 
 def load_network(path: str | Path) -> TunerNetwork:

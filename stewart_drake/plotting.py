@@ -214,7 +214,7 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
         panel.spines[["left", "bottom"]].set_color(_QUIET)
         for axis in (panel.xaxis, panel.yaxis):
             axis.label.set(color=_TEXT, fontsize=10)
-        panel.tick_params(colors=_TEXT, color=_QUIET, labelsize=9)
+        panel.tick_params(which="both", colors=_TEXT, color=_QUIET, labelsize=9)
         panel.grid(color="#E6E6E6", linewidth=0.8)
         panel.set_axisbelow(True)
         panel.yaxis.set_major_locator(MaxNLocator(5))

@@ -42,8 +42,9 @@ from stewart_drake.robot import RobotParameters
 MAX_FRAMES = 9000
 """A longer recording gets fewer frames a second: at some 2 kB a frame, a browser opens no more than this with ease."""
 
-_LENS_ANGLE = 36.0
-"""[deg] vertical field of view; a longer lens than Meshcat's 75 deg keeps a robot so near in proportion."""
+_LENS_ANGLE, _STILL_LENS_ANGLE = 36.0, 32.0
+"""[deg] vertical fields of view of the recording and of a still, which needs no room to move. Meshcat's own 75 deg
+would distort a robot so near."""
 
 
 def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float = 30.0) -> None:
@@ -199,9 +200,9 @@ def _viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera should stand and look, both (3,) [m] in B, for the whole robot to be seen."""
     height = robot.home_height - robot.shaft_height
     size = robot.shaft_circle_radius + robot.crank_length + height
-    target = np.array([0.0, 0.0, robot.shaft_height + 0.56 * height])
+    target = np.array([0.0, 0.0, robot.shaft_height + 0.54 * height])
     direction = np.array([1.05, -0.80, 0.52])
-    return target + 1.8 * size * direction / np.linalg.norm(direction), target
+    return target + 1.9 * size * direction / np.linalg.norm(direction), target
 
 
 def _render(robot: RobotParameters, pose: np.ndarray, width: int, height: int, passes: int) -> np.ndarray:
@@ -214,7 +215,7 @@ def _render(robot: RobotParameters, pose: np.ndarray, width: int, height: int, p
     context = diagram.CreateDefaultContext()
     scene = scene_graph.GetMyMutableContextFromRoot(context)
     X_WC = _look_at(*_viewpoint(robot))  # noqa: N806 - monogram notation
-    focal = 0.5 * height / math.tan(math.radians(0.5 * _LENS_ANGLE))
+    focal = 0.5 * height / math.tan(math.radians(0.5 * _STILL_LENS_ANGLE))
     total = np.zeros((height, width, 4))
     for lights, (dx, dy) in zip(_studio(passes), _spread(passes) - 0.5, strict=True):
         # VTK knows only hard shadows and rough edges. Many pictures, each under other lights and shifted by a fraction
@@ -259,8 +260,8 @@ def _studio(passes: int) -> list[list[LightParameter]]:
     # intensities together light the floor just white, like the background.
     sky = 0.97 * disc
     groups = (
-        ("world", 0.53, np.hstack([0.1 * disc + [-0.3, 0.38], -one])),
-        ("world", 0.62, np.hstack([sky, -np.sqrt(1.0 - np.sum(sky**2, axis=1, keepdims=True))])),
+        ("world", 0.56, np.hstack([0.1 * disc + [-0.3, 0.38], -one])),
+        ("world", 0.64, np.hstack([sky, -np.sqrt(1.0 - np.sum(sky**2, axis=1, keepdims=True))])),
         ("camera", 0.42, np.hstack([0.5 * disc, one])),
     )
     return [

@@ -66,8 +66,8 @@ def split_gain(
         K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
-        RiccatiError: The map is singular, not finite or not (6, 6), a weight is not positive and finite, or the doubling
-            does not converge.
+        RiccatiError: The map is singular, not finite or not (6, 6), a weight is not positive and finite, or the
+            doubling does not converge.
     """
     if acceleration_map.shape != (6, 6):
         raise RiccatiError(f"M^-1 tau has the shape {acceleration_map.shape}; expected (6, 6)")

@@ -19,12 +19,12 @@ _TOLERANCE = 1e-11
 def on_grid(seconds: float) -> float:
     """Sample time for `seconds`, of which multiples are exact: that of n x is n times that of x, to the last bit.
 
-    Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and k
-    * 0.001 s differ for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the
-    second case sees it one step too late. Here a period is a whole number of units of so few bits that their product is
-    exact. Then (10 k) * 0.0001 s and k * 0.001 s are the same real number before Drake rounds it, so events coincide
-    always. A period grows by 1.4e-10 of itself; it never shrinks, so that an event at a decimal time still comes before
-    the plant's step of that time, as it should.
+    Drake fires a periodic event at k * period. With decimal periods that drift apart by rounding (10 k * 0.0001 s and
+    k * 0.001 s differ for 384 of the first 2001 k) a controller ticks just before or just after the plant, and in the
+    second case sees it one step too late. Here a period (up to 5 s, and any round one beyond) is a whole number of
+    units of so few bits that their product is exact. Then (10 k) * 0.0001 s and k * 0.001 s are the same real number
+    before Drake rounds it, so events coincide always. A period grows by 1.4e-10 of itself; it never shrinks, so that
+    an event at a decimal time still comes before the plant's step of that time, as it should.
 
     A time that is no whole number of units (such as 1/7000 s) is rounded up a little further. Its multiples do not all
     coincide then, but ticks still come before the plant's step and never after it.

@@ -16,6 +16,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
+    StrictStr,
     ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -36,7 +37,7 @@ from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import steps_per
 from stewart_drake.scalars import SECTION, Count, Real, Vector6
-from stewart_drake.scenario_errors import explain, keys_of, kind_class
+from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
 
 MAX_SCENARIO_BYTES = 1_000_000
 
@@ -68,7 +69,7 @@ class AnnTuner(_Tuner):
     """Weights from the neural network of Fig. 5."""
 
     kind: Literal["ann"] = "ann"
-    weights_file: str | None = None
+    weights_file: StrictStr | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 
 
@@ -81,7 +82,7 @@ class Scenario(_Section):
         ConfigurationError: Names the key, the value and what is allowed.
     """
 
-    name: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^\w[\w .+-]*$")] = "scenario"
+    name: Annotated[StrictStr, Field(min_length=1, max_length=100, pattern=r"^\w[\w .+-]*$")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
     """[s] simulated time; at most 8000, beyond which sample times would lose their exactness."""
@@ -245,7 +246,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
-        _assign(data, key.strip(), _parse_yaml(value, f"--set {key.strip()}"))
+        _assign(data, key.strip(), _parse_yaml(value, f"--set {shown(key.strip())}"))
     _anchor_weights_file(data, Path())
     # The name of a file may hold what the name of a scenario may not.
     data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:100])
@@ -335,7 +336,8 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
             section[part] = {}
         section = section[part]
         if not isinstance(section, dict):
-            raise ConfigurationError(".".join(parents[: depth + 1]), section, f"a section, to set {key} in it")
+            name = ".".join(map(shown, parents[: depth + 1]))
+            raise ConfigurationError(name, section, f"a section, to set {shown(key)} in it")
     if last == "kind" and parents in (["reference"], ["tuner"]):
         old, new = (kind_class(Scenario, parents[0], kind) for kind in (section.get("kind"), value))
         for name in set(keys_of(old)) - set(keys_of(new)) if old is not None and new is not None else ():

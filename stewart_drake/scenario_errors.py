@@ -65,7 +65,7 @@ def explain(root: type, error: ValidationError, data: Any) -> ConfigurationError
             allowed += " (without quotes)"
     if len(problems) > 1:
         allowed += f" (and {len(problems) - 1} more problem{'s' if len(problems) > 2 else ''})"
-    return ConfigurationError(".".join(map(_shown, keys)) or "scenario", value, allowed)
+    return ConfigurationError(".".join(map(shown, keys)) or "scenario", value, allowed)
 
 
 def keys_of(section: Any) -> list[str]:
@@ -78,6 +78,12 @@ def keys_of(section: Any) -> list[str]:
 def kind_class(root: type, key: str, kind: Any) -> type | None:
     """The class that a section with a `kind` has for that kind; None where there is no such kind."""
     return next((member for member in _members(get_type_hints(root)[key]) if _kind(member) == kind), None)
+
+
+def shown(key: str) -> str:
+    """A key as one short line, whatever is in it."""
+    key = key if key and key.isprintable() else repr(key)
+    return key if len(key) <= _SHOWN_KEY else f"{key[: _SHOWN_KEY - 3]}..."
 
 
 def _keys_written(location: Iterable[int | str], data: Any) -> list[str]:
@@ -164,19 +170,13 @@ def _noun(annotation: Any) -> str:
 
 def _known_keys(section: Any, given: str) -> str:
     known = keys_of(section)
-    close = difflib.get_close_matches(given, known, n=1)
-    text = f"no such key; the keys here are {', '.join(known)}"
-    return f"no such key, did you mean {close[0]}? The keys here are {', '.join(known)}" if close else text
+    close = difflib.get_close_matches(given, known, n=1) or [key for key in known if given and key.startswith(given)]
+    guess = f", did you mean {close[0]}? The" if close else "; the"
+    return f"no such key{guess} keys here are {', '.join(known)}"
 
 
 def _either(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def _shown(key: str) -> str:
-    """A key on one line, whatever is in it."""
-    key = key if key.isprintable() else repr(key)
-    return key if len(key) <= _SHOWN_KEY else f"{key[: _SHOWN_KEY - 3]}..."
 
 
 def _is_number(text: str) -> bool:

@@ -1,5 +1,32 @@
+import numpy as np
+import pytest
 from hypothesis import settings
+
+from stewart_drake.network import TunerNetwork
 
 # A deadline would make the outcome depend on how busy the machine is.
 settings.register_profile("default", deadline=None)
 settings.load_profile("default")
+
+
+def make_network(seed=0, window=49, density="magnitude", gain=1.0):
+    """A 12-10-2 network with random weights; `gain` makes its answers steeper."""
+    rng = np.random.default_rng(seed)
+    return TunerNetwork(
+        input_mean=rng.uniform(0.8, 1.2, 12),
+        input_scale=rng.uniform(0.4, 0.9, 12),
+        hidden_weights=gain * rng.normal(0.0, 0.5, (10, 12)),
+        hidden_bias=rng.normal(0.0, 0.3, 10),
+        output_weights=gain * rng.normal(0.0, 0.4, (2, 10)),
+        output_bias=rng.normal(0.0, 0.3, 2),
+        omega_min=np.array([0.1, 0.1]),
+        omega_max=np.array([10.0, 10.0]),
+        density=density,
+        window=window,
+        provenance={"made_by": "conftest", "seed": seed},
+    )
+
+
+@pytest.fixture
+def network():
+    return make_network()

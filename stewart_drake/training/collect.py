@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from stewart_drake.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.feasibility import amplitude_table, largest_scale
+from stewart_drake.limits import Limits
 from stewart_drake.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
+from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import Vector6
 from stewart_drake.scenario import FixedTuner, Scenario
 from stewart_drake.training.dataset import Dataset
@@ -31,27 +34,43 @@ BURST = 1.6
 """[s] of each frequency: 320 samples of 5 ms."""
 
 
-def experiment_reference(base: Scenario) -> SineBurstsReference:
-    """The motion of every experiment: 1 to 5 Hz on all six axes, as large as the limits of `base` allow.
+@lru_cache(maxsize=4)
+def feasible_amplitudes(
+    robot: RobotParameters, limits: Limits, gravity: float
+) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
+    """Amplitudes at each of `FREQUENCIES`.
 
-    Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2). Each
-    axis alone has a largest feasible amplitude per frequency; all six move at once with the largest common share of
-    these, times `SHARE`.
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to keep to.
+        gravity: [m/s^2] along -z of B.
+
+    Returns:
+        (n_f, 6) [rad, m] largest feasible amplitude of each axis alone, and (n_f, 6) the largest common share of these that
+        is feasible with all six axes moving at once, `PHASES` apart.
     """
-    alone = amplitude_table(base.robot, base.limits, np.array(FREQUENCIES), base.gravity)
-    amplitudes = []
+    alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
+    together = []
     for frequency, single in zip(FREQUENCIES, alone, strict=True):
 
-        def burst(scale: float, frequency: float = frequency, single: np.ndarray = single) -> SineBurstsReference:
+        def burst(scale: float, frequency: float = frequency, single: Vector6 = single) -> SineBurstsReference:
+            amplitude = six(scale * np.array(single))
             return SineBurstsReference(
-                frequency=(frequency,), amplitude=(_six(scale * single),), phase=_six(PHASES), burst_duration=BURST
+                frequency=(frequency,), amplitude=(amplitude,), phase=six(PHASES), burst_duration=BURST
             )
 
-        scale = largest_scale(base.robot, base.limits, burst, BURST, base.gravity)
-        amplitudes.append(_six(SHARE * scale * single))
-    return SineBurstsReference(
-        frequency=FREQUENCIES, amplitude=tuple(amplitudes), phase=_six(PHASES), burst_duration=BURST
-    )
+        together.append(six(largest_scale(robot, limits, burst, BURST, gravity) * np.array(single)))
+    return alone, tuple(together)
+
+
+def experiment_reference(base: Scenario) -> SineBurstsReference:
+    """The motion of every experiment: 1 to 5 Hz on all six axes, `SHARE` of what the limits of `base` allow.
+
+    Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2).
+    """
+    _, together = feasible_amplitudes(base.robot, base.limits, base.gravity)
+    amplitude = tuple(six(SHARE * np.array(row)) for row in together)
+    return SineBurstsReference(frequency=FREQUENCIES, amplitude=amplitude, phase=six(PHASES), burst_duration=BURST)
 
 
 def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
@@ -166,6 +185,7 @@ def collect_dataset(
     return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
 
 
-def _six(values: Any) -> Vector6:
+def six(values: Any) -> Vector6:
+    """Six plain floats out of an array or sequence."""
     a, b, c, d, e, f = (float(v) for v in values)
     return a, b, c, d, e, f

@@ -13,6 +13,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.training.dataset import Dataset
 
+Split = Literal["samples", "runs"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
@@ -29,7 +31,7 @@ class TrainingOptions:
     learning_rate: float = 0.01
     training_share: float = 0.7
     """Share of the samples (or runs) for training; the rest validates. 0.7 in the paper."""
-    split: Literal["samples", "runs"] = "samples"
+    split: Split = "samples"
     """samples: at random, as in the paper; neighbours in time leak into each other. runs: whole experiments."""
 
     def __post_init__(self) -> None:

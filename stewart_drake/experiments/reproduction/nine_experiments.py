@@ -164,8 +164,8 @@ def _ratio_only(section: Section, study: Study, logs: dict[Cell, SimulationLog])
     section.text(
         "### Only the ratio matters\n\n"
         "Scaling Q and R of (27) by one factor scales the Riccati solution by it and leaves K of (31) as it is. Along "
-        f"(37), (38) the gains of pairs with one ratio differ by {max(spread.values()):.1e} relative at most, and the runs "
-        f"of 0.1/0.1, 1/1 and 10/10 (no gravity, no feedforward) by {distance:.1e} rad or m at most, while neighbouring "
+        f"(37), (38) the gains of pairs with one ratio differ by {max(spread.values()):.1e} relative at most, and the "
+        f"runs of 0.1/0.1, 1/1 and 10/10 (no gravity, no feedforward) by {distance:.1e} rad or m at most; neighbouring "
         f"ratios differ by at least {apart:.1e}. The nine experiments are {len(RATIOS)} controllers; three of the nine "
         "labels belong to one and the same data."
     )
@@ -194,9 +194,9 @@ def _time_to_failure(section: Section, study: Study) -> None:
     ]
     section.text(
         "### Gravity and (34) alone\n\n"
-        "The paper's model has no gravity, its multibody model has. With nothing but (34) the platform sags. The map by "
-        f"statics ends early in {ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in "
-        f"{ends('printed')}: it fades at a dead centre where the other grows, so it asks for more torque there."
+        "The paper's model has no gravity, its multibody model has. With nothing but (34) the platform sags. The map "
+        f"by statics ends early in {ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in "
+        f"{ends('printed')}. Near a dead centre the two part ways: the printed map fades where statics grows."
     )
     section.table(
         "Gravity on, no feedforward: how the run ends, by control period, force map and ratio omega_Q / omega_R",

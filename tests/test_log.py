@@ -1,0 +1,169 @@
+import dataclasses
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from made_logs import STATES, made_log
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.log import AXES, SIGNALS, SimulationLog, load_log
+
+
+@pytest.fixture
+def log():
+    """Every entry of every signal differs from every other."""
+    start = made_log(rows=7)
+    rng = np.random.default_rng(1)
+    signals = {name: rng.normal(size=values.shape) for name, values in start.signals.items()}
+    signals["time"] = start.time
+    return dataclasses.replace(
+        start,
+        signals=signals,
+        status="failed",
+        reason="crank_dead_centre",
+        message="crank of leg 2 at its dead centre: ü",
+        leg=2,
+        end_time=0.65,
+        versions={"python": "3.11", "drake": None},
+    )
+
+
+def test_a_saved_log_loads_back_bit_for_bit(log, tmp_path):
+    log.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")
+    assert isinstance(again, SimulationLog)
+    assert list(again.signals) == list(SIGNALS)
+    for name, values in log.signals.items():
+        np.testing.assert_array_equal(again[name], values)
+        assert again[name].shape == values.shape
+    for field in dataclasses.fields(log):
+        if field.name != "signals":
+            assert getattr(again, field.name) == getattr(log, field.name), field.name
+
+
+def test_numbers_that_are_not_finite_survive(tmp_path):
+    torque = np.array([[np.nan, np.inf, -np.inf, -0.0, 5e-324, 1e308]])
+    made_log(rows=1, torque=torque).save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")["torque"]
+    np.testing.assert_array_equal(again, torque)
+    assert np.signbit(again[0, 3])
+
+
+def test_an_empty_log_survives(tmp_path):
+    made_log(rows=0, status="failed", reason="unreachable_pose").save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")
+    assert again.time.shape == (0,)
+    assert again["pose"].shape == (0, 6)
+    assert again.reason == "unreachable_pose"
+
+
+def test_a_folder_means_the_log_in_it(log, tmp_path):
+    log.save(tmp_path / "log.parquet")
+    np.testing.assert_array_equal(load_log(str(tmp_path))["pose"], log["pose"])
+
+
+def test_a_folder_named_like_a_column_adds_none(log, tmp_path):
+    for name in ("time=3", "duration=2"):
+        folder = tmp_path / name
+        folder.mkdir()
+        log.save(folder / "log.parquet")
+        np.testing.assert_array_equal(load_log(folder).time, log.time)
+
+
+def test_every_column_tells_its_unit_frame_and_meaning(log):
+    schema = pq.read_schema(pa.BufferReader(log.to_parquet()))
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    frames = {field.name: field.metadata[b"frame"].decode() for field in schema}
+    assert all(field.metadata[b"text"] for field in schema)
+    assert all(field.type == pa.float64() for field in schema)
+    assert units["time"] == "s"
+    assert [units[f"pose.{axis}"] for axis in AXES] == ["rad"] * 3 + ["m"] * 3
+    assert [units[f"pose_rate.{axis}"] for axis in AXES] == ["rad/s"] * 3 + ["m/s"] * 3
+    assert [units[f"integral.{axis}"] for axis in AXES] == ["rad s"] * 3 + ["m s"] * 3
+    assert [units[f"torque.{leg}"] for leg in range(6)] == ["N m"] * 6
+    assert units["loop_gap.0"] == "m"
+    assert frames["pose.x"] == "P in B"
+    assert frames["torque.3"] == "leg 0..5"
+
+
+def test_there_is_a_column_per_component_and_no_other(log):
+    columns = pq.read_schema(pa.BufferReader(log.to_parquet())).names
+    widths = [1 if values.ndim == 1 else values.shape[1] for values in log.signals.values()]
+    assert len(columns) == len(set(columns)) == sum(widths)
+    assert columns[0] == "time"
+    assert [c for c in columns if c.startswith("plant_state.")] == [f"plant_state.state {i}" for i in range(STATES)]
+
+
+def test_other_programs_can_read_scenario_and_outcome(log):
+    metadata = pq.read_schema(pa.BufferReader(log.to_parquet())).metadata
+    run = json.loads(metadata[b"stewart_drake.run"])
+    assert run["scenario"] == log.scenario.to_dict()
+    assert run["outcome"]["reason"] == "crank_dead_centre"
+    assert run["outcome"]["leg"] == 2
+
+
+def test_an_unknown_signal_is_named_with_those_that_exist(log):
+    with pytest.raises(KeyError, match="pos; this log has time, pose, "):
+        log["pos"]
+
+
+def test_two_logs_compare_without_comparing_arrays(log):
+    assert log == log
+    assert log != made_log()
+
+
+def parquet(metadata):
+    stream = pa.BufferOutputStream()
+    pq.write_table(pa.table({"time": [0.0]}).replace_schema_metadata(metadata), stream)
+    return stream.getvalue().to_pybytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "No such file"),
+        (b"", "a Parquet file"),
+        (b"PAR1", "a Parquet file"),
+        (b"time,pose\n0,0\n" * 100, "a Parquet file"),
+        (parquet({}), "a log written by this package"),
+        (parquet({"stewart_drake.run": json.dumps({"version": 2})}), "version 1"),
+    ],
+    ids=["missing", "empty", "short", "text", "other", "later"],
+)
+@pytest.mark.parametrize("as_folder", [False, True])
+def test_what_is_no_log_is_named_in_one_line(tmp_path, content, words, as_folder):
+    path = tmp_path / "log.parquet"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigurationError) as caught:
+        load_log(tmp_path if as_folder else path)
+    assert str(path) in str(caught.value)
+    assert words in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_truncated_log_is_named(log, tmp_path):
+    content = log.to_parquet()
+    path = tmp_path / "log.parquet"
+    for size in (len(content) - 1, len(content) // 2, 9):
+        path.write_bytes(content[:size])
+        with pytest.raises(ConfigurationError, match="a Parquet file"):
+            load_log(path)
+
+
+def test_a_log_of_a_scenario_that_is_not_allowed_is_refused(log, tmp_path):
+    table = pq.read_table(pa.BufferReader(log.to_parquet()))
+    run = json.loads(table.schema.metadata[b"stewart_drake.run"])
+    run["scenario"]["durration"] = 1
+    path = tmp_path / "log.parquet"
+    pq.write_table(table.replace_schema_metadata({"stewart_drake.run": json.dumps(run)}), path)
+    with pytest.raises(ConfigurationError, match="durration"):
+        load_log(path)
+
+
+def test_saving_where_nothing_can_be_written_leaves_nothing(log, tmp_path):
+    with pytest.raises(ConfigurationError, match=r"log\.parquet"):
+        log.save(tmp_path / "no" / "log.parquet")
+    assert list(tmp_path.iterdir()) == []

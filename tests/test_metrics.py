@@ -1,0 +1,143 @@
+import json
+
+import numpy as np
+import pytest
+from made_logs import made_log
+
+from stewart_drake.log import SimulationLog
+from stewart_drake.metrics import integral_at, run_metrics, second_half, tracking_error
+from stewart_drake.scenario import Scenario
+
+PROMISED = {
+    "rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m",
+    "integral_at_5s", "real_time_factor", "git_revision", "versions", "status", "reason", "message", "end_time", "leg",
+}  # fmt: skip
+
+
+def test_rmse_and_peak_are_of_the_second_half_alone():
+    pose = np.zeros((101, 6))
+    pose[:50] = 100.0  # rows before 5 s do not count
+    pose[50:, 0] = 0.01
+    pose[50:, 5] = 0.002 * (-1.0) ** np.arange(51)
+    pose[70, 1] = -0.5
+    metrics = run_metrics(made_log(pose=pose, error=np.full((101, 6), 7.0)))
+    np.testing.assert_allclose(metrics["rmse_deg"], np.degrees([0.01, 0.5 / np.sqrt(51), 0.0]))
+    np.testing.assert_allclose(metrics["rmse_mm"], [0.0, 0.0, 2.0])
+    np.testing.assert_allclose(metrics["peak_deg"], np.degrees([0.01, 0.5, 0.0]))
+    np.testing.assert_allclose(metrics["peak_mm"], [0.0, 0.0, 2.0])
+
+
+def test_the_error_is_true_pose_minus_reference_not_what_the_controller_saw_last():
+    pose, reference = np.full((101, 6), 0.3), np.full((101, 6), 0.1)
+    log = made_log(pose=pose, reference=reference, error=np.full((101, 6), 9.0))
+    np.testing.assert_allclose(tracking_error(log), 0.2)
+    np.testing.assert_allclose(run_metrics(log)["rmse_mm"], 200.0)
+
+
+@pytest.mark.parametrize(("rows", "first"), [(101, 50), (52, 50), (51, 50)])
+def test_the_second_half_is_that_of_the_planned_duration_its_first_row_included(rows, first):
+    mask = second_half(made_log(rows=rows))
+    assert np.flatnonzero(mask).tolist() == list(range(first, rows))
+
+
+def test_the_second_half_begins_at_its_row_in_spite_of_rounding():
+    # 0.1 * 3 is a little more than 0.3, 0.7 * 0.5 a little less than 0.35.
+    for step, duration, rows in ((0.1, 0.6, 7), (0.05, 0.7, 15), (0.005, 0.35, 71)):
+        log = made_log(rows=rows, step=step, duration=duration)
+        assert second_half(log).sum() == rows - (rows - 1) // 2
+
+
+def test_a_run_that_broke_before_the_second_half_has_no_rmse():
+    metrics = run_metrics(made_log(rows=50, status="failed", reason="crank_dead_centre", leg=3, message="m"))
+    assert [metrics[name] for name in ("rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "integral_at_5s")] == [None] * 5
+    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", 3)
+    assert metrics["torque_rms"] == 0.0
+
+
+def test_torque_figures_are_over_the_whole_run_and_within_the_limit():
+    torque = np.zeros((101, 6))
+    torque[10, 2] = -7.0  # beyond the limit of 5
+    torque[20, :] = 5.0  # at the limit: nothing was cut off
+    log = made_log(torque=torque, torque_applied=np.clip(torque, -5.0, 5.0))
+    metrics = run_metrics(log)
+    assert metrics["torque_peak"] == 5.0
+    assert metrics["torque_rms"] == pytest.approx(5.0 * np.sqrt(7 / 606))
+    assert metrics["saturated_fraction"] == pytest.approx(1 / 606)
+
+
+def test_saturation_follows_the_limit_of_the_robot():
+    torque = np.full((101, 6), 0.4)
+    for limit, fraction in ((0.3, 1.0), (0.4, 0.0)):
+        log = made_log(scenario={"robot": {"effort_limit": limit}}, torque=torque)
+        assert run_metrics(log)["saturated_fraction"] == fraction
+
+
+def test_the_loop_gap_is_the_largest_of_all_legs_at_all_times():
+    gap = np.full((101, 6), 1e-9)
+    gap[3, 4] = 2e-7
+    assert run_metrics(made_log(loop_gap=gap))["loop_gap_max_m"] == 2e-7
+
+
+def test_weights_are_means_over_the_run():
+    weights = np.column_stack([np.linspace(1.0, 3.0, 101), np.full(101, 0.5)])
+    metrics = run_metrics(made_log(weights=weights))
+    assert (metrics["omega_q"], metrics["omega_r"]) == (pytest.approx(2.0), 0.5)
+
+
+def test_the_integral_is_that_of_the_row_at_five_seconds():
+    integral = np.arange(101.0)[:, None] + np.arange(6.0) / 10
+    log = made_log(integral=integral)
+    np.testing.assert_array_equal(run_metrics(log)["integral_at_5s"], integral[50])
+    np.testing.assert_array_equal(integral_at(log, 5.04), integral[50])
+    np.testing.assert_array_equal(integral_at(log, 0.0), integral[0])
+    np.testing.assert_array_equal(integral_at(log, 10.0), integral[100])
+
+
+def test_rounding_of_times_does_not_move_the_row():
+    rows = 1001
+    log = made_log(rows=rows, step=0.007, duration=7.0, integral=np.arange(float(rows))[:, None] * np.ones(6))
+    for row in range(0, rows, 13):
+        for nudge in (-1e-12, 1e-12):
+            assert integral_at(log, log.time[row] + nudge)[0] == row
+
+
+def test_a_run_that_ended_sooner_has_no_integral_then():
+    assert integral_at(made_log(rows=50), 5.0) is None
+    assert integral_at(made_log(rows=51), 5.0) is not None
+    assert integral_at(made_log(rows=0), 0.0) is None
+
+
+def test_the_real_time_factor_is_simulated_over_wall_time():
+    assert run_metrics(made_log(wall_time=4.0))["real_time_factor"] == 2.5
+    assert run_metrics(made_log(wall_time=0.0))["real_time_factor"] is None
+
+
+def test_the_revision_stands_apart_from_the_versions():
+    metrics = run_metrics(made_log())
+    assert metrics["git_revision"] == "abc"
+    assert metrics["versions"] == {"python": "3"}
+    assert run_metrics(made_log(versions={}))["git_revision"] is None
+
+
+@pytest.mark.parametrize("rows", [0, 1, 50, 101])
+def test_every_promised_key_is_there_however_short_the_run_and_json_can_hold_it(rows):
+    log = made_log(rows=rows)
+    metrics = run_metrics(log)
+    assert set(metrics) >= PROMISED
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+
+
+def test_a_log_without_a_row_has_no_figures():
+    metrics = run_metrics(made_log(rows=0))
+    assert {metrics[name] for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m")} == {None}
+
+
+def test_metrics_change_nothing_in_the_log():
+    log = made_log()
+    before = {name: values.copy() for name, values in log.signals.items()}
+    run_metrics(log)
+    for name, values in before.items():
+        np.testing.assert_array_equal(log[name], values)
+    assert log.versions == {"python": "3", "git_revision": "abc"}
+    assert isinstance(log, SimulationLog)
+    assert isinstance(log.scenario, Scenario)

@@ -1,0 +1,207 @@
+import json
+import os
+import shutil
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from made_logs import made_log
+
+from stewart_drake import outputs
+from stewart_drake.diagram import build_diagram
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import write_atomically
+from stewart_drake.log import load_log
+from stewart_drake.metrics import run_metrics
+from stewart_drake.outputs import prepare_folder, write_run
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.simulation import run
+from stewart_drake.versions import collect_versions, git_revision, source_digest
+
+ALWAYS = {"log.parquet", "metrics.json", "scenario.yaml"}
+PICTURES = {"states.png", "torques.png", "replay.html"}
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def short_run():
+    return run(Scenario.from_dict({"name": "short", "duration": 0.2}))
+
+
+def test_a_run_leaves_all_its_files(short_run, tmp_path):
+    folder = tmp_path / "deep" / "down"
+    metrics = write_run(short_run, folder, build_diagram(short_run.scenario).GetGraphvizString())
+    graph = {"diagram.dot"} | ({"diagram.svg"} if shutil.which("dot") else set())
+    assert names(folder) == ALWAYS | PICTURES | graph
+
+    assert metrics == json.loads((folder / "metrics.json").read_text()) == run_metrics(short_run)
+    assert load_scenario(folder / "scenario.yaml") == short_run.scenario
+    np.testing.assert_array_equal(load_log(folder)["plant_state"], short_run["plant_state"])
+    for name in ("states.png", "torques.png"):
+        picture = matplotlib.image.imread(folder / name)
+        assert min(picture.shape[:2]) > 500
+        assert picture[..., :3].std() > 0.01
+    page = (folder / "replay.html").read_text()
+    assert page.lower().startswith("<!doctype html>")
+    assert "<script src=" not in page, "the page must open offline"
+    assert (folder / "diagram.dot").read_text().startswith("digraph")
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_a_run_that_broke_at_once_keeps_what_it_has(short_run, tmp_path, rows):
+    signals = {name: values[:rows] for name, values in short_run.signals.items()}
+    log = made_log(rows=0, status="failed", reason="unreachable_pose", message="m", leg=0)
+    log = type(log)(
+        short_run.scenario,
+        signals,
+        short_run.state_names,
+        status="failed",
+        reason="unreachable_pose",
+        message="m",
+        leg=0,
+    )
+    metrics = write_run(log, tmp_path)
+    assert names(tmp_path) >= ALWAYS
+    assert metrics["reason"] == "unreachable_pose"
+    assert metrics["rmse_deg"] is None
+    assert len(load_log(tmp_path).time) == rows
+
+
+def test_numbers_alone_need_no_pictures(tmp_path):
+    write_run(made_log(), tmp_path, pictures=False)
+    assert names(tmp_path) == ALWAYS
+
+
+def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_path):
+    for name in (*PICTURES, "diagram.dot", "diagram.svg", "metrics.json", "my notes.txt"):
+        (tmp_path / name).write_text("earlier")
+    write_run(made_log(), tmp_path, pictures=False)
+    assert names(tmp_path) == ALWAYS | {"my notes.txt"}
+    assert "earlier" not in (tmp_path / "metrics.json").read_text()
+
+
+def test_the_graph_is_rendered_where_graphviz_is_installed(tmp_path, monkeypatch):
+    dot = tmp_path / "dot"
+    dot.write_text('#!/bin/sh\necho "<svg>$(cat)</svg>"\n')
+    dot.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    write_run(made_log(), tmp_path / "out", "digraph {}", pictures=False)
+    assert (tmp_path / "out" / "diagram.svg").read_text() == "<svg>digraph {}</svg>\n"
+    assert (tmp_path / "out" / "diagram.dot").read_text() == "digraph {}"
+
+
+def test_a_graphviz_that_fails_costs_only_the_picture(tmp_path, monkeypatch):
+    dot = tmp_path / "dot"
+    dot.write_text("#!/bin/sh\nexit 1\n")
+    dot.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    write_run(made_log(), tmp_path / "out", "digraph {}", pictures=False)
+    assert names(tmp_path / "out") == ALWAYS | {"diagram.dot"}
+
+
+@pytest.mark.parametrize("write", [prepare_folder, lambda path: write_run(made_log(), path, pictures=False)])
+def test_a_folder_that_cannot_be_is_named(tmp_path, write):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for path, why in ((file, "this is a file"), (file / "below", "Not a directory")):
+        with pytest.raises(ConfigurationError) as caught:
+            write(path)
+        assert caught.value.key == "--out"
+        assert str(path) in str(caught.value)
+        assert why in str(caught.value)
+    assert file.read_text() == "mine"
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write to")
+def test_a_folder_that_cannot_be_written_to_is_named():
+    with pytest.raises(ConfigurationError, match=r"--out: got '/proc'; allowed: a folder that can be written to"):
+        prepare_folder("/proc")
+
+
+def test_preparing_a_folder_leaves_nothing_in_it_and_takes_nothing_from_it(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    assert prepare_folder(str(tmp_path)) == tmp_path
+    assert names(tmp_path) == {"mine"}
+
+
+@pytest.mark.parametrize("at", ["replace", "chmod"])
+def test_a_file_is_whole_or_the_old_one_stays(tmp_path, monkeypatch, at):
+    path = tmp_path / "metrics.json"
+    write_atomically(path, b"old")
+
+    def fail(*_args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, at, fail)
+    with pytest.raises(ConfigurationError, match="No space left on device"):
+        write_atomically(path, b"new")
+    monkeypatch.undo()
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == {"metrics.json"}
+
+
+def test_ctrl_c_while_writing_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "metrics.json"
+    write_atomically(path, b"old")
+
+    def interrupt(*_args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == {"metrics.json"}
+
+
+def test_a_disk_that_fills_up_midway_leaves_no_half_file(tmp_path, monkeypatch):
+    real = outputs.write_atomically
+
+    def full(path, content):
+        if path.name == "scenario.yaml":
+            raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
+        real(path, content)
+
+    monkeypatch.setattr(outputs, "write_atomically", full)
+    with pytest.raises(ConfigurationError, match="No space left"):
+        write_run(made_log(), tmp_path, pictures=False)
+    assert names(tmp_path) == {"log.parquet", "metrics.json"}
+    assert len(load_log(tmp_path).time) == 101
+    json.loads((tmp_path / "metrics.json").read_text())
+
+
+def test_written_files_can_be_read_by_whom_the_umask_allows(tmp_path):
+    old = os.umask(0o022)
+    try:
+        write_run(made_log(), tmp_path, pictures=False)
+    finally:
+        os.umask(old)
+    assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {0o644}
+
+
+def test_versions_name_what_computed():
+    versions = collect_versions()
+    assert versions["drake"].startswith("1.")
+    assert versions["numpy"] == np.__version__
+    assert versions["python"].startswith("3.")
+    assert versions["git_revision"] == git_revision()
+    assert json.loads(json.dumps(versions)) == versions
+
+
+def test_the_digest_changes_with_the_code_and_only_with_it(monkeypatch, tmp_path):
+    from stewart_drake import versions
+
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "versions.py").write_text("a = 1\n")
+    monkeypatch.setattr(versions, "__file__", str(package / "versions.py"))
+    first = source_digest()
+    (package / "weights.json").write_text("{}")
+    assert source_digest() == first
+    (package / "versions.py").write_text("a = 2\n")
+    assert source_digest() != first
+    assert git_revision() is None

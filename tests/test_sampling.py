@@ -1,0 +1,164 @@
+import math
+from fractions import Fraction
+
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.sampling import on_grid, steps_per
+
+DECIMAL = [
+    1e-6,
+    0.00001,
+    0.0001,
+    0.00025,
+    0.0005,
+    0.001,
+    0.002,
+    0.005,
+    0.01,
+    0.02,
+    0.05,
+    0.1,
+    0.125,
+    0.25,
+    0.5,
+    1.0,
+    2.0,
+]
+BINARY = [2.0**-k for k in range(1, 13)]
+THIRDS = [1.0 / 3000.0, 1.0 / 1500.0, 1.0 / 600.0, 1.0 / 300.0, 1.0 / 30.0, 1.0 / 3.0]
+PAIRS = [
+    (fast, slow, round(slow / fast))
+    for family in (DECIMAL, BINARY, THIRDS, DECIMAL + BINARY)
+    for fast in family
+    for slow in family
+    if slow > fast and math.isclose(slow / fast, round(slow / fast), rel_tol=1e-12)
+]
+LAST = 8192.0
+"""[s] longer than the longest scenario."""
+
+
+@pytest.mark.parametrize(("fast", "slow", "ratio"), PAIRS)
+def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid(fast, slow, ratio):
+    assert Fraction(on_grid(slow)) == ratio * Fraction(on_grid(fast))
+
+
+@pytest.mark.parametrize(
+    ("fast", "slow"), [(0.0001, 0.001), (0.001, 0.005), (0.001, 0.002), (0.0001, 0.005), (0.001, 0.05), (1e-6, 0.001)]
+)
+def test_event_times_coincide_bit_for_bit_to_the_end_of_the_longest_run(fast, slow):
+    ratio, count = round(slow / fast), int(LAST / slow)
+    # As Drake computes them: a whole number times the period, rounded once.
+    indices = {*range(2001), *range(0, count, max(1, count // 20_000)), count}
+    assert all((k * ratio) * on_grid(fast) == k * on_grid(slow) for k in indices)
+
+
+def test_decimal_periods_do_not_coincide_which_is_why_there_is_a_grid():
+    assert sum((10 * k) * 0.0001 != k * 0.001 for k in range(2001)) == 384
+
+
+@given(st.integers(1, 5000), st.integers(1, 1000))
+def test_any_whole_number_of_microseconds_up_to_five_seconds_is_on_the_grid(microseconds, ratio):
+    assert Fraction(on_grid(ratio * microseconds / 1e6)) == ratio * Fraction(on_grid(microseconds / 1e6))
+
+
+@given(st.floats(1e-6, LAST))
+@example(0.001)
+@example(1.0 / 7000.0)
+@example(2.0**-10)
+@example(LAST)
+def test_a_period_never_shrinks_and_hardly_grows(seconds):
+    assert Fraction(on_grid(seconds)) >= Fraction(seconds)
+    assert on_grid(seconds) - seconds <= 4e-10 * seconds + 1e-12
+
+
+@given(st.floats(1e-6, 0.1), st.integers(1, 1000))
+@example(1.0 / 7000.0, 700)
+@example(0.0333333, 3)
+@example(2.0**-9, 8)
+def test_off_the_grid_too_a_tick_never_comes_after_the_plants_step(time_step, ratio):
+    # A tick that comes after the step of its own time would see the plant one step too late.
+    period = ratio * time_step
+    assume(period <= 10.0)
+    assert on_grid(period) <= ratio * on_grid(time_step)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.001, math.nan, math.inf, -math.inf])
+def test_a_period_that_drake_would_fire_once_is_refused(seconds):
+    with pytest.raises(ConfigurationError, match="positive"):
+        on_grid(seconds)
+
+
+class Recorder(LeafSystem):
+    """Writes down when its two periodic events fire."""
+
+    def __init__(self, periods):
+        super().__init__()
+        self.times = {period: [] for period in periods}
+        for period in periods:
+            self.DeclarePeriodicPublishEvent(period, 0.0, self.note(period))
+
+    def note(self, period):
+        return lambda context: self.times[period].append(context.get_time())
+
+
+def fired(periods, end):
+    system = Recorder(periods)
+    simulator = Simulator(system)
+    simulator.AdvanceTo(end)
+    return system.times
+
+
+@pytest.mark.parametrize(("fast", "slow"), [(0.0001, 0.001), (0.0001, 0.005)])
+def test_drake_fires_both_at_the_same_instants_on_the_grid_and_not_off_it(fast, slow):
+    ratio, end = round(slow / fast), 500 * slow
+    times = fired((on_grid(fast), on_grid(slow)), 1.000001 * end)
+    assert len(times[on_grid(slow)]) == 501
+    assert times[on_grid(fast)][::ratio] == times[on_grid(slow)]
+    decimal = fired((fast, slow), 1.000001 * end)
+    assert not set(decimal[slow]) <= set(decimal[fast])
+
+
+@given(st.floats(1e-6, 0.1), st.integers(1, 10**5))
+def test_a_whole_multiple_is_counted_however_it_was_rounded(time_step, count):
+    period = count * time_step
+    for neighbour in (period, math.nextafter(period, math.inf), math.nextafter(period, 0.0)):
+        assert steps_per("key", neighbour, time_step) == count
+
+
+@given(st.floats(1e-6, 0.1), st.integers(1, 1000), st.floats(1e-6, 0.5))
+def test_what_lies_between_two_multiples_is_refused_under_its_key(time_step, count, part):
+    with pytest.raises(ConfigurationError) as caught:
+        steps_per("controller.period", (count + part) * time_step, time_step)
+    assert caught.value.key == "controller.period"
+
+
+@pytest.mark.parametrize(
+    ("period", "time_step"),
+    [
+        (0.0005, 0.001),
+        (0.0, 0.001),
+        (-0.005, 0.001),
+        (math.nan, 0.001),
+        (math.inf, 0.001),
+        (0.005, 0.0),
+        (0.005, -0.001),
+        (0.005, math.nan),
+        (0.005, math.inf),
+    ],
+)
+def test_steps_per_refuses_what_is_no_period(period, time_step):
+    with pytest.raises(ConfigurationError):
+        steps_per("log_period", period, time_step)
+
+
+@given(st.sampled_from([(1e-4, 5e-3), (1e-3, 5e-3), (1.0 / 3000.0, 1.0 / 600.0)]), st.floats(-9e-12, 9e-12))
+def test_what_steps_per_accepts_is_on_the_grid_of_its_time_step(pair, error):
+    # The two tolerances belong together: a period that passes for n steps has to tick at every n-th step.
+    time_step, period = pair
+    count = steps_per("key", period * (1.0 + error), time_step)
+    assert on_grid(period * (1.0 + error)) == count * on_grid(time_step)

@@ -1,0 +1,754 @@
+import datetime
+import json
+import math
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from stewart_drake.control_law import ControlLaw, LqiOptions, Measurement, Setpoint
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.limits import Limits
+from stewart_drake.network import default_network_path, load_network
+from stewart_drake.plant_options import PlantOptions
+from stewart_drake.references import HoldReference, SineReference
+from stewart_drake.rigid_body_model import static_torque
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario import (
+    MAX_SCENARIO_BYTES,
+    AnnTuner,
+    FixedTuner,
+    Scenario,
+    find_scenario,
+    load_scenario,
+    scenario_folder,
+    scenario_schema,
+)
+
+SHIPPED = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
+BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
+WHOLE = [
+    Scenario(),
+    Scenario.from_dict({"reference": {"kind": "hold"}, "tuner": {"kind": "fixed"}, "model_robot": {}, "log_period": 1}),
+    Scenario.from_dict({"reference": BURSTS}),
+]
+"""Scenarios that have, between them, every key."""
+
+
+def refusal(data):
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario.from_dict(data)
+    return one_line(caught.value)
+
+
+def one_line(error):
+    message = str(error)
+    assert message.isprintable(), repr(message)
+    assert len(message) < 1000
+    assert message.startswith(f"{error.key}: ")
+    assert error.key
+    return error
+
+
+def nested(path, value):
+    for part in reversed(path.split(".")):
+        value = {part: value}
+    return value
+
+
+def leaves(data, path=()):
+    """(path, value) of everything in a document that is no section."""
+    for key, value in data.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def put(data, path, value):
+    here = data
+    for part in path[:-1]:
+        here = here[part]
+    here[path[-1]] = value
+    return data
+
+
+def shown(key):
+    return key if key and key.isprintable() else repr(key)
+
+
+def write(folder, text, name="some.yaml"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+# --- what is accepted ---------------------------------------------------------------------------------------------
+
+
+def test_the_defaults_are_the_papers_run():
+    scenario = Scenario()
+    pose, _, _ = scenario.reference.evaluate(np.array([0.3]))
+    np.testing.assert_allclose(pose[0], [math.pi / 6 * math.sin(0.6), 0, 0, 0, 0, 0.3 + 0.05 * math.sin(0.6)])
+    assert (scenario.duration, scenario.controller.period, scenario.plant.time_step) == (10.0, 0.005, 0.001)
+    assert scenario.gravity == 9.81
+    assert isinstance(scenario.tuner, AnnTuner)
+    assert (scenario.tuner.omega_q, scenario.tuner.omega_r) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "gravity", "feedforward", "tuner"),
+    [
+        ("paper_fig7", 9.81, "gravity", "ann"),
+        ("paper_fig7_no_gravity", 0.0, "none", "ann"),
+        ("paper_fig7_uncompensated", 9.81, "none", "fixed"),
+    ],
+)
+def test_shipped_scenarios_are_the_three_cases_of_the_paper(name, gravity, feedforward, tuner):
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert (scenario.gravity, scenario.controller.feedforward, scenario.tuner.kind) == (gravity, feedforward, tuner)
+    for time in (0.0, 0.7, 9.9):
+        for shipped, papers in zip(scenario.reference.evaluate(time), SineReference().evaluate(time), strict=True):
+            np.testing.assert_allclose(shipped, papers, atol=1e-15)
+    # Nothing else departs from the defaults unseen.
+    changed = {"name": name, "gravity": gravity, "controller.feedforward": feedforward, "tuner.kind": tuner}
+    assert scenario == Scenario().replace(changed)
+
+
+def test_all_shipped_scenarios_are_tested_here():
+    assert sorted(path.stem for path in scenario_folder().glob("*.yaml")) == sorted(SHIPPED)
+
+
+def test_the_same_scenario_from_file_dict_and_python(tmp_path):
+    text = "duration: 2\nrobot: {effort_limit: 4}\ntuner: {kind: fixed, omega_q: 1e1}\nreference: {kind: hold}\n"
+    from_file = load_scenario(write(tmp_path, text, "scenario.yaml"))
+    from_python = Scenario(
+        duration=2,
+        robot=RobotParameters(effort_limit=4.0),
+        tuner=FixedTuner(omega_q=10.0),
+        reference=HoldReference(),
+    )
+    assert from_file == from_python
+    assert hash(from_file) == hash(from_python)
+
+
+@pytest.mark.parametrize("text", ["1e-3", "0.001", "1.0e-3", "1E-3", "1.e-3", "+.001"])
+def test_numbers_are_those_of_yaml_1_2(tmp_path, text):
+    assert load_scenario(write(tmp_path, f"plant:\n  time_step: {text}\n")).plant.time_step == 0.001
+
+
+def test_an_integer_will_do_for_a_number_and_a_list_for_a_vector():
+    scenario = Scenario.from_dict({"duration": 3, "initial_offset": [0, 0, 0, 0, 0, 0]})
+    assert type(scenario.duration) is float
+    assert scenario.initial_offset == (0.0,) * 6
+
+
+def test_windows_line_ends_byte_order_mark_and_comments(tmp_path):
+    path = write(tmp_path, b"\xef\xbb\xbf# first\r\nduration: 3 # seconds\r\ngravity: 0\r\n")
+    assert (load_scenario(path).duration, load_scenario(path).gravity) == (3.0, 0.0)
+
+
+def test_a_scenario_cannot_be_changed_in_place():
+    scenario = Scenario()
+    for section, name in ((scenario, "duration"), (scenario, "durration"), (scenario.robot, "rod_mass")):
+        with pytest.raises(Exception, match=r"frozen|immutable|cannot assign"):
+            setattr(section, name, 1.0)
+    assert scenario == Scenario()
+
+
+@pytest.mark.parametrize(("steps", "duration"), [(5, 0.005), (1, 0.005), (5, 8000.0)])
+def test_the_edges_of_what_is_allowed_are_allowed(steps, duration):
+    scenario = Scenario.from_dict({"duration": duration, "controller": {"period": steps * 0.001}, "gravity": 0})
+    assert scenario.effective_log_period == steps * 0.001
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+WRONG = [
+    # key as it must be named, document, words that must be there
+    ("durration", {"durration": 3}, "did you mean duration?"),
+    ("zzz", {"zzz": 3}, "the keys here are name, duration"),
+    ("robot.rod_lenght", nested("robot.rod_lenght", 0.4), "did you mean rod_length?"),
+    ("model_robot.crank_mas", nested("model_robot.crank_mas", 0.4), "did you mean crank_mass?"),
+    ("plant.time_stp", nested("plant.time_stp", 0.001), "did you mean time_step?"),
+    ("controller.perod", nested("controller.perod", 0.001), "did you mean period?"),
+    ("limits.torque", nested("limits.torque", 1), "did you mean torque_fraction?"),
+    ("reference.amplitud", {"reference": {"kind": "sine", "amplitud": []}}, "did you mean amplitude?"),
+    ("reference.center", {"reference": {"kind": "hold", "center": []}}, "the keys here are kind, pose"),
+    ("tuner.omega", {"tuner": {"kind": "ann", "omega": 1}}, "did you mean omega_"),
+    ("tuner.weights_file", {"tuner": {"kind": "fixed", "weights_file": "x"}}, "no such key"),
+    ("robot", {"robot": 3}, "a section"),
+    ("robot", {"robot": None}, "a section"),
+    ("plant", {"plant": [1]}, "a section"),
+    ("tuner", {"tuner": "ann"}, "fixed or ann"),
+    ("tuner.kind", {"tuner": {}}, "fixed or ann; this key is required"),
+    ("tuner.kind", {"tuner": {"kind": "anm"}}, "fixed or ann"),
+    ("reference", {"reference": None}, "hold, sine or sine_bursts"),
+    ("reference.kind", {"reference": {"center": []}}, "hold, sine or sine_bursts; this key is required"),
+    ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine or sine_bursts"),
+    ("reference.kind", {"reference": {"kind": 3}}, "got 3; allowed: hold, sine or sine_bursts"),
+    ("reference.kind", {"reference": {"kind": ["sine"]}}, "hold, sine or sine_bursts"),
+    ("reference.center", {"reference": {"kind": "sine", "center": [0, 0, 0]}}, "a list of 6 numbers"),
+    ("reference.center", {"reference": {"kind": "sine", "center": [0] * 7}}, "a list of 6 numbers"),
+    ("reference.center", {"reference": {"kind": "sine", "center": 0}}, "a list of 6 numbers"),
+    (
+        "reference.center.5",
+        {"reference": {"kind": "sine", "center": [0, 0, 0, 0, 0, "x"]}},
+        "got 'x'; allowed: a number",
+    ),
+    ("reference.frequency", {"reference": {"kind": "sine_bursts", "amplitude": []}}, "this key is required"),
+    ("reference.frequncy", {"reference": {"kind": "sine_bursts", "frequncy": [1]}}, "did you mean frequency?"),
+    ("reference.frequency", {"reference": BURSTS | {"frequency": []}}, "at least one"),
+    ("reference.frequency", {"reference": BURSTS | {"frequency": [1, -2]}}, "positive"),
+    ("reference.amplitude", {"reference": BURSTS | {"amplitude": [[0] * 6]}}, "2 vectors of 6 numbers"),
+    ("reference.amplitude.1", {"reference": BURSTS | {"amplitude": [[0] * 6, [0] * 5]}}, "a list of 6 numbers"),
+    ("reference.amplitude", {"reference": BURSTS | {"amplitude": 3}}, "a list of lists of 6 numbers"),
+    ("reference.fade", {"reference": BURSTS | {"fade": 0}}, "positive"),
+    ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
+    ("duration", {"duration": "10"}, "a number (without quotes)"),
+    ("duration", {"duration": "long"}, "got 'long'; allowed: a number"),
+    ("duration", {"duration": 0}, "a number above 0"),
+    ("duration", {"duration": 8001}, "at most 8000"),
+    ("duration", {"duration": 10**400}, "a number"),
+    ("duration", {"duration": 0.004}, "at least one control period, 0.005 s"),
+    ("duration", {"duration": datetime.date(2001, 1, 1)}, "a number"),
+    ("gravity", {"gravity": -1}, "a number at least 0"),
+    ("initial_offset", {"initial_offset": [0] * 5}, "a list of 6 numbers"),
+    ("tuner.omega_q", {"tuner": {"kind": "fixed", "omega_q": 0}}, "a number above 0"),
+    ("tuner.omega_r", {"tuner": {"kind": "ann", "omega_r": -1}}, "a number above 0"),
+    ("tuner.window", {"tuner": {"kind": "fixed", "window": 0}}, "a whole number at least 1"),
+    ("tuner.window", {"tuner": {"kind": "fixed", "window": 4.5}}, "a whole number"),
+    ("tuner.window", {"tuner": {"kind": "fixed", "window": 100_001}}, "a whole number at most 100000"),
+    ("tuner.density", {"tuner": {"kind": "fixed", "density": "x"}}, "magnitude or signed"),
+    ("tuner.weights_file", {"tuner": {"kind": "ann", "weights_file": 4}}, "a text, or null"),
+    ("plant.time_step", nested("plant.time_step", 0), "1e-06 to 0.1 s"),
+    ("plant.time_step", nested("plant.time_step", -0.001), "1e-06 to 0.1 s"),
+    ("plant.rod_joint", nested("plant.rod_joint", "bal"), "universal or ball"),
+    ("plant.collision", nested("plant.collision", 1), "true or false"),
+    ("plant.collision", nested("plant.collision", "yes"), "true or false"),
+    ("plant.motor_friction", nested("plant.motor_friction", -1), "zero or positive"),
+    ("controller.period", nested("controller.period", 0), "positive"),
+    ("controller.period", nested("controller.period", 0.0055), "a whole multiple of the plant's time step 0.001 s"),
+    ("controller.period", nested("controller.period", 0.0005), "a whole multiple"),
+    ("controller.period", {"plant": {"time_step": 0.01}}, "a whole multiple of the plant's time step 0.01 s"),
+    ("controller.period", nested("controller.period", 0.005000001), "a whole multiple"),
+    ("controller.force_map", nested("controller.force_map", "print"), "printed or statics"),
+    ("controller.feedforward", nested("controller.feedforward", True), "none, gravity or platform"),
+    ("controller.min_transmission", nested("controller.min_transmission", 1.0), "between 0 and 1"),
+    ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
+    ("limits.reach", nested("limits.reach", "x"), "a number, or null"),
+    ("robot.branch", nested("robot.branch", 0), "-1 or 1"),
+    ("robot.branch", nested("robot.branch", 1.0), "a whole number"),
+    ("robot.crank_length", nested("robot.crank_length", -0.11), "positive"),
+    ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
+    ("robot.home_height", nested("robot.rod_length", 0.1), "all rods reach"),
+    ("robot", nested("robot.rod_length", 1e200), "a robot that can be built"),
+    ("model_robot", nested("model_robot.rod_length", 1e200), "a robot that can be built"),
+    ("model_robot.branch", nested("model_robot.branch", 3), "-1 or 1"),
+    ("log_period", {"log_period": 0}, "a number above 0, or null"),
+    ("log_period", {"log_period": 0.0015}, "a whole multiple of the plant's time step"),
+    ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),
+    ("name", {"name": ""}, "at least 1"),
+    ("name", {"name": "a" * 101}, "at most 100"),
+    ("name", {"name": "../up"}, "letters, digits"),
+    ("name", {"name": ".."}, "letters, digits"),
+    ("name", {"name": "a\n"}, "letters, digits"),
+    ("name", {"name": 3}, "a text"),
+    ("1", {1: 2}, "keys that are texts"),
+    ("None", {None: 2}, "keys that are texts"),
+    ("plant.1", {"plant": {1: 2}}, "keys that are texts"),
+]
+
+
+@pytest.mark.parametrize(("key", "data", "words"), WRONG, ids=[f"{i}-{w[0]}" for i, w in enumerate(WRONG)])
+def test_a_bad_value_is_named_with_its_key_and_what_is_allowed(key, data, words):
+    error = refusal(data)
+    assert error.key == key
+    assert words in error.allowed or words in str(error)
+
+
+@pytest.mark.parametrize("whole", WHOLE, ids=lambda s: s.reference.kind)
+@pytest.mark.parametrize(
+    "junk",
+    [math.nan, math.inf, -math.inf, "1", True, {}, [[]], b"1", datetime.date(2001, 1, 1), "1e-3", 10**400],
+    ids=repr,
+)
+def test_no_key_takes_a_value_that_means_nothing_there(whole, junk):
+    text = {"name", "weights_file"}
+    for path, value in leaves(whole.to_dict()):
+        fits = (isinstance(junk, str) and path[-1] in text) or (junk is True and isinstance(value, bool))
+        section = path[-1] == "model_robot" and junk == {}
+        if fits or section:
+            continue
+        error = refusal(put(whole.to_dict(), path, junk))
+        assert error.key.startswith(".".join(path)) or error.key == path[0], (error.key, path)
+
+
+@pytest.mark.parametrize("junk", [math.nan, math.inf, "1", True, None, []], ids=repr)
+@pytest.mark.parametrize("whole", WHOLE, ids=lambda s: s.reference.kind)
+def test_nor_does_an_entry_of_a_vector(whole, junk):
+    for path, value in leaves(whole.to_dict()):
+        if isinstance(value, list):
+            error = refusal(put(whole.to_dict(), path, [junk, *value[1:]]))
+            assert error.key.startswith(".".join(path)), (error.key, path)
+
+
+def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
+    from_dict = refusal({"duration": -1})
+    with pytest.raises(ConfigurationError) as from_python:
+        Scenario(duration=-1)
+    with pytest.raises(ConfigurationError) as from_file:
+        load_scenario(write(tmp_path, "duration: -1"))
+    with pytest.raises(ConfigurationError) as from_replace:
+        Scenario().replace({"duration": -1})
+    assert str(from_dict) == str(from_python.value) == str(from_file.value) == str(from_replace.value)
+    assert from_python.value.value == -1
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: Scenario(durration=1), "durration"),
+        (lambda: Scenario(robot={"crank_length": "0.1"}), "robot.crank_length"),
+        (lambda: Scenario(robot=RobotParameters(crank_length=-1.0)), "robot.crank_length"),
+        (lambda: Scenario(plant=PlantOptions(time_step=0.0)), "plant.time_step"),
+        (lambda: Scenario(controller=LqiOptions(period=math.nan)), "controller.period"),
+        (lambda: Scenario(reference=SineReference(center=(0.0,) * 5)), "reference.center"),
+        (lambda: Scenario(limits=Limits(reach=2.0)), "limits.reach"),
+        (lambda: Scenario(reference=3), "reference"),
+        (lambda: Scenario(tuner={"kind": "fixed", "omega_q": -1.0}), "tuner.omega_q"),
+        (lambda: Scenario.model_validate(3), "scenario"),
+    ],
+)
+def test_python_construction_names_the_key_too(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert one_line(caught.value).key == key
+
+
+@pytest.mark.parametrize("data", [None, 3, "duration: 3", [1], [("duration", 3)]], ids=repr)
+def test_what_is_no_mapping_is_refused(data):
+    assert refusal(data).key == "scenario"
+
+
+def test_a_key_of_many_lines_or_letters_still_makes_one_short_line():
+    assert refusal({"a\nb": 3}).key == r"'a\nb'"
+    assert len(refusal({"x" * 100_000: 3}).key) < 100
+    assert len(str(refusal({"duration": "x" * 100_000}))) < 300
+
+
+def test_the_message_counts_further_problems():
+    assert "(and 1 more problem)" in str(refusal({"duration": "a", "gravity": "b"}))
+    assert "(and 2 more problems)" in str(refusal({"duration": "a", "gravity": "b", "plant": "c"}))
+
+
+# --- files --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "an empty file"),
+        (b"# nothing but a comment\n", "an empty file"),
+        (b"- 1\n", "a mapping"),
+        (b"3", "a mapping"),
+        (b"\xff\xfe\x00", "UTF-8"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00", "UTF-8"),
+        (b"duration: \x00", "not allowed"),
+        (b"duration: 1\nduration: 2\n", "line 2, column 1: found duplicate key"),
+        (b"plant:\n  time_step: 0.001\n  time_step: 0.002\n", "line 3, column 3: found duplicate key"),
+        (b"duration: [1\n", "line 2, column 1"),
+        (b"\tduration: 1\n", "line 1, column 1"),
+        (b"a: b: c", "line 1, column 5"),
+        (b"---\nduration: 1\n---\nduration: 2\n", "line 3, column 1: found another document"),
+        (b"duration: !!python/object/apply:os.system [ls]", "without tags"),
+        (b"duration: !seconds 3", "without tags"),
+        (b"duration: !!bool 3", "without tags"),
+        (b"duration: !!int ''", "without tags"),
+        (b"duration: !!timestamp x", "without tags"),
+        (b"duration: 2001-13-45", "well-formed"),
+        (b"duration: *nowhere", "undefined alias"),
+        (b"duration: &a 1\ngravity: &a 2", "duplicate anchor"),
+        (b"{{a: 1}: 2}: 3", "unhashable"),
+        (b"duration: " + b"9" * 5000, "well-formed"),
+        (b"[" * 1000, "well-formed"),
+        (b"# " + b"x" * MAX_SCENARIO_BYTES, f"at most {MAX_SCENARIO_BYTES} bytes"),
+    ],
+    ids=lambda v: repr(v[:24]) if isinstance(v, bytes) else None,
+)
+def test_a_file_that_is_no_scenario_is_named(tmp_path, content, words):
+    path = write(tmp_path, content)
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario(path)
+    assert one_line(caught.value).key == f"scenario file {path}"
+    assert words in str(caught.value)
+
+
+def test_a_document_that_contains_itself_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario(write(tmp_path, "plant: &loop\n  plant: *loop\n"))
+    assert one_line(caught.value).key == "plant.plant"
+
+
+@pytest.mark.parametrize("name", ["nosuch", "nosuch.yaml", "", ".", "a" * 300, "no/such/file.yaml", "paper_fig7/"])
+def test_a_scenario_that_is_not_there_is_named(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigurationError) as caught:
+        find_scenario(name)
+    assert one_line(caught.value).key == "scenario file"
+    assert name[:50] in str(caught.value)
+
+
+def test_a_bare_name_means_a_shipped_scenario_unless_there_is_such_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert find_scenario("paper_fig7") == scenario_folder() / "paper_fig7.yaml"
+    write(tmp_path, "duration: 3\n", "paper_fig7")
+    assert load_scenario("paper_fig7").duration == 3.0
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("short.yaml", "short"), ("my run (2).yaml", "my run _2_"), (".hidden", "_hidden"), ("ü²!a.yml", "_a")],
+)
+def test_a_scenario_without_a_name_is_named_after_its_file(tmp_path, file, name):
+    assert load_scenario(write(tmp_path, "duration: 3\n", file)).name == name
+    assert load_scenario(write(tmp_path, "name: own\n", file)).name == "own"
+
+
+def test_a_very_long_file_name_makes_a_name_that_is_allowed(tmp_path):
+    assert load_scenario(write(tmp_path, "duration: 3\n", "x" * 200 + ".yaml")).name == "x" * 100
+
+
+# --- overrides ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value"),
+    [
+        ("duration=2", "duration", 2.0),
+        (" duration = 2 ", "duration", 2.0),
+        ("plant.time_step=5e-4", "plant.time_step", 0.0005),
+        ("reference.center=[0, 0, 0, 0, 0, 0.31]", "reference.center", (0.0, 0.0, 0.0, 0.0, 0.0, 0.31)),
+        ("controller={period: 0.01, solver: split}", "controller.period", 0.01),
+        ("plant.collision=true", "plant.collision", True),
+        ("name=a+b", "name", "a+b"),
+        ("limits.reach=null", "limits.reach", None),
+        ("limits.reach=", "limits.reach", None),
+        ("model_robot.rod_mass=0.1", "model_robot.rod_mass", 0.1),
+        ("log_period=0.01", "log_period", 0.01),
+    ],
+)
+def test_an_override_sets_one_key(text, key, value):
+    here = load_scenario("paper_fig7", [text])
+    for part in key.split("."):
+        here = getattr(here, part)
+    assert here == value
+
+
+def test_later_overrides_win_and_the_rest_of_the_file_stays(tmp_path):
+    path = write(tmp_path, "gravity: 0\nplant: {time_step: 0.001, motor_damping: 0.1}\n")
+    scenario = load_scenario(path, ["duration=2", "plant.motor_friction=0.2", "duration=3"])
+    assert (scenario.duration, scenario.gravity) == (3.0, 0.0)
+    assert (scenario.plant.motor_damping, scenario.plant.motor_friction) == (0.1, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "words"),
+    [
+        ("duration", "--set", "key=value"),
+        ("", "--set", "key=value"),
+        ("=3", "--set", "key=value"),
+        (" =3", "--set", "key=value"),
+        ("duration=[1", "--set duration", "line 1"),
+        ("duration=!x 3", "--set duration", "without tags"),
+        ("duration.x=3", "duration", "a section, to set duration.x in it"),
+        ("reference.center.5=3", "reference.center", "a section"),
+        ("durration=3", "durration", "did you mean duration?"),
+        ("a..b=3", "a", "no such key"),
+        (".=3", "''", "no such key"),
+        ("duration=abc", "duration", "a number"),
+        ("duration='3'", "duration", "without quotes"),
+        ("duration=yes", "duration", "a number"),
+        ("duration=", "duration", "a number"),
+        ("plant=3", "plant", "a section"),
+        ("reference.kind=spline", "reference.kind", "hold, sine or sine_bursts"),
+    ],
+)
+def test_a_bad_override_is_named(text, key, words):
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario("paper_fig7", [text])
+    assert one_line(caught.value).key == key
+    assert words in str(caught.value)
+
+
+def test_another_kind_drops_what_only_the_old_kind_has(tmp_path):
+    as_run = write(tmp_path, load_scenario("paper_fig7").to_yaml())
+    scenario = load_scenario(as_run, ["reference.kind=hold", "tuner.kind=fixed", "tuner.omega_q=10"])
+    assert scenario.reference == HoldReference()
+    assert scenario.tuner == FixedTuner(omega_q=10.0)
+    assert Scenario().replace({"tuner.kind": "fixed"}).tuner == FixedTuner()
+
+
+def test_another_kind_hides_no_typing_mistake():
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario("paper_fig7", ["tuner.omga_q=3", "tuner.kind=fixed"])
+    assert caught.value.key == "tuner.omga_q"
+
+
+def test_replace_leaves_the_original_alone_and_needs_no_section_to_exist():
+    scenario = Scenario()
+    changed = scenario.replace({"robot.rod_mass": 0.1, "model_robot.rod_mass": 0.2})
+    assert (changed.robot.rod_mass, changed.model_robot.rod_mass) == (0.1, 0.2)
+    assert scenario == Scenario()
+
+
+# --- the weights file ---------------------------------------------------------------------------------------------
+
+
+def test_a_weights_file_is_relative_to_the_scenario_file(tmp_path, monkeypatch):
+    (tmp_path / "deep").mkdir()
+    network = load_network(default_network_path())
+    network.save(tmp_path / "deep" / "own.json")
+    path = write(tmp_path / "deep", "tuner: {kind: ann, weights_file: own.json}\n")
+    monkeypatch.chdir(tmp_path)
+    scenario = load_scenario(path.relative_to(tmp_path))
+    assert scenario.tuner.weights_file == str(tmp_path / "deep" / "own.json")
+    monkeypatch.chdir("/")
+    np.testing.assert_array_equal(scenario.load_tuner_network().hidden_weights, network.hidden_weights)
+
+
+def test_a_weights_file_of_the_command_line_is_relative_to_where_the_command_is_typed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scenario = load_scenario("paper_fig7", ["tuner.weights_file=runs/own.json"])
+    assert scenario.tuner.weights_file == str(tmp_path / "runs" / "own.json")
+
+
+def test_an_absolute_weights_file_stays(tmp_path):
+    path = write(tmp_path, "tuner: {kind: ann, weights_file: /somewhere/own.json}\n")
+    assert load_scenario(path).tuner.weights_file == "/somewhere/own.json"
+
+
+def _changed(change):
+    document = json.loads(default_network_path().read_text())
+    change(document)
+    return json.dumps(document).encode()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "No such file"),
+        (b"", "JSON"),
+        (b"{", "JSON"),
+        (b"\xff\xfe", "JSON"),
+        (b"[]", "format"),
+        (b"{}", "format"),
+        (_changed(lambda d: d.update(version=99)), "version"),
+        (_changed(lambda d: d["hidden_weights"].pop()), "hidden_weights"),
+        (_changed(lambda d: d["hidden_weights"][0].pop()), "hidden_weights"),
+        (_changed(lambda d: d["hidden_bias"].__setitem__(0, math.nan)), "hidden_bias"),
+        (_changed(lambda d: d["output_bias"].__setitem__(0, "x")), "output_bias"),
+        (_changed(lambda d: d["input_scale"].__setitem__(0, 0.0)), "input_scale"),
+        (_changed(lambda d: d.pop("omega_max")), "omega_max"),
+    ],
+    ids=range(13),
+)
+def test_a_weights_file_that_cannot_be_used_is_named(tmp_path, content, words):
+    path = tmp_path / "weights.json"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario(tuner=AnnTuner(weights_file=str(path))).load_tuner_network()
+    error = one_line(caught.value)
+    assert str(path) in error.key
+    assert words in str(error)
+
+
+def test_a_network_of_another_kind_of_density_is_refused():
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario(tuner=AnnTuner(density="signed")).load_tuner_network()
+    assert caught.value.key == "tuner.density"
+    assert "magnitude" in caught.value.allowed
+
+
+def test_fixed_weights_need_no_network():
+    assert Scenario(tuner=FixedTuner()).load_tuner_network() is None
+
+
+# --- what a scenario makes ----------------------------------------------------------------------------------------
+
+
+def test_the_control_law_is_that_of_the_scenario():
+    scenario = Scenario.from_dict(
+        {
+            "gravity": 3.0,
+            "model_robot": {"platform_mass": 2.0},
+            "controller": {"solver": "split", "feedforward": "gravity"},
+            "tuner": {"kind": "fixed", "omega_q": 5.0, "window": 7},
+        }
+    )
+    law = scenario.control_law()
+    assert isinstance(law, ControlLaw)
+    assert law.robot.platform_mass == 2.0
+    assert (law.gravity, law.network, law.window, law.initial_weights) == (3.0, None, 7, (5.0, 1.0))
+    at_home = Measurement(scenario.robot.home_pose, np.zeros(6))
+    torque, _ = law(at_home, Setpoint(scenario.robot.home_pose, np.zeros(6), np.zeros(6)), law.initial_state())
+    # What holds the robot against gravity is reckoned with the robot that the controller believes in.
+    np.testing.assert_allclose(torque, static_torque(scenario.model_robot, scenario.robot.home_pose, 3.0), rtol=1e-9)
+    assert abs(torque - static_torque(scenario.robot, scenario.robot.home_pose, 3.0)).min() > 0.01
+
+
+def test_the_start_is_the_references_pose_plus_the_offset_at_the_references_rate():
+    scenario = Scenario(initial_offset=(0.01, 0.0, 0.0, 0.0, 0.0, -0.002))
+    pose, rate = scenario.start()
+    np.testing.assert_allclose(pose, [0.01, 0, 0, 0, 0, 0.298])
+    np.testing.assert_allclose(rate, [math.pi / 3, 0, 0, 0, 0, 0.1])
+
+
+# --- round trip and schema ----------------------------------------------------------------------------------------
+
+numbers = st.floats(0.001, 100.0)
+vectors = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6)
+documents = st.fixed_dictionaries(
+    {},
+    optional={
+        "name": st.from_regex(r"[0-9A-Za-z_é][0-9A-Za-zé_ .+-]{0,99}", fullmatch=True)
+        | st.sampled_from(["null", "1e-3", "yes", "0x10", "1_0", "true"]),
+        "duration": st.floats(0.005, 8000.0),
+        "gravity": st.floats(0.0, 100.0),
+        "plant": st.fixed_dictionaries({"collision": st.booleans(), "motor_damping": st.floats(0.0, 1.0)}),
+        "limits": st.fixed_dictionaries({"reach": st.none() | st.floats(1e-300, 1.0)}),
+        "initial_offset": vectors,
+        "reference": st.fixed_dictionaries({"kind": st.just("sine"), "amplitude": vectors})
+        | st.fixed_dictionaries({"kind": st.just("hold"), "pose": vectors})
+        | st.just(BURSTS),
+        "tuner": st.fixed_dictionaries({"kind": st.just("fixed"), "omega_q": st.floats(1e-300, 1e300)})
+        | st.fixed_dictionaries({"kind": st.just("ann"), "weights_file": st.text(max_size=200).map("/{}".format)}),
+    },
+)
+
+
+@given(documents)
+@settings(max_examples=60)
+def test_yaml_as_run_loads_back_to_the_same_scenario(tmp_path_factory, document):
+    scenario = Scenario.from_dict(document)
+    path = write(tmp_path_factory.getbasetemp(), scenario.to_yaml(), "again.yaml")
+    again = load_scenario(path)
+    assert again == scenario
+    assert Scenario.from_dict(scenario.to_dict()) == scenario
+
+
+def test_the_yaml_as_run_has_every_key():
+    for scenario in WHOLE:
+        data = YAML(typ="safe", pure=True).load(scenario.to_yaml())
+        assert data == scenario.to_dict()
+        assert set(data) == set(Scenario.model_fields)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(name):
+    validator = jsonschema.Draft202012Validator(scenario_schema())
+    data = YAML(typ="safe", pure=True).load((scenario_folder() / f"{name}.yaml").read_text())
+    validator.validate(data)
+    for path in ("durration", "plant.time_stp", "reference.centre", "controller.perid", "tuner.omega"):
+        *section, key = path.split(".")
+        wrong = json.loads(json.dumps(data))
+        (wrong[section[0]] if section else wrong)[key] = 1
+        with pytest.raises(jsonschema.ValidationError):
+            validator.validate(wrong)
+
+
+@pytest.mark.parametrize("scenario", WHOLE, ids=lambda s: s.reference.kind)
+def test_the_schema_accepts_every_key_as_run(scenario):
+    jsonschema.Draft202012Validator.check_schema(scenario_schema())
+    jsonschema.Draft202012Validator(scenario_schema()).validate(scenario.to_dict())
+
+
+def test_the_schema_explains_every_key_of_a_scenario():
+    schema = scenario_schema()
+    sections = [schema, *schema["$defs"].values()]
+    undescribed = [
+        (section["title"], key)
+        for section in sections
+        for key, value in section["properties"].items()
+        if "description" not in value and key != "kind"
+    ]
+    assert undescribed == []
+
+
+# --- nothing but a ConfigurationError, whatever is thrown at it ---------------------------------------------------
+
+KEYS = sorted({part for whole in WHOLE for path, _ in leaves(whole.to_dict()) for part in path})
+scalars = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=5)
+    | st.sampled_from(["sine", "hold", "sine_bursts", "fixed", "ann", "statics", 10**400, 1e308, b"x"])
+    | st.dates()
+)
+values = st.recursive(
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=7)
+        | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3) | st.integers(), inner, max_size=4)
+    ),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.sampled_from(sorted(Scenario.model_fields)) | st.text(max_size=5), values, max_size=4))
+@example({"robot": {"rod_length": 1e200}})
+@example({"model_robot": {"branch": 10**400}})
+@settings(max_examples=200)
+def test_random_documents_give_a_scenario_or_a_line_that_names_a_key(document):
+    error = None
+    try:
+        Scenario.from_dict(document)
+    except ConfigurationError as caught:
+        error = one_line(caught)
+    if error is not None:
+        assert error.key.split(".")[0] in Scenario.model_fields or error.key in {shown(key) for key in document}
+
+
+@given(st.sampled_from(WHOLE), st.data())
+@settings(max_examples=150)
+def test_a_scenario_with_one_random_value_names_the_place_or_takes_it(whole, data):
+    paths = [path for path, _ in leaves(whole.to_dict())]
+    path = data.draw(st.sampled_from(paths))
+    document = put(whole.to_dict(), path, data.draw(values))
+    try:
+        Scenario.from_dict(document)
+    except ConfigurationError as error:
+        one_line(error)
+
+
+@given(st.binary(max_size=60) | st.text(max_size=60).map(lambda t: t.encode("utf-8", "surrogatepass")))
+@settings(max_examples=300)
+@example(b"!!bool 3")
+@example(b"!!float x")
+@example(b"? - a\n: b")
+def test_random_files_give_a_scenario_or_a_line_that_names_the_file_or_a_key(tmp_path_factory, content):
+    path = write(tmp_path_factory.getbasetemp(), content, "random.yaml")
+    try:
+        load_scenario(path)
+    except ConfigurationError as error:
+        one_line(error)
+
+
+@given(st.text(max_size=20), st.text(max_size=20))
+@settings(max_examples=200)
+@example("\b", "'")
+@example("name", "!!binary MQ==")
+def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, value):
+    text = f"{key}={value}"
+    path = write(tmp_path_factory.getbasetemp(), "duration: 3\n", "overridden.yaml")
+    try:
+        load_scenario(path, [text])
+    except ConfigurationError as error:
+        one_line(error)
