@@ -121,6 +121,31 @@ def train(dataset: Path, out: Path, seed: int, epochs: int, quiet: bool) -> None
 
 
 @cli.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduction"), show_default=True)
+@click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
+@click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key of it.")
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
+    """Test the paper claim by claim: report.html, report.md, report.json, figures/.
+
+    Finished parts are kept in OUT, so that an interrupted reproduction goes on where it was.
+    """
+    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.scenario import load_scenario
+
+    base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
+    prepare_folder(out)
+
+    from stewart_drake.experiments.reproduction.reproduce import reproduce as make_report
+
+    with _progress("reproduction", 100.0, quiet, unit="%") as advance:
+        sections = make_report(out, quick, base, lambda key, share: advance(100.0 * share, key.replace("_", " ")))
+    if not quiet:
+        _print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
+
+
+@cli.command()
 @click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
 def schema(out: Path | None) -> None:
     """JSON schema of scenario files, for editors."""
@@ -200,8 +225,8 @@ class _progress:  # noqa: N801 - reads as a function at its call sites
         self._bar.start()
         return self._advance
 
-    def _advance(self, completed: float) -> None:
-        self._bar.update(self._task, completed=completed, refresh=True)
+    def _advance(self, completed: float, title: str | None = None) -> None:
+        self._bar.update(self._task, completed=completed, description=title, refresh=True)
 
     def __exit__(self, *details: object) -> None:
         self._bar.stop()

@@ -1,4 +1,4 @@
-"""Figures of one run, Fig. 7 of the paper; the only place that uses matplotlib.
+"""Figures of one run, Fig. 7 of the paper.
 
 Figures are plain objects made without pyplot: no backend is chosen, no window opens and no global setting changes.
 """
@@ -183,9 +183,11 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
     both, ratio = panels
     weights = log["weights"]
-    _draw(both, log.time, weights[:, 0], color=_AXIS_COLORS[2], label=r"$\omega_Q$", held=True)
-    # Dashed, because the two often coincide.
-    _draw(both, log.time, weights[:, 1], color=_AXIS_COLORS[0], label=r"$\omega_R$", held=True, linestyle=(0, (5, 2)))
+    # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
+    for index, (color, width, label) in enumerate(
+        ((_AXIS_COLORS[2], 2.4, r"$\omega_Q$"), (_AXIS_COLORS[0], 1.2, r"$\omega_R$"))
+    ):
+        _draw(both, log.time, weights[:, index], color=color, linewidth=width, label=label, held=True)
     _draw(ratio, log.time, weights[:, 0] / weights[:, 1], color=_TEXT, held=True)
     _title(both, "Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed")
     _title(ratio, "Ratio of the weights, on which alone the gain depends")

@@ -40,7 +40,7 @@ def plot_densities(dataset: Dataset) -> Figure:
     axes.axhline(1.0, color=_INK, linewidth=0.6, linestyle=":")
     axes.set_xticks(range(12), names, rotation=35, ha="right")
     axes.set_ylabel("density [-]")
-    axes.legend(title="ratio of weights", ncols=len(values), frameon=False, loc="upper right")
+    figure.legend(title="ratio of weights", ncols=len(values), frameon=False, loc="outside upper right")
     _tidy(axes)
     return figure
 

@@ -71,9 +71,9 @@ def verdict(numbers: dict[str, Any]) -> str:
     share = six[str(ours)]
     return (
         f"{'Holds' if exact and not wrong else 'Holds in part' if exact else 'Does not hold'}: the closed form of (1), "
-        f"(2) closes Drake's plant {kept} on both branches, and Newton's method returns from home to {found:.1%} of the "
-        f"near poses. As printed, {' and '.join(harm)} over the near box; with our A, B, C, (6) is the branch of this "
-        f"robot's cranks for {share:.0%} of the legs there."
+        f"(2) closes Drake's plant {kept} on both branches, and Newton's method returns from home to {found:.1%} of "
+        f"the near poses. As printed, {' and '.join(harm)} over the near box; with our A, B, C, (6) is the branch of "
+        f"this robot's cranks for {share:.0%} of the legs there."
     )
 
 
@@ -81,9 +81,9 @@ def _inverse(section: Section, robot: RobotParameters, samples: list[PoseSample]
     section.text(
         "### Inverse kinematics, (1), (2)\n\n"
         "The crank angles come from theta = atan2(B, A) ± acos(C / sqrt(A² + B²)) with d = R p + G − P, "
-        "A = 2 |a| d·h, B = 2 |a| d·z and C = d·d + |a|² − 0.404². Crank angles and pose then go into Drake's plant, each "
-        "for itself, and Drake's forward kinematics says how far each crank tip is from its platform joint. The last "
-        "column puts rods in between as well: the gap at the ball that closes each loop."
+        "A = 2 |a| d·h, B = 2 |a| d·z and C = d·d + |a|² − 0.404². Crank angles and pose then go into Drake's plant, "
+        "each for itself, and Drake's forward kinematics says how far each crank tip is from its platform joint. The "
+        "last column puts rods in between as well: the gap at the ball that closes each loop."
     )
     rows, numbers = [], {}
     for branch in BRANCHES:
@@ -237,8 +237,8 @@ def _branches(section: Section, robot: RobotParameters, samples: list[PoseSample
         "### The branch of (6)\n\n"
         "(6) gives one angle, in degrees, through A, B, C that the paper does not define. **D** With ours it is the "
         "branch +1 as long as A is not positive, that is, as long as the platform joint lies inboard of its motor. A "
-        "enters (6) through A² only, so where A is positive the angle solves nothing. Another zero or sense of the crank "
-        "angle would turn it into the other branch, and the paper does not say; we use atan2 and offer both."
+        "enters (6) through A² only, so where A is positive the angle solves nothing. Another zero or sense of the "
+        "crank angle would turn it into the other branch, and the paper does not say; we use atan2 and offer both."
     )
     section.table(
         "Which solution (6) gives with our A, B, C: shares of the legs.",

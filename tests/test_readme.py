@@ -1,0 +1,50 @@
+"""What the README says works."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL))
+def test_python_blocks_run(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_make_targets_exist():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    named = set(re.findall(r"`?make ([a-z]+)", README))
+    assert named
+    assert named <= targets
+
+
+def test_commands_exist():
+    from stewart_drake.cli import cli
+
+    named = set(re.findall(r"`stewart-drake ([a-z-]+)", README))
+    assert {"run", "reproduce", "collect", "train"} <= named
+    assert named <= set(cli.commands)
+
+
+def test_shipped_scenarios_are_described():
+    shipped = {path.stem for path in (ROOT / "diagrams" / "scenarios").glob("*.yaml")}
+    assert all(f"`{name}`" in README for name in shipped)
+
+
+def test_links_lead_somewhere():
+    targets = re.findall(r"\]\((?!https?://|#)([^)]+)\)", README)
+    assert targets
+    assert [target for target in targets if not (ROOT / target.split("#")[0]).exists()] == []
+
+
+def test_continuous_integration_runs_the_readme_command():
+    script = (ROOT / ".ci" / "run").read_text()
+    assert "make test" in script
+    assert subprocess.run(["bash", "-n", ROOT / ".ci" / "run"], check=False).returncode == 0
