@@ -25,6 +25,9 @@ from stewart_drake.workspace import PoseMeasures, measure_poses, smallest_reach
 Kind = Literal["position", "orientation"]
 Progress = Callable[[float], None]
 
+COORDINATES: dict[Kind, tuple[int, int, int]] = {"position": (3, 4, 5), "orientation": (0, 1, 2)}
+"""The coordinates of a pose that vary over a workspace."""
+
 SINGULARITIES = {"reach": "serial", "transmission": "serial", "conditioning": "parallel"}
 """The kind of singularity that a limit keeps away from."""
 LIMIT_NAMES = (
@@ -92,17 +95,17 @@ def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a box of positions [m] or of roll, pitch, yaw [rad]; a side of no length makes a slice.
+    """Cells of a box in three coordinates of the pose; a side of no length makes a slice.
 
     Attributes:
-        kind: Which three coordinates of the pose vary.
-        center: (6,) [rad, m] pose; the other three are taken from it.
+        coordinates: Indices of the coordinates that vary, `COORDINATES` of a workspace or any others, ascending.
+        center: (6,) [rad, m] pose; the other coordinates are taken from it.
         low: (3,) lower corner.
         high: (3,) upper corner.
         counts: Cells along each side.
     """
 
-    kind: Kind
+    coordinates: tuple[int, int, int]
     center: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -124,15 +127,15 @@ class Grid:
     def poses(self) -> np.ndarray:
         """(n, 6) [rad, m] centres of the cells, the last coordinate running fastest."""
         point = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
-        return poses_at(self.kind, self.center, point.reshape(-1, 3))
+        return poses_at(self.coordinates, self.center, point.reshape(-1, 3))
 
     @cached_property
     def cell_size(self) -> np.ndarray:
-        """(n,) size of each cell: [m^3], or the share [-] of all orientations.
+        """(n,) size of each cell: product of its sides; of an orientation workspace, the share [-] of all orientations.
 
         A random orientation has roll and yaw uniform and pitch of density cos(pitch): 8 pi^2 in all.
         """
-        if self.kind == "position":
+        if self.coordinates != COORDINATES["orientation"]:
             return np.full(math.prod(self.counts), float(np.prod(self.width)))
         roll, pitch, yaw = self.width
         upper, lower = self.axes[1] + 0.5 * pitch, self.axes[1] - 0.5 * pitch
@@ -140,16 +143,11 @@ class Grid:
         return np.broadcast_to(share[:, None], self.counts).ravel()
 
 
-def poses_at(kind: Kind, center: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Poses (n, 6) [rad, m] that have their position, or their roll, pitch, yaw, from `point` (n, 3)."""
+def poses_at(coordinates: tuple[int, ...], center: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Poses (n, 6) [rad, m] with the given coordinates from `point` (n, k), the others from `center`."""
     pose = np.tile(np.asarray(center, dtype=float), (len(point), 1))
-    pose[:, varied(kind)] = point
+    pose[:, coordinates] = point
     return pose
-
-
-def varied(kind: Kind) -> slice:
-    """The three coordinates of a pose that vary."""
-    return slice(3, 6) if kind == "position" else slice(0, 3)
 
 
 def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, samples: int) -> Grid:
@@ -179,7 +177,7 @@ def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, sample
     else:
         high = np.array([np.pi, 0.5 * np.pi, np.pi])
         low = -high
-    coarse = Grid(kind, center, low, high, _counts(high - low, _COARSE))
+    coarse = Grid(COORDINATES[kind], center, low, high, _counts(high - low, _COARSE))
     inside = smallest_reach(robot, coarse.poses).reshape(coarse.counts) >= 0.0
     if not inside.any():
         raise ConfigurationError("center", center.tolist(), f"a pose from which some {kind} can be reached")
@@ -187,7 +185,7 @@ def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, sample
         along = np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis})))
         edges = low[axis] + coarse.width[axis] * np.array([along[0] - 1, along[-1] + 2])
         low[axis], high[axis] = max(low[axis], edges[0]), min(high[axis], edges[1])
-    return Grid(kind, center, low, high, _counts(high - low, samples))
+    return Grid(COORDINATES[kind], center, low, high, _counts(high - low, samples))
 
 
 def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -239,23 +237,32 @@ class Survey:
         return np.all([u <= 1.0 for u in self.use.values()], axis=0)
 
     @cached_property
+    def regular(self) -> np.ndarray:
+        """(n,) bool, in reach of the centre without passing a singularity of either kind, whatever the limits say."""
+        return self._joined(self.spanning & (np.nan_to_num(self.measures.conditioning) > 0.0))
+
+    @cached_property
     def connected(self) -> np.ndarray:
-        """(n,) bool, feasible and joined to the centre through faces of feasible cells."""
-        start = self.grid.center[varied(self.grid.kind)]
+        """(n,) bool, in reach of the centre without breaking a limit."""
+        return self._joined(self.feasible)
+
+    def _joined(self, mask: np.ndarray) -> np.ndarray:
+        """The cells of a mask that are joined to the centre's through faces."""
+        start = self.grid.center[list(self.grid.coordinates)]
         seed = np.zeros(self.grid.counts, dtype=bool)
         if ((self.grid.low <= start) & (start <= self.grid.high)).all():
             seed[tuple(int(np.abs(axis - x).argmin()) for axis, x in zip(self.grid.axes, start, strict=True))] = True
-        return flood(seed, self.feasible.reshape(self.grid.counts)).ravel()
+        return flood(seed, mask.reshape(self.grid.counts)).ravel()
 
     def size(self, mask: np.ndarray) -> float:
-        """[m^3], or share [-] of all orientations, of the cells of a mask."""
+        """Size of the cells of a mask, see `Grid.cell_size`."""
         return float(self.grid.cell_size[mask].sum())
 
     def bounding_box(self, mask: np.ndarray) -> np.ndarray | None:
-        """(2, 3) [m] or [rad] lower and upper corner of the cells of a mask; None where it is empty."""
+        """(2, 3) [rad] or [m] lower and upper corner around the cells of a mask; None where it is empty."""
         if not mask.any():
             return None
-        point = self.grid.poses[mask][:, varied(self.grid.kind)]
+        point = self.grid.poses[mask][:, self.grid.coordinates]
         half = 0.5 * self.grid.width
         return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
 
@@ -275,7 +282,7 @@ def survey(
 
 @dataclass(frozen=True)
 class Loss:
-    """What one limit takes away, as shares [-] of the poses at which all rods can span.
+    """What one limit takes away, as shares [-] of `Survey.regular`.
 
     Attributes:
         limit: One of `LIMIT_NAMES`.
@@ -289,9 +296,9 @@ class Loss:
 
 
 def losses(found: Survey) -> list[Loss]:
-    """What each limit takes of the region in which all rods can span, in the order of `LIMIT_NAMES`."""
-    spanning, total = found.spanning, found.size(found.spanning)
-    broken = {name: spanning & (use > 1.0) for name, use in found.use.items()}
+    """What each limit takes of the poses that the mechanism could reach, in the order of `LIMIT_NAMES`."""
+    total = found.size(found.regular)
+    broken = {name: found.regular & (use > 1.0) for name, use in found.use.items()}
     count = np.sum(list(broken.values()), axis=0)
 
     def share(mask: np.ndarray) -> float:

@@ -1,3 +1,8 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -7,6 +12,20 @@ from stewart_drake.network import TunerNetwork
 # A deadline would make the outcome depend on how busy the machine is.
 settings.register_profile("default", deadline=None)
 settings.load_profile("default")
+
+
+ROOT = Path(__file__).parent.parent
+
+
+def python(*arguments):
+    """Runs a fresh Python that finds this checkout, installed or not; stdout, or the test fails with its stderr."""
+    path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ, "PYTHONPATH": path}
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def make_network(seed=0, window=49, density="magnitude", gain=1.0):

@@ -1,12 +1,10 @@
 import copy
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from conftest import make_network
+from conftest import make_network, python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm, solve_discrete_are
@@ -380,7 +378,5 @@ def test_the_law_runs_where_drake_is_not_installed(tmp_path, network):
         "    torques.append(torque.tolist())\n"
         "print(json.dumps(torques))\n"
     )
-    command = [sys.executable, "-c", code, str(tmp_path / "net.json")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    np.testing.assert_array_equal(json.loads(done.stdout), drive(law_with(network, window=4), 6)[0])
+    torques = json.loads(python("-c", code, tmp_path / "net.json"))
+    np.testing.assert_array_equal(torques, drive(law_with(network, window=4), 6)[0])

@@ -63,7 +63,7 @@ def store(system, context):
 def test_errors_carry_the_time_of_the_tick():
     system = LqiController(ROBOT, OPTIONS, GRAVITY)
     home = np.concatenate([ROBOT.home_pose, np.zeros(12)])
-    high = home[:12] + [0, 0, 0.3, 0, 0, 0.12, 0, 0, 0, 0, 0, 0]
+    high = home[:12] + [0, 0, 0.3, 0, 0, 0.115, 0, 0, 0, 0, 0, 0]
     for measurement, kind in ((high, SingularPoseError), (np.full(12, np.nan), NotFiniteError)):
         context = fixed(system, home[:12], home, [1.0, 1.0])
         simulator = Simulator(system, context)
@@ -138,7 +138,7 @@ def by_hand(scenario, steps):
 def test_no_delay_is_added_the_loop_is_the_pure_law_and_the_plant(step, period, tuner):
     # A torque one plant step late, a tick that sees the plant of the next step, or rates that drift apart: each shows.
     case = scenario(step, period, tuner={"kind": tuner})
-    steps = round((0.3 if tuner == "ann" else 0.1) / step)
+    steps = round((0.3 if tuner == "ann" else 0.05) / step)
     loop, hand = simulate(ClosedLoop(case), steps * step), by_hand(case, steps)
     assert len(loop["torque"]) == steps + 1
     for name in ("plant_state", "torque", "integral"):

@@ -119,7 +119,7 @@ PERIODS = [(0.001, 0.005), (0.0001, 0.001), (0.001, 0.001), (0.001, 0.002), (1 /
 @pytest.mark.parametrize("kind", ["unrestricted", "discrete"])
 @pytest.mark.parametrize(("step", "period"), PERIODS)
 def test_tick_k_sees_the_plant_of_its_own_instant_and_that_is_what_is_kept(step, period, kind):
-    # The plant's update at a tick's instant must not leak into the tick: not when it is asked for, not when it is stored.
+    # The plant's update of the same instant must not leak into the tick, nor into what is stored of it.
     ratio = round(period / step)
     diagram, sinks = wire(Counter(step, kind), Sampler(period), log_period=step)
     simulator = Simulator(diagram)

@@ -125,9 +125,8 @@ def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarr
     """q'' per unit of motor torque by one of `MODELS`; (n, 6, 6) [rad/s^2, m/s^2 per N m]."""
     wrench = wrench_map(robot, poses, model)
     if model in ("statics, I in B", "massless legs"):
-        return to_euler(poses, _of_body(robot, poses, wrench)) if model == "massless legs" else _of_body(
-            robot, poses, wrench
-        )
+        rate = _of_body(robot, poses, wrench)
+        return to_euler(poses, rate) if model == "massless legs" else rate
     return np.asarray(wrench / mass_diagonal(robot)[:, None])
 
 

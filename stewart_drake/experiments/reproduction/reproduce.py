@@ -17,6 +17,7 @@ from stewart_drake.scenario import Scenario
 from stewart_drake.versions import collect_versions
 
 SECTIONS = (
+    "plant",
     "kinematics",
     "force_map",
     "state_space",

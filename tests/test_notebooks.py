@@ -1,0 +1,83 @@
+import ast
+import os
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+FOLDER = Path(__file__).parents[1] / "notebooks"
+NAMES = ("01_robot_and_plant", "02_build_the_diagram")
+MAX_DEFINITION_LINES = 10
+CELL_TIMEOUT = 300  # [s], far above what any cell needs, for busy machines
+
+
+def read(name):
+    notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=nbformat.NO_CONVERT)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def definitions(notebook):
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    return [n for cell in code_cells(notebook) for n in ast.walk(ast.parse(cell.source)) if isinstance(n, kinds)]
+
+
+def files_in(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_every_notebook_is_tested():
+    assert {path.stem for path in FOLDER.glob("*.ipynb")} == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_is_committed_without_outputs(name):
+    for cell in code_cells(read(name)):
+        assert cell.outputs == [], cell.id
+        assert cell.execution_count is None, cell.id
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_metadata_says_nothing_about_the_machine_of_the_author(name):
+    notebook = read(name)
+    assert (notebook.nbformat, notebook.nbformat_minor) == (4, 5)
+    assert notebook.metadata.kernelspec.name == "python3"
+    assert set(notebook.metadata) == {"kernelspec", "language_info"}
+    assert set(notebook.metadata.language_info) == {"name"}
+    assert all(cell.metadata == {} for cell in notebook.cells)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_imports_the_package_and_defines_little(name):
+    notebook = read(name)
+    assert any("from stewart_drake" in cell.source for cell in code_cells(notebook))
+    for definition in definitions(notebook):
+        assert definition.end_lineno - definition.lineno < MAX_DEFINITION_LINES, definition.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_runs_from_top_to_bottom(name, tmp_path):
+    before, here = files_in(FOLDER), tmp_path / "run"
+    here.mkdir()
+    # The kernel picks its own backend for figures and keeps its history out of the user's home.
+    environment = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}
+    environment["IPYTHONDIR"] = str(tmp_path / "ipython")
+    notebook = read(name)
+
+    client = NotebookClient(
+        notebook, timeout=CELL_TIMEOUT, kernel_name="python3", resources={"metadata": {"path": str(here)}}
+    )
+    client.execute(env=environment)
+
+    outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    complaints = [o.text for o in outputs if o.get("name") == "stderr" and "warn" in o.text.lower()]
+    assert complaints == []
+    assert list(here.iterdir()) == []
+    assert files_in(FOLDER) == before
