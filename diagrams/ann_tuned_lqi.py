@@ -5,14 +5,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from stewart_drake import LqiOptions, RobotParameters, add_plant
-from stewart_drake.network import default_network_path, load_network
-from stewart_drake.references import paper_reference
-from stewart_drake.systems.ann_tuner import AnnTuner
-from stewart_drake.systems.density_features import DensityFeatures
-from stewart_drake.systems.lqi_controller import LqiController
-from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake import LqiOptions, RobotParameters, add_plant, load_network, paper_reference
+from stewart_drake.systems import AnnTuner, DensityFeatures, LqiController, ReferenceSource, TaskSpaceSensor
 
 DURATION = 4.0  # [s]
 GRAVITY = 9.81  # [m/s^2]
@@ -22,7 +16,7 @@ def main() -> None:
     """Builds, runs, prints."""
     parameters, reference = RobotParameters(), paper_reference()
     options = LqiOptions(period=0.005, feedforward="gravity")
-    network = load_network(default_network_path())
+    network = load_network()
 
     builder = DiagramBuilder()
     robot = add_plant(builder, parameters, gravity=GRAVITY)
@@ -39,14 +33,14 @@ def main() -> None:
     builder.Connect(controller.torque, density.torque)
     builder.Connect(density.density, tuner.density)
     builder.Connect(tuner.weights, controller.weights)
-    errors = LogVectorOutput(controller.error, builder, publish_period=0.005)
-    weights = LogVectorOutput(tuner.weights, builder, publish_period=0.005)
+    errors = LogVectorOutput(controller.error, builder, publish_period=controller.period)
+    weights = LogVectorOutput(tuner.weights, builder, publish_period=controller.period)
     diagram = builder.Build()
 
     simulator = Simulator(diagram)
     pose, rate, _ = reference.evaluate(0.0)
     robot.set_state(simulator.get_mutable_context(), pose, rate)
-    simulator.AdvanceTo(DURATION)
+    simulator.AdvanceTo(round(DURATION / options.period) * controller.period)
 
     context = simulator.get_context()
     log = errors.FindLog(context)

@@ -5,11 +5,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
-from stewart_drake import LqiOptions, RobotParameters, add_plant
-from stewart_drake.references import paper_reference
-from stewart_drake.systems.lqi_controller import LqiController
-from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake import LqiOptions, RobotParameters, add_plant, paper_reference
+from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor
 
 DURATION = 4.0  # [s]
 GRAVITY = 9.81  # [m/s^2]
@@ -31,13 +28,13 @@ def main() -> None:
     builder.Connect(source.reference, controller.reference)
     builder.Connect(weights.get_output_port(), controller.weights)
     builder.Connect(controller.torque, robot.torque_input_port)
-    errors = LogVectorOutput(controller.error, builder, publish_period=0.005)
+    errors = LogVectorOutput(controller.error, builder, publish_period=controller.period)
     diagram = builder.Build()
 
     simulator = Simulator(diagram)
     pose, rate, _ = reference.evaluate(0.0)
     robot.set_state(simulator.get_mutable_context(), pose, rate)
-    simulator.AdvanceTo(DURATION)
+    simulator.AdvanceTo(round(DURATION / options.period) * controller.period)
 
     log = errors.FindLog(simulator.get_context())
     rms = np.sqrt(np.mean(log.data()[:, log.sample_times() >= DURATION / 2] ** 2, axis=1))

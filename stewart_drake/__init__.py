@@ -20,15 +20,24 @@ if TYPE_CHECKING:
     from stewart_drake.diagram import build_diagram as build_diagram
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.feasibility import check_reference as check_reference
     from stewart_drake.kinematics import forward_kinematics as forward_kinematics
     from stewart_drake.kinematics import inverse_kinematics as inverse_kinematics
+    from stewart_drake.kinematics import leg_geometry as leg_geometry
+    from stewart_drake.limits import Limits as Limits
     from stewart_drake.log import SimulationLog as SimulationLog
     from stewart_drake.log import load_log as load_log
     from stewart_drake.metrics import run_metrics as run_metrics
+    from stewart_drake.network import load_network as load_network
     from stewart_drake.plant import StewartPlant as StewartPlant
     from stewart_drake.plant import add_plant as add_plant
     from stewart_drake.plant import build_plant as build_plant
+    from stewart_drake.plant_options import PlantOptions as PlantOptions
+    from stewart_drake.references import HoldReference as HoldReference
+    from stewart_drake.references import SineReference as SineReference
+    from stewart_drake.references import paper_reference as paper_reference
     from stewart_drake.robot import RobotParameters as RobotParameters
+    from stewart_drake.sampling import on_grid as on_grid
     from stewart_drake.scenario import Scenario as Scenario
     from stewart_drake.scenario import load_scenario as load_scenario
     from stewart_drake.sdf_model import write_sdf as write_sdf
@@ -43,15 +52,24 @@ _HOME = {
     "build_diagram": "diagram",
     "ConfigurationError": "errors",
     "StewartDrakeError": "errors",
+    "check_reference": "feasibility",
     "forward_kinematics": "kinematics",
     "inverse_kinematics": "kinematics",
+    "leg_geometry": "kinematics",
+    "Limits": "limits",
     "SimulationLog": "log",
     "load_log": "log",
     "run_metrics": "metrics",
+    "load_network": "network",
     "StewartPlant": "plant",
     "add_plant": "plant",
     "build_plant": "plant",
+    "PlantOptions": "plant_options",
+    "HoldReference": "references",
+    "SineReference": "references",
+    "paper_reference": "references",
     "RobotParameters": "robot",
+    "on_grid": "sampling",
     "Scenario": "scenario",
     "load_scenario": "scenario",
     "write_sdf": "sdf_model",

@@ -61,7 +61,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
     from stewart_drake.simulation import run as simulate
 
     check_scenario(loaded)
-    graph = build_diagram(loaded).GetGraphvizString()
+    graph = build_diagram(loaded).graph()
     # Only now, with everything checked, does anything appear on the disk.
     folder = prepare_folder(out if out is not None else Path("runs") / loaded.name)
     viewer = None

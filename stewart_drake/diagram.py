@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
@@ -117,6 +118,10 @@ class ClosedLoop(Diagram):
         context = self.CreateDefaultContext()
         self.plant.set_state(context, *self.scenario.start())
         return context
+
+    def graph(self) -> str:
+        """Graphviz text of the diagram, with plain class names."""
+        return re.sub(r"stewart_drake\.[a-z_.]+\.(?=[A-Z])", "", self.GetGraphvizString())
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:

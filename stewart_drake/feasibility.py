@@ -12,6 +12,7 @@ from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.kinematics import reach_margin
 from stewart_drake.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
 from stewart_drake.references import Reference
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
 
 __all__ = [
@@ -155,7 +156,7 @@ def check_reference(
     limits: Limits,
     reference: Reference,
     duration: float,
-    gravity: float,
+    gravity: float = STANDARD_GRAVITY,
     samples_per_second: float = 500.0,
 ) -> FeasibilityReport:
     """`check_motion` of a reference from 0 to `duration`, both ends included.

@@ -116,17 +116,17 @@ class TunerNetwork:
         write_atomically(Path(path), self.to_bytes())
 
 
-def load_network(path: str | Path) -> TunerNetwork:
+def load_network(path: str | Path | None = None) -> TunerNetwork:
     """Reads a weights file.
 
     Args:
-        path: File written by `TunerNetwork.save`.
+        path: File written by `TunerNetwork.save`; None takes the one that the package carries.
 
     Raises:
         ConfigurationError: Missing or unreadable file, wrong format, version or shape, numbers that are not finite
             or beyond 1e100, scales or ranges that are not positive.
     """
-    path = Path(path)
+    path = default_network_path() if path is None else Path(path)
     key = f"weights file {path}"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -43,7 +43,9 @@ def plot_forward(
     ):
         right.loglog(conditioning[usable & side], error[usable & side], marker, color=color, markersize=2.5, alpha=0.5,
                      label=name)  # fmt: skip
-    label(right, "Its error, and where it goes elsewhere", "conditioning of the rods' lines [-]", "error in the pose [m]")
+    label(
+        right, "Its error, and where it goes elsewhere", "conditioning of the rods' lines [-]", "error in the pose [m]"
+    )
     legend(right, loc="center right", markerscale=2.0)
     return figure
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped] # this part has no types
 
 from stewart_drake.workspace_boundary import Boundary
 from stewart_drake.workspace_region import COORDINATES, LIMIT_NAMES, Loss, Survey, governing_limit
@@ -150,8 +150,10 @@ def plot_capability(found: Survey) -> Figure:
     Args:
         found: Survey of a grid with one side of a single cell.
     """
-    figure = Figure(figsize=(12.0, 7.4), facecolor="white", layout="constrained")
     drawn, measures = Slice(found), found.measures
+    left, right, bottom, top = drawn.extent
+    height = 2.9 * (top - bottom) / (right - left) if drawn.equal else 2.5
+    figure = Figure(figsize=(12.0, 1.1 + 2.0 * (1.0 + height)), facecolor="white", layout="constrained")
     panels: list[tuple[str, np.ndarray, str]] = [
         ("Transmission, serial [-]", measures.transmission, "YlOrBr_r"),
         ("Conditioning, parallel [-]", measures.conditioning, "RdBu"),
@@ -181,11 +183,11 @@ def plot_capability(found: Survey) -> Figure:
 
 def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
     """The surfaces on which straight ways from the centre first break a limit, in space; a panel each."""
-    figure = Figure(figsize=(12.0, 6.2), facecolor="white")
+    figure = Figure(figsize=(12.0, 6.4), facecolor="white")
     seen: set[str] = set()
     for column, surface in enumerate(boundaries):
         share = 1.0 / len(boundaries)
-        place = (column * share - 0.02, 0.05, share, 0.92)
+        place = (column * share - 0.005, 0.09, share - 0.02, 0.87)
         panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
         columns = COORDINATES[surface.kind]
         points = np.array(_SCALES)[list(columns)] * surface.points
@@ -202,13 +204,14 @@ def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
         for polygons, colors in ((shadow, np.array(to_rgb("#E2E2E2"))), (corners, _shade(corners, base))):
             panel.add_collection3d(Poly3DCollection(polygons, facecolor=colors, edgecolor=colors, linewidth=0.3))
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        panel.set_box_aspect(high - low, zoom=0.98)
+        panel.set_box_aspect(high - low)
         panel.view_init(elev=22.0, azim=-55.0)
         for axis, coordinate in zip((panel.xaxis, panel.yaxis, panel.zaxis), columns, strict=True):
             axis.set_label_text("{} [{}]".format(*_NAMES[coordinate]), color=_TEXT)
             axis.labelpad = 5.0
-            axis.set_pane_color((0.975, 0.975, 0.975, 1.0))
+            axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
             axis.set_major_locator(MaxNLocator(5))
+        panel.grid(False)
         panel.tick_params(labelsize=8.5, pad=1, colors=_TEXT)
         what = "Positions at the fixed orientation", "Orientations at the fixed position"
         title = what[0] if surface.kind == "position" else what[1]
@@ -240,9 +243,9 @@ def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]])
                     color = COLORS[loss.limit]
                     bar = panel.barh(y, 100.0 * share, 0.24, color=_tint(color, tint), edgecolor=color, linewidth=0.8)
                     panel.bar_label(bar, [f"{100.0 * share:.2g} %"], padding=3, fontsize=8.5, color=_TEXT)
-            for y, loss, shares_of in zip(height, lost, values, strict=True):
-                if not any(shares_of):
-                    panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=_QUIET)
+        for y, of_limit in zip(height, values, strict=True):
+            if not any(of_limit):
+                panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=_QUIET)
         panel.set_yticks(height, [WORDS[loss.limit] for loss in lost])
         panel.set_xlim(0.0, 112.0)
         panel.set_xlabel("share [%]")
@@ -278,11 +281,12 @@ def use_bar(figure: Figure, axes: Any) -> None:
     bar.outline.set_visible(False)
 
 
-def _tint(color: str, white: float) -> tuple[float, ...]:
-    return tuple((1.0 - white) * np.array(to_rgb(color)) + white)
+def _tint(color: str, white: float) -> tuple[float, float, float]:
+    red, green, blue = ((1.0 - white) * part + white for part in to_rgb(color))
+    return red, green, blue
 
 
-def _pale(color: str) -> tuple[float, ...]:
+def _pale(color: str) -> tuple[float, float, float]:
     return _tint(color, 0.55)
 
 

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from stewart_drake.force_map import ForceMapKind, force_map
 from stewart_drake.robot import RobotParameters
 
 AXES = 6
@@ -34,6 +35,23 @@ def mass_diagonal(robot: RobotParameters) -> np.ndarray:
         (6,) [kg m^2, kg].
     """
     return np.array([*robot.platform_inertia, *(robot.platform_mass,) * 3])
+
+
+def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
+    """M^-1 tau of (10): second derivative of the pose per unit of motor torque, in the paper's model.
+
+    Args:
+        robot: Geometry and masses.
+        pose: (..., 6) [rad, m].
+        kind: Force map, `statics` or `printed`.
+
+    Returns:
+        (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
+
+    Raises:
+        UnreachablePoseError: As in `inverse_kinematics`.
+    """
+    return force_map(robot, pose, kind) / mass_diagonal(robot)[:, None]
 
 
 def state_matrix() -> np.ndarray:

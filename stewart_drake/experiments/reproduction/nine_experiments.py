@@ -10,12 +10,12 @@ import numpy as np
 from stewart_drake.control_law import LqiOptions, lqi_gain
 from stewart_drake.experiments.report import Section
 from stewart_drake.experiments.reproduction.study import Study
-from stewart_drake.force_map import ForceMapKind, force_map
+from stewart_drake.force_map import ForceMapKind
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import run_metrics
 from stewart_drake.references import paper_reference
 from stewart_drake.scenario import FixedTuner, Scenario
-from stewart_drake.state_space import mass_diagonal
+from stewart_drake.state_space import acceleration_map
 from stewart_drake.training.collect import OMEGAS
 
 PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
@@ -56,11 +56,12 @@ def gain_spread(base: Scenario) -> dict[float, float]:
     poses = paper_reference().evaluate(np.linspace(0.0, np.pi, 9))[0]
     spread: dict[float, float] = {}
     for pose in poses:
-        acceleration_map = force_map(base.robot, pose) / mass_diagonal(base.robot)[:, None]
         gains: dict[float, list[np.ndarray]] = {}
         for pair in PAIRS:
             ratio = next(r for r in RATIOS if np.isclose(pair[0] / pair[1], r))
-            gains.setdefault(ratio, []).append(lqi_gain(acceleration_map, LqiOptions(), np.array(pair)))
+            gains.setdefault(ratio, []).append(
+                lqi_gain(acceleration_map(base.robot, pose), LqiOptions(), np.array(pair))
+            )
         for ratio, same in gains.items():
             worst = max(float(np.abs(k - same[0]).max() / np.abs(same[0]).max()) for k in same)
             spread[ratio] = max(worst, spread.get(ratio, 0.0))

@@ -1,0 +1,349 @@
+"""Section on the workspace: what the robot's poses allow, and the region of states and torques that motions visit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.reproduction.pose_study import (
+    KINDS,
+    PoseStudy,
+    motion_slice,
+    part_of,
+    slice_surveys,
+    survey_poses,
+)
+from stewart_drake.experiments.reproduction.study import Study
+from stewart_drake.experiments.reproduction.visited_region import (
+    VisitedRegion,
+    controlled_motions,
+    region_verdict,
+    visited_region,
+)
+from stewart_drake.motion_envelope import envelope_of_all
+from stewart_drake.workspace_boundary import Boundary
+from stewart_drake.workspace_region import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
+
+CAPABILITIES = (
+    ("transmission", "transmission [-]", 1.0),
+    ("conditioning", "conditioning [-]", 1.0),
+    ("clearance", "clearance of links [mm]", 1e3),
+    ("holding_torque", "holding torque [N m]", 1.0),
+    ("force", "force in any direction [N]", 1.0),
+    ("moment", "moment in any direction [N m]", 1.0),
+)
+_NAMES = ("roll", "pitch", "yaw", "X", "Y", "Z")
+_SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
+_UNITS = ("deg",) * 3 + ("mm",) * 3
+
+
+def make(study: Study) -> Section:
+    """The section, for the robot of `study.base` around its home pose."""
+    return make_section(study, study.pick(1_000_000, 40_000), study.base.robot.home_pose)
+
+
+def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
+    """The section around any pose.
+
+    Args:
+        study: Where to, and for which robot and limits.
+        samples: Poses in each of the two workspaces.
+        center: (6,) [rad, m] gives the fixed orientation and the fixed position.
+
+    Raises:
+        ConfigurationError: Nothing can be reached with this orientation or position; too few samples.
+    """
+    section = Section(
+        "workspace",
+        "Workspace of the states and the torques",
+        "Abstract and conclusion: the method defines the workspace of both the states and the torques. The paper shows "
+        "neither as a region; Fig. 7 gives one motion's histories.",
+    )
+    poses = survey_poses(study, samples, center)
+    regions = run_motions(study)
+    section.verdict = region_verdict(regions)
+    _write_poses(section, study, poses)
+    _write_motions(section, study, poses, regions)
+    study.progress(1.0)
+    return section
+
+
+def run_motions(study: Study) -> list[VisitedRegion]:
+    """The controlled motions and what they visited, the paper's first."""
+    motions = controlled_motions(study)
+    logs = study.store.run_all(list(motions.values()), part_of(study, 0.6, 0.3))
+    return [visited_region(name, log) for name, log in zip(motions, logs, strict=True) if len(log.time)]
+
+
+def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
+    from stewart_drake.plotting_workspace import plot_boundaries, plot_capability, plot_losses, plot_slices
+
+    count = sum(len(found.grid.poses) for found in poses.surveys.values())
+    section.text(
+        "### What the poses allow\n\n"
+        f"Positions at the orientation of the centre, orientations at its position; the centre is {_pose_text(poses.center)}. "
+        f"{count:,} poses were measured at {poses.rate:,.0f} poses a second. A limit takes part of what the mechanism "
+        "alone could reach, which is all that can be joined to the centre without passing a singularity. The limits are "
+        "ours, because the paper gives none. Two kinds of singularity must be told apart. At a **serial** one a crank "
+        "stands at its dead centre, e_l . e_N = 0: a motor turns without moving the platform, and no force along that rod "
+        "reaches the motor; the edge of reach is made of these. At a **parallel** one the six rods' lines lose rank, "
+        "sigma_min of tau_1 (14) = 0: the platform moves although all motors are locked, and holding it takes torques "
+        "without bound."
+    )
+    section.table(
+        "Size of the workspaces. Positions in litres (dm^3), orientations in % of all orientations of a body. Boxes are "
+        "those of the poses joined to the centre within all limits.",
+        ("fixed", "rods can span", "no singularity passed", "within all limits", "and joined to the centre", "box"),
+        [_size_row(*row) for row in _all_surveys(poses)],
+    )
+    section.table(
+        "How far each coordinate goes alone from the centre, and what stops it.",
+        ("coordinate", "down to", "stopped by", "up to", "stopped by"),
+        [
+            (f"{_NAMES[i]} [{_UNITS[i]}]", *(cell for end in (0, 1) for cell in _end_cells(poses, end, i)))
+            for i in range(6)
+        ],
+    )
+    nearest = {kind: float(poses.boundaries[kind].radius.min()) for kind in KINDS}
+    section.text(
+        f"In every direction the platform can be displaced by {1e3 * nearest['position']:.0f} mm without turning, or "
+        f"turned by {np.degrees(nearest['orientation']):.0f} deg (in the space of Euler angles) without displacement. "
+        + " ".join(_first_words(kind, poses.boundaries[kind]) for kind in KINDS)
+    )
+    section.figure(
+        "The two workspaces as surfaces: where straight ways from the centre first break a limit, coloured by that limit.",
+        study.save_figure(plot_boundaries([poses.boundaries[kind] for kind in KINDS]), "workspace-boundary"),
+    )
+    for kind, what in zip(KINDS, ("positions", "orientations"), strict=True):
+        slices = slice_surveys(study, poses, kind)
+        section.figure(
+            f"Slices through the {what}. Inside the black edge the shade gives the largest part of a limit taken up; "
+            "outside it the colour names the limit that is broken most.",
+            study.save_figure(plot_slices(slices), f"workspace-{kind}-slices"),
+        )
+        through = slices[-1] if kind == "position" else slices[2]
+        section.figure(
+            f"What the robot can do over one slice of the {what}.",
+            study.save_figure(plot_capability(through), f"workspace-{kind}-capability"),
+        )
+    lost = {kind: losses(found) for kind, found in poses.surveys.items()}
+    section.figure(
+        "What each limit takes of the poses that the mechanism alone could reach.",
+        study.save_figure(
+            plot_losses([(f"{kind}s".capitalize(), lost[kind], poses.boundaries[kind].first()) for kind in KINDS]),
+            "workspace-losses",
+        ),
+    )
+    section.text(
+        "Strength. To exert the wrench w on something, the motors need T = t + A w, with t the torque that holds the weight "
+        "and A the inverse of the map tau of (18), `statics`. A force of size r in any direction, without moment, moves "
+        "the torque of motor i by at most r |a_i|, where a_i are the three entries of row i of A that multiply the force; "
+        "some direction does move it by that much. So the largest force that can be exerted in every direction is the "
+        "smallest of (T_max - |t_i|) / |a_i| over the motors, exactly; the moment likewise with the other three entries."
+    )
+    section.table(
+        "What the robot can do at the centre, and over all poses joined to it within the limits.",
+        ("quantity", "centre", *(f"{kind}s: {what}" for kind in KINDS for what in ("smallest", "median", "largest"))),
+        [(label, *_capability_cells(poses, name, scale)) for name, label, scale in CAPABILITIES],
+    )
+    section.numbers |= {
+        "poses": count,
+        "poses_per_second": poses.rate,
+        "center": poses.center.tolist(),
+        "ranges": poses.ranges.tolist(),
+        "range_cuts": [[_limit_name(i) for i in row] for row in poses.cuts.tolist()],
+        "workspaces": {kind: _numbers(poses, kind, lost[kind]) for kind in KINDS},
+        "other_centers": {
+            f"{kind}, {name}": None if found is None else found.size(found.connected)
+            for name, kind, found in poses.others
+        },
+    }
+
+
+def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Sequence[VisitedRegion]) -> None:
+    from stewart_drake.plotting_envelope import plot_motion_map, plot_state_region, plot_torque_region
+
+    base = study.base
+    section.text(
+        "### What controlled motions visit\n\n"
+        "The paper speaks of the workspace of states and torques that its method defines. Read literally: the states and "
+        "torques that motions under its controller pass through. The runs below use the base scenario with the reference "
+        "changed; amplitudes of our own motions are half of the largest that the limits allow."
+    )
+    section.table(
+        "Region visited by each run. Coordinates: largest distance from the centre of the motion. Torques are those "
+        "within the motors' limits; the reference's are by the exact inverse dynamics, without control. The last columns "
+        "look at the visited poses as if at rest.",
+        ("run", "ended", *(f"{n} [{u}]" for n, u in zip(_NAMES, _UNITS, strict=True)), "crank speed [rad/s]",
+         "peak torque [N m]", "reference's [N m]", "of the limit", "peak power [W]", "limit taken up", "which"),
+        [_region_row(region) for region in regions],
+    )  # fmt: skip
+    if not regions:
+        return
+    whole = envelope_of_all([region.log for region in regions])
+    first = regions[0].envelope
+    section.table(
+        "Envelope of states: from .. to, the paper's motion and all runs, and the range that the limits leave each "
+        "coordinate alone.",
+        ("coordinate", "paper's", "all runs", "allowed at rest", "rate, paper's", "rate, all runs"),
+        [
+            (
+                f"{_NAMES[i]} [{_UNITS[i]}]",
+                *(_span(_SCALES[i] * box[:, i]) for box in (first.pose, whole.pose, poses.ranges)),
+                *(_span(_SCALES[i] * box[:, i]) + f" {_UNITS[i]}/s" for box in (first.pose_rate, whole.pose_rate)),
+            )
+            for i in range(6)
+        ],
+    )
+    section.table(
+        f"Envelope of the motors; the limit of the torque is +-{base.robot.effort_limit:g} N m.",
+        ("motor", "angle, paper's [deg]", "speed, paper's [rad/s]", "torque, paper's [N m]", "speed, all [rad/s]",
+         "torque, all [N m]"),
+        [
+            (i, _span(np.degrees(first.crank_angle[:, i])), _span(first.crank_rate[:, i], 2), _span(first.torque[:, i], 3),
+             _span(whole.crank_rate[:, i], 2), _span(whole.torque[:, i], 3))
+            for i in range(6)
+        ],
+    )  # fmt: skip
+    logs, names = [region.log for region in regions], [region.name for region in regions]
+    section.figure(
+        "The paper's motion among the limits: its path, and what it takes up of each limit.",
+        study.save_figure(
+            plot_motion_map(motion_slice(study, poses, logs[0]["reference"]), logs[0], regions[0].use),
+            "workspace-paper-motion",
+        ),
+    )
+    section.figure(
+        "States that the runs visit; dashed: how far the limits let the coordinate go alone, where near.",
+        study.save_figure(plot_state_region(logs, names, poses.ranges), "workspace-states"),
+    )
+    section.figure(
+        "Speed and torque that the runs visit, motor by motor; dashed: the limits, where near.",
+        study.save_figure(
+            plot_torque_region(logs, names, base.limits.crank_speed, base.robot.effort_limit), "workspace-torques"
+        ),
+    )
+    section.numbers["motions"] = {
+        region.name: {
+            "status": region.log.status,
+            "end_time": region.log.end_time,
+            "pose": region.envelope.pose.tolist(),
+            "pose_rate": region.envelope.pose_rate.tolist(),
+            "crank_speed": region.speed,
+            "peak_torque": region.peak_torque,
+            "reference_torque": region.reference_torque,
+            "peak_power": region.power,
+            "limit_use": region.worst[0] if np.isfinite(region.worst[0]) else None,
+            "limit": region.worst[1],
+        }
+        for region in regions
+    }
+
+
+def _all_surveys(poses: PoseStudy) -> list[tuple[str, Kind, Survey | None]]:
+    named = {"position": "orientation of the centre", "orientation": "position of the centre"}
+    return [(named[kind], kind, found) for kind, found in poses.surveys.items()] + [
+        (f"{named[kind]}, {name}", kind, found) for name, kind, found in poses.others
+    ]
+
+
+def _size_row(name: str, kind: Kind, found: Survey | None) -> tuple[str, ...]:
+    if found is None:
+        return (name, *("-",) * 5)
+    scale, unit = (1e3, "L") if kind == "position" else (100.0, "%")
+    masks = (found.spanning, found.regular, found.feasible, found.connected)
+    box = found.bounding_box(found.connected)
+    ends = "-"
+    if box is not None:
+        columns = list(found.grid.coordinates)
+        ends = (
+            ", ".join(f"{_NAMES[i]} {_span(_SCALES[i] * box[:, k])}" for k, i in enumerate(columns))
+            + f" {_UNITS[columns[0]]}"
+        )
+    return (name, *(f"{scale * found.size(mask):.3g} {unit}" for mask in masks), ends)
+
+
+def _end_cells(poses: PoseStudy, end: int, coordinate: int) -> tuple[str, str]:
+    return f"{_SCALES[coordinate] * poses.ranges[end, coordinate]:.1f}", _limit_words(poses.cuts[end, coordinate])
+
+
+def _limit_name(index: int) -> str | None:
+    return LIMIT_NAMES[index] if index >= 0 else None
+
+
+def _limit_words(index: int) -> str:
+    name = _limit_name(int(index))
+    if name is None:
+        return "nothing"
+    kind = SINGULARITIES.get(name)
+    return name.replace("_", " ") + (f" ({kind} singularity)" if kind else "")
+
+
+def _first_words(kind: Kind, surface: Boundary) -> str:
+    """Which limits are met first, in a sentence."""
+    first = surface.first()
+    if not first:
+        return f"No limit is met by any straight way through the {kind}s."
+    parts = [f"{_limit_words(LIMIT_NAMES.index(name))} in {100.0 * share:.1f} %" for name, share in first.items()]
+    near = {SINGULARITIES[name] for name in first if name in SINGULARITIES}
+    told = f"a {' and a '.join(sorted(near))} singularity ends some" if near else "none ends near a singularity"
+    return f"Going straight through the {kind}s the first limit met is {', '.join(parts)} of all directions; {told}."
+
+
+def _capability_cells(poses: PoseStudy, name: str, scale: float) -> list[str]:
+    cells = []
+    for kind in KINDS:
+        found = poses.surveys[kind]
+        if not cells:
+            start = np.linalg.norm(found.grid.poses - poses.center, axis=1).argmin()
+            cells.append(f"{scale * getattr(found.measures, name)[start]:.3g}")
+        values = getattr(found.measures, name)[found.connected]
+        cells += [f"{scale * f(values):.3g}" for f in (np.min, np.median, np.max)] if len(values) else ["-"] * 3
+    return cells
+
+
+def _numbers(poses: PoseStudy, kind: Kind, lost: Sequence[Loss]) -> dict[str, Any]:
+    found, surface = poses.surveys[kind], poses.boundaries[kind]
+    box = found.bounding_box(found.connected)
+    strength = {
+        name: None if not found.connected.any() else float(getattr(found.measures, name)[found.connected].min())
+        for name in ("force", "moment", "conditioning", "transmission")
+    }
+    return {
+        "cells": list(found.grid.counts),
+        "spanning": found.size(found.spanning),
+        "regular": found.size(found.regular),
+        "feasible": found.size(found.feasible),
+        "connected": found.size(found.connected),
+        "box": None if box is None else box.tolist(),
+        "inscribed_radius": float(surface.radius.min()),
+        "boundary_volume": surface.volume,
+        "first": surface.first(),
+        "lost": {loss.limit: {"broken": loss.broken, "alone": loss.alone} for loss in lost},
+        "smallest": strength,
+    }
+
+
+def _region_row(region: VisitedRegion) -> tuple[str, ...]:
+    log = region.log
+    middle = np.array(getattr(log.scenario.reference, "center", log.scenario.robot.home_pose))
+    far = _SCALES * np.abs(region.envelope.pose - middle).max(axis=0)
+    use, limit = region.worst
+    ended = f"{log.end_time:g} s" if log.status == "completed" else f"{log.reason} at {log.end_time:.3f} s"
+    return (
+        region.name, ended, *(f"{x:.3g}" if x >= 0.005 else "0" for x in far), f"{region.speed:.2f}",
+        f"{region.peak_torque:.3f}", f"{region.reference_torque:.3f}", f"{100.0 * region.torque_use:.0f} %",
+        f"{region.power:.2f}", f"{100.0 * use:.0f} %", limit.replace("_", " "),
+    )  # fmt: skip
+
+
+def _span(ends: np.ndarray, digits: int = 1) -> str:
+    low, high = (f"{round(float(x), digits) + 0.0:.{digits}f}" for x in ends)
+    return f"{low} .. {high}"
+
+
+def _pose_text(pose: np.ndarray) -> str:
+    return ", ".join(f"{n} {s * x:.4g} {u}" for n, s, x, u in zip(_NAMES, _SCALES, pose, _UNITS, strict=True))

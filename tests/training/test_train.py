@@ -1,0 +1,261 @@
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from conftest import python
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.network import load_network
+from stewart_drake.training.dataset import Dataset
+from stewart_drake.training.train import TrainingOptions, r_squared, split_samples, train_network
+
+METADATA = {"density": "signed", "window": 7, "sample_time": 0.005, "scenario": {"name": "left out"}}
+
+
+def made_up(rows_per_run=40, runs=9, seed=0):
+    """Samples from which omega_Q and omega_R can be read: the first densities lean towards their logarithms."""
+    rng = np.random.default_rng(seed)
+    run = np.repeat(np.arange(runs), rows_per_run)
+    logs = np.stack([run % 3 - 1.0, run // 3 - 1.0], axis=-1)
+    inputs = rng.uniform(0.5, 1.5, (len(run), 12))
+    inputs[:, 0] += 0.8 * logs[:, 0]
+    inputs[:, 6] -= 0.5 * logs[:, 1]
+    time = 0.005 * np.tile(np.arange(rows_per_run), runs)
+    return Dataset(inputs, 10.0**logs, run, time, dict(METADATA))
+
+
+def options(**changes):
+    return TrainingOptions(**{"epochs": 60, **changes})
+
+
+def mean_squared_error(network, dataset, rows):
+    return np.mean((network.log_weights(dataset.inputs[rows]) - np.log10(dataset.outputs[rows])) ** 2)
+
+
+# --- the split -----------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**63 - 1), st.floats(0.06, 0.94), st.integers(2, 9))
+def test_a_split_by_runs_has_no_run_on_both_sides(seed, share, runs):
+    dataset = made_up(5, runs)
+    chosen = TrainingOptions(seed=seed, training_share=share, split="runs")
+    count = round(share * runs)
+    if count in (0, runs):
+        with pytest.raises(ConfigurationError, match="no side empty"):
+            split_samples(dataset, chosen)
+        return
+    mask = split_samples(dataset, chosen)
+    training, validation = set(dataset.run[mask]), set(dataset.run[~mask])
+    assert not training & validation
+    assert training | validation == set(range(runs))
+    assert len(training) == count
+
+
+@given(st.integers(0, 2**63 - 1), st.floats(0.01, 0.99))
+def test_a_split_by_samples_has_the_share_that_was_asked_for(seed, share):
+    dataset = made_up(10)
+    mask = split_samples(dataset, TrainingOptions(seed=seed, training_share=share))
+    assert mask.sum() == round(share * 90)
+    np.testing.assert_array_equal(mask, split_samples(dataset, TrainingOptions(seed=seed, training_share=share)))
+
+
+def test_a_split_by_samples_mixes_every_run_and_depends_on_the_seed():
+    dataset = made_up(40)
+    masks = [split_samples(dataset, TrainingOptions(seed=seed)) for seed in range(3)]
+    for mask in masks:
+        assert set(dataset.run[mask]) == set(dataset.run[~mask]) == set(range(9))
+    assert not np.array_equal(masks[0], masks[1])
+
+
+@pytest.mark.parametrize(
+    ("dataset", "changes"),
+    [
+        (made_up(40, 1), {"split": "runs"}),
+        (made_up(40, 9), {"split": "runs", "training_share": 0.05}),
+        (made_up(40, 9), {"split": "runs", "training_share": 0.95}),
+        (made_up(1, 1), {}),
+        (made_up(1, 3), {"training_share": 0.1}),
+    ],
+)
+def test_a_side_without_samples_is_an_error_of_training_too(dataset, changes):
+    with pytest.raises(ConfigurationError) as caught:
+        train_network(dataset, options(**changes))
+    assert caught.value.key == "training.training_share"
+
+
+# --- back-propagation ----------------------------------------------------------------------------------------------
+
+
+def test_losses_are_those_of_the_network_on_each_side_of_the_split():
+    dataset, before = made_up(), options(epochs=25)
+    after = train_network(dataset, options(epochs=26))
+    network, mask = train_network(dataset, before).network, split_samples(dataset, before)
+    assert after.training_loss.shape == after.validation_loss.shape == (26,)
+    # The loss of epoch 26 is taken before its step: with the weights that 25 epochs left.
+    assert after.training_loss[25] == pytest.approx(mean_squared_error(network, dataset, mask), rel=1e-9)
+    assert after.validation_loss[25] == pytest.approx(mean_squared_error(network, dataset, ~mask), rel=1e-9)
+
+
+def test_the_first_step_goes_down_the_gradient_by_finite_differences():
+    # Adam's first step is the learning rate against the sign of each derivative, whatever its size.
+    dataset, rate = made_up(10), 1e-3
+    start = train_network(dataset, options(epochs=1, learning_rate=1e-13)).network
+    stepped = train_network(dataset, options(epochs=1, learning_rate=rate)).network
+    mask, h, checked = split_samples(dataset, options()), 1e-6, 0
+    for name in ("hidden_weights", "hidden_bias", "output_weights", "output_bias"):
+        values = getattr(start, name)
+        for index in np.ndindex(values.shape):
+            kept, losses = values[index], []
+            for offset in (h, -h):
+                values[index] = kept + offset
+                losses.append(mean_squared_error(start, dataset, mask))
+            values[index] = kept
+            slope = (losses[0] - losses[1]) / (2.0 * h)
+            if abs(slope) > 1e-5:
+                step = getattr(stepped, name)[index] - kept
+                assert step == pytest.approx(-rate * np.sign(slope), rel=2e-3)
+                checked += 1
+    assert checked > 120
+
+
+def test_training_lowers_the_loss_and_learns_what_there_is_to_learn():
+    result = train_network(made_up(), options(epochs=400, split="runs"))
+    assert result.training_loss[-1] < 0.1 * result.training_loss[0]
+    for name in ("omega_Q", "omega_R"):
+        assert result.scores[f"training R^2 of log {name}"] > 0.9
+    noise = made_up()
+    noise.inputs[:] = np.random.default_rng(5).uniform(0.5, 1.5, noise.inputs.shape)
+    scores = train_network(noise, options(epochs=400)).scores
+    assert scores["validation R^2 of log omega_Q"] < 0.1
+
+
+def test_every_progress_call_says_how_far_it_is():
+    calls = []
+    train_network(made_up(5), options(epochs=120), calls.append)
+    assert calls == [50.0, 100.0, 120.0]
+
+
+def test_the_network_carries_the_range_scaling_and_settings_of_its_data():
+    dataset = made_up()
+    dataset.inputs[:, 3] = 1.0  # an input that never varies
+    result = train_network(dataset, options())
+    network, mask = result.network, split_samples(dataset, options())
+    np.testing.assert_array_equal([network.omega_min, network.omega_max], [[0.1, 0.1], [10.0, 10.0]])
+    scaled = (dataset.inputs[mask] - network.input_mean) / network.input_scale
+    varying = np.arange(12) != 3
+    np.testing.assert_allclose(scaled.mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(scaled.std(axis=0)[varying], 1.0)
+    assert network.input_scale[3] == 1.0
+    assert (network.density, network.window) == ("signed", 7)
+
+
+# --- scores --------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 1000), st.integers(3, 50))
+def test_r_squared_of_a_linear_fit_is_the_squared_correlation(seed, n):
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=n), rng.normal(size=n)
+    fit = np.polyval(np.polyfit(x, y, 1), x)
+    assert r_squared(y, fit) == pytest.approx(np.corrcoef(x, y)[0, 1] ** 2, abs=1e-9)
+
+
+def test_r_squared_at_its_marks():
+    target = np.array([1.0, 2.0, 4.0])
+    assert r_squared(target, target) == 1.0
+    assert r_squared(target, np.full(3, target.mean())) == pytest.approx(0.0)
+    assert r_squared(target, target[::-1]) == pytest.approx(1.0 - 18.0 / (14.0 / 3.0))
+    assert math.isnan(r_squared(np.ones(3), target))
+
+
+def test_scores_are_those_of_the_network_on_each_side():
+    dataset = made_up()
+    result = train_network(dataset, options())
+    mask = split_samples(dataset, options())
+    predicted, target = result.network.log_weights(dataset.inputs), np.log10(dataset.outputs)
+    for side, rows in (("training", mask), ("validation", ~mask)):
+        for name, mix in (("omega_Q", [1.0, 0.0]), ("omega_R", [0.0, 1.0]), ("ratio", [1.0, -1.0])):
+            t, p = target[rows] @ mix, predicted[rows] @ mix
+            expected = 1.0 - np.var(t - p) / np.var(t) - np.mean(t - p) ** 2 / np.var(t)
+            assert result.scores[f"{side} R^2 of log {name}"] == pytest.approx(expected)
+    assert len(result.scores) == 6
+
+
+def test_a_target_that_does_not_vary_has_no_score_and_the_file_stays_json(tmp_path):
+    dataset = made_up()
+    dataset.outputs[:, 1] = 1.0
+    result = train_network(dataset, options())
+    assert math.isnan(result.scores["training R^2 of log omega_R"])
+    result.network.save(tmp_path / "net.json")
+    document = json.loads((tmp_path / "net.json").read_text(), parse_constant=pytest.fail)
+    assert document["provenance"]["scores"]["training R^2 of log omega_R"] is None
+    weights = load_network(tmp_path / "net.json").weights(np.full((3, 12), 2.0))
+    np.testing.assert_array_equal(weights[:, 1], 1.0)
+
+
+# --- repeatability -------------------------------------------------------------------------------------------------
+
+
+def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte(tmp_path):
+    code = (
+        "import sys\n"
+        "from test_train import made_up, options, train_network\n"
+        "train_network(made_up(), options()).network.save(sys.argv[1])"
+    )
+    train_network(made_up(), options()).network.save(tmp_path / "a.json")
+    # Elsewhere, after other random numbers, and with another number of threads.
+    torch.rand(7)
+    np.random.default_rng().random(7)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        train_network(made_up(), options()).network.save(tmp_path / "b.json")
+        assert torch.get_num_threads() == 2  # left as it was
+    finally:
+        torch.set_num_threads(threads)
+    python("-c", f"import sys; sys.path.insert(0, {str(__file__.rpartition('/')[0])!r})\n{code}", tmp_path / "c.json")
+    first = (tmp_path / "a.json").read_bytes()
+    assert (tmp_path / "b.json").read_bytes() == first
+    assert (tmp_path / "c.json").read_bytes() == first
+
+
+def test_another_seed_or_other_data_give_another_network(tmp_path):
+    files = []
+    for index, (dataset, seed) in enumerate(((made_up(), 0), (made_up(), 1), (made_up(seed=1), 0))):
+        train_network(dataset, options(seed=seed)).network.save(tmp_path / f"{index}.json")
+        files.append((tmp_path / f"{index}.json").read_bytes())
+    assert len(set(files)) == 3
+
+
+def test_the_file_says_where_the_network_comes_from(tmp_path):
+    dataset = made_up()
+    result = train_network(dataset, options(seed=5, split="runs"))
+    result.network.save(tmp_path / "net.json")
+    provenance = load_network(tmp_path / "net.json").provenance
+    assert provenance["dataset_sha256"] == dataset.digest()
+    assert provenance["samples"] == 360
+    assert provenance["options"]["seed"] == 5
+    assert provenance["options"]["split"] == "runs"
+    assert provenance["torch"] == torch.__version__
+    assert provenance["data"] == {"density": "signed", "window": 7, "sample_time": 0.005}
+    assert provenance["scores"] == pytest.approx(result.scores)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("epochs", value) for value in (0, -1)],
+        *[("learning_rate", value) for value in (0.0, -1.0, 10.0, math.nan, math.inf)],
+        *[("training_share", value) for value in (0.0, 1.0, -0.5, math.nan)],
+        *[("seed", value) for value in (-1, 2**63)],
+        ("split", "time"),
+    ],
+)
+def test_an_option_out_of_its_range_is_refused_by_name(name, value):
+    with pytest.raises(ConfigurationError) as caught:
+        TrainingOptions(**{name: value})
+    assert caught.value.key == f"training.{name}"
