@@ -6,7 +6,6 @@ the same parts; nothing of the mathematics lives in them.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -20,7 +19,7 @@ from stewart_drake.network import TunerNetwork
 from stewart_drake.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque_of_legs
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Real
+from stewart_drake.scalars import SECTION, Real, is_finite
 from stewart_drake.state_space import (
     AXES,
     INTEGRAL,
@@ -67,7 +66,7 @@ class LqiOptions:
     """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity; the run ends."""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.period) and self.period > 0.0):
+        if not (is_finite(self.period) and self.period > 0.0):
             raise ConfigurationError("controller.period", self.period, "a positive number of seconds")
         for name, options in (
             ("force_map", ("statics", "printed")),
@@ -79,7 +78,7 @@ class LqiOptions:
                 raise ConfigurationError(f"controller.{name}", getattr(self, name), " or ".join(options))
         for name in ("min_transmission", "min_conditioning"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and 0.0 < value < 1.0):
+            if not (is_finite(value) and 0.0 < value < 1.0):
                 raise ConfigurationError(f"controller.{name}", value, "a number between 0 and 1")
 
 

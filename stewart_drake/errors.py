@@ -6,11 +6,15 @@ Two families matter to a caller. `ConfigurationError` is bad input, found before
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+
+_SHORT = reprlib.Repr()
+_SHORT.maxother = _SHORT.maxstring = 120
 
 
 class StewartDrakeError(Exception):
@@ -38,7 +42,7 @@ class ConfigurationError(StewartDrakeError):
 
     def __init__(self, key: str, value: Any, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
-        shown = repr(value)
+        shown = " ".join(_SHORT.repr(value).split())
         if len(shown) > 120:
             shown = shown[:117] + "..."
         super().__init__(f"{key}: got {shown}; allowed: {allowed}")
@@ -182,6 +186,9 @@ def drake_guard(doing: str) -> Iterator[None]:
     except StewartDrakeError:
         raise
     except (SystemExit, RuntimeError) as error:
+        if type(error) not in (SystemExit, RuntimeError):
+            # Python's own kinds, such as RecursionError, are no verdict of Drake's.
+            raise
         text = str(error) or type(error).__name__
         raise DrakeCheckError(f"{doing}: {' '.join(text.split())}") from error
 

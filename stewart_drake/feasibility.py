@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ SEARCH_RTOL = 1e-4
 """Relative width at which the searches for the largest amplitude and scale stop."""
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
+_BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,24 @@ def check_reference(
         if not (math.isfinite(value) and value > 0.0):
             raise ConfigurationError(name, value, "a finite number above 0")
     time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
-    return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
+    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
+    # singularity can be jumped over between two.
+    starts = range(0, max(1, time.size - 1), _BLOCK)
+    blocks = [time[start : start + _BLOCK + 1] for start in starts]
+    reports = [check_motion(robot, limits, block, *reference.evaluate(block), gravity) for block in blocks]
+    return _joined(reports)
+
+
+def _joined(reports: Sequence[FeasibilityReport]) -> FeasibilityReport:
+    """One report of consecutive blocks that share their end samples."""
+    smallest: dict[str, LimitMargin] = {}
+    for limit in RULES:
+        found = [report.smallest[limit] for report in reports if limit in report.smallest]
+        if found:
+            smallest[limit] = min(found, key=lambda margin: margin.margin)
+    first = next((report.first_violation for report in reports if report.first_violation is not None), None)
+    unreachable = [reports[0].unreachable, *(report.unreachable[1:] for report in reports[1:])]
+    return FeasibilityReport(smallest, first, np.concatenate(unreachable))
 
 
 def largest_amplitude(

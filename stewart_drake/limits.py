@@ -28,7 +28,7 @@ from stewart_drake.kinematics import (
 )
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.robot import LEGS, RobotParameters
-from stewart_drake.scalars import SECTION, Real
+from stewart_drake.scalars import SECTION, Real, is_finite
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
 
@@ -68,7 +68,7 @@ class Limits:
         upper["joint_swing"] = math.pi
         for field in dataclasses.fields(self):
             value, top = getattr(self, field.name), upper.get(field.name, math.inf)
-            if value is not None and not (math.isfinite(value) and 0.0 < value <= top):
+            if value is not None and not (is_finite(value) and 0.0 < value <= top):
                 allowed = "a finite number above 0" + (f", at most {top:.4g}" if top < math.inf else "") + ", or null"
                 raise ConfigurationError(f"limits.{field.name}", value, allowed)
 

@@ -179,9 +179,8 @@ def load_log(path: str | Path) -> SimulationLog:
     path = Path(path)
     path = path / "log.parquet" if path.is_dir() else path
     try:
-        # Not read_table: of a folder such as runs/time=3 it would make a column.
         with path.open("rb") as stream:
-            table = pq.ParquetFile(stream).read()
+            table = pq.read_table(stream)
     except (OSError, pa.ArrowException) as error:
         if isinstance(error, OSError) and error.strerror:
             raise ConfigurationError(f"log {path}", error.strerror, "a readable file") from None

@@ -21,10 +21,11 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
 
 from stewart_drake.errors import ConfigurationError, drake_guard
-from stewart_drake.plant_options import STICTION_SPEED, PlantOptions, is_finite, platform_damping_limit
+from stewart_drake.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import LEGS, RobotParameters
 from stewart_drake.sampling import on_grid
+from stewart_drake.scalars import is_finite
 from stewart_drake.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.state_map import StateIndices, StateMap
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Real, is_finite
 from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
 
 STICTION_SPEED = 1e-4
@@ -76,8 +75,3 @@ def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> flo
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
     fastest = max(2.0 / rod_inertia, 12.0 / min(robot.platform_inertia))
     return 1.0 / (options.time_step * fastest)
-
-
-def is_finite(value: Any) -> bool:
-    """Whether a value is a finite number; true and false are none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -33,31 +33,32 @@ def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndar
         log: The run.
         use: Utilisation (n,) of each limit at the poses of the log.
     """
-    figure = Figure(figsize=(12.0, 5.4), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(12.0, 6.3), facecolor="white", layout="constrained")
     map_, time_ = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     drawn = Slice(found)
     drawn.prepare(map_)
     seen = drawn.use_image(map_)
     drawn.lines(map_)
-    across, up = drawn.columns
-    paths = ((log["reference"], "#FFFFFF", (0, (3, 1.5)), 2.4, "reference"), (log["pose"], _PAPER, "-", 1.3, "run"))
-    for path, color, dashes, width, _ in paths:
-        map_.plot(_SCALES[across] * path[:, across], _SCALES[up] * path[:, up], color=color, ls=dashes, lw=width)
-    map_.set_title("Path over the slice at the centre's other coordinates", loc="left", fontsize=11, fontweight="bold")
+    for path, color, width, dashes in (
+        (log["pose"], _PAPER, 1.3, "-"),
+        (log["reference"], "#FFFFFF", 1.8, (0, (4, 3))),
+    ):
+        across, up = (_SCALES[c] * path[:, c] for c in drawn.columns)
+        map_.plot(across, up, color=color, linewidth=width, linestyle=dashes)
+    map_.set_title("Path over a slice: run black, reference white", loc="left", fontsize=11, fontweight="bold")
     use_bar(figure, map_)
+    keys = [*line_keys(), *limit_keys(seen)]
+    map_.legend(handles=keys, loc="upper center", bbox_to_anchor=(0.55, -0.12), ncols=3, frameon=False, fontsize=9)
     for name, values in use.items():
         time_.plot(log.time, values, color=COLORS[name], linewidth=1.6, label=WORDS[name])
     time_.axhline(1.0, color=_TEXT, linewidth=1.2)
-    time_.text(log.time[0], 1.01, "limit", fontsize=9, color=_TEXT, va="bottom")
-    time_.set_ylim(0.0, max(1.12, 1.05 * min(2.0, max(float(np.nanmax(values)) for values in use.values()))))
+    largest = max(float(np.nanmax(values)) for values in use.values())
+    time_.set_ylim(0.0, max(1.12, 1.05 * min(2.0, largest)))
+    _plain(time_)
     time_.set_xlabel("time [s]")
     time_.set_ylabel("part of the limit taken up, at rest [-]")
     time_.set_title("What the run takes up of each limit", loc="left", fontsize=11, fontweight="bold")
-    time_.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False, fontsize=9)
-    _plain(time_)
-    figure.legend(
-        handles=[*line_keys(), *limit_keys(seen)], loc="outside lower center", ncols=5, frameon=False, fontsize=9.5
-    )
+    time_.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False, fontsize=9)
     return figure
 
 
@@ -148,8 +149,8 @@ def _styles(names: Sequence[str]) -> list[dict[str, Any]]:
     return [
         {
             "color": _RUNS[run % len(_RUNS)],
-            "linewidth": 2.0 if run == 0 else 1.1,
-            "zorder": 3.0 if run == 0 else 2.0,
+            "linewidth": 2.0 if run == 0 else 0.9,
+            "zorder": 3.0 - 0.1 * run,
             "label": name,
         }
         for run, name in enumerate(names)

@@ -52,7 +52,7 @@ def plot_ratio(ratios: Mapping[str, np.ndarray], slices: Sequence[RatioSlice]) -
     for panel, of in zip(axes.flat[1:], slices, strict=True):
         heatmap(figure, panel, of.x, of.y, of.values, "worst leg [-]", cmap="cividis", vmin=0.0, vmax=1.0)
         levels = [0.2, 0.4, 0.6, 0.8, 0.9]
-        lines = panel.contour(of.x, of.y, of.values, levels=levels, colors="white", linewidths=0.8)
+        lines = panel.contour(of.x, of.y, of.values, levels=levels, colors="black", linewidths=0.7)
         panel.clabel(lines, fmt="%g", fontsize=8)
         if of.path is not None:
             panel.plot(*of.path.T, color=ORANGE, linewidth=2.0, label="(37), (38)")
@@ -104,15 +104,22 @@ def plot_models(errors: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
     figure, axes = panels(1, len(errors), 3.6, sharey=True)
     for panel, (plant, models) in zip(axes[0], errors.items(), strict=True):
         rows = np.arange(len(models))[::-1]
-        low, middle, high = np.array(list(models.values())).T
+        low, middle, high = 100.0 * np.array(list(models.values())).T
         panel.hlines(rows, low, high, color=BLUE, linewidth=5.0, alpha=0.45)
         panel.plot(middle, rows, "o", color=BLUE, markersize=6.0)
         for row, value in zip(rows, middle, strict=True):
-            panel.annotate(f"{value:.2g}", (value, row), (0, 7), textcoords="offset points", ha="center", fontsize=9)
+            panel.annotate(
+                f"{value:.0f}" if value >= 1.0 else f"{value:.1g}",
+                (value, row),
+                (0, 7),
+                textcoords="offset points",
+                ha="center",
+                fontsize=9,
+            )
         panel.set_yticks(rows, list(models))
         panel.set_ylim(-0.6, len(models) - 0.3)
-        panel.set_xscale("log")
-        label(panel, plant, "relative error of the acceleration [-]", "")
+        panel.set_xlim(0.0, 1.08 * float(np.max(high)))
+        label(panel, plant, "relative error of the acceleration [%]", "")
     return figure
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.plotting_panels import BLUE, ORANGE, QUIET, heatmap, label, legend, panels
 
@@ -33,8 +34,8 @@ def plot_forward(
     left.set_xlim(0.0, 100.0)
     left.grid(axis="y", visible=False)
     label(left, "What Newton's method finds from home", "share of poses [%]", "")
-    left.legend(loc="upper center", bbox_to_anchor=(0.45, -0.16), ncols=3, frameon=False, fontsize=8.5, handlelength=1.0,
-                columnspacing=1.0)  # fmt: skip
+    left.legend(loc="upper center", bbox_to_anchor=(0.45, -0.16), ncols=3, frameon=False, fontsize=8.5,
+                handlelength=1.0, columnspacing=1.0)  # fmt: skip
 
     usable = np.isfinite(error) & (error > 0.0)
     for side, name, color, marker in (
@@ -68,7 +69,8 @@ def plot_misprints(
         (right, bracket_shift, "Bracket of (5)"),
     ):
         heatmap(figure, panel, degrees, degrees, 1e3 * shift, "joint misplaced by [mm]", cmap="cividis", vmin=0.0)
-        lines = panel.contour(degrees, degrees, 1e3 * shift, levels=5, colors="white", linewidths=0.8)
+        levels = MaxNLocator(5).tick_values(0.0, 1e3 * float(shift.max()))[1:]
+        lines = panel.contour(degrees, degrees, 1e3 * shift, levels=levels, colors="black", linewidths=0.7)
         panel.clabel(lines, fmt="%g", fontsize=8)
         panel.set_aspect("equal")
         label(panel, title, "roll [deg]", "pitch [deg]" if panel is left else "")

@@ -53,4 +53,4 @@ def heatmap(
     bar = figure.colorbar(mesh, ax=panel, pad=0.02)
     bar.set_label(unit, fontsize=10, color=TEXT)
     bar.ax.tick_params(labelsize=9, color=QUIET, labelcolor=TEXT)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)

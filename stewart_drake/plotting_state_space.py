@@ -25,9 +25,9 @@ def plot_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Figure:
     figure, axes = panels(2, 2, 9.0, width_ratios=(18, 11), height_ratios=(18, 6))
     motors = [f"$T_{i}$" for i in range(1, 7)]
     outputs = [f"$y_{i}$" for i in range(1, 7)]
-    _entries(axes[0, 0], a, STATE_NAMES, STATE_NAMES, "A (18 x 18)")
-    _entries(axes[0, 1], b, STATE_NAMES, motors, "B (18 x 6) at home, with $M^{-1}\\tau$ [per N m]")
-    _entries(axes[1, 0], c, outputs, STATE_NAMES, "C (6 x 18)")
+    _entries(axes[0, 0], a, STATE_NAMES, STATE_NAMES, "A, 18 by 18")
+    _entries(axes[0, 1], b, STATE_NAMES, motors, "B, 18 by 6, at home, $M^{-1}\\tau$")
+    _entries(axes[1, 0], c, outputs, STATE_NAMES, "C, 6 by 18")
     axes[1, 1].axis("off")
     return figure
 
@@ -44,7 +44,8 @@ def plot_singular(approaches: Mapping[str, tuple[np.ndarray, Mapping[str, np.nda
         for (curve, values), color, style in zip(curves.items(), _COLORS, _STYLES, strict=False):
             panel.loglog(distance, values, color=color, linestyle=style, linewidth=1.8, label=curve)
         panel.invert_xaxis()
-        label(panel, name, f"distance to the singular pose [{unit}]", "" if panel is not axes[0, 0] else "value")
+        label(panel, name, f"distance to the singular pose [{unit}]", "")
+    axes[0, 0].set_ylabel("singular values [SI], others [-]", fontsize=10, color=TEXT)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     return figure
@@ -76,34 +77,31 @@ def plot_decay(
     panel.yaxis.set_major_formatter("{x:g}")
     label(panel, "How fast the position error can decay", "$g = s_i^2\\,\\omega_Q/\\omega_R$ [1/s$^4$]",
           "slowest decay of a channel [rad/s]")  # fmt: skip
-    legend(panel, loc="upper left", ncols=2)
+    legend(panel, loc="lower right", ncols=2)
     return figure
 
 
-def plot_discretisation(
-    period: np.ndarray, gain: Mapping[str, np.ndarray], decay: Mapping[str, tuple[np.ndarray, np.ndarray]]
-) -> Figure:
-    """Exact against Euler discretisation over the control period.
+def plot_discretisation(period: np.ndarray, gain: Mapping[str, np.ndarray], decay: Mapping[str, np.ndarray]) -> Figure:
+    """Euler against exact discretisation over the control period.
 
     Args:
         period: (n,) [s].
         gain: Ratio -> (n,) [-] relative difference of the gains.
-        decay: Ratio -> (n,) [rad/s] slowest decay of the true sampled loop with the exact gain, and with Euler's.
+        decay: Ratio -> (n,) [-] relative difference of the slowest decay that they give the exact sampled loop.
     """
-    figure, ((left, right),) = panels(1, 2, 4.0)
-    for (name, values), color, style in zip(gain.items(), _COLORS, _STYLES, strict=False):
-        left.loglog(1e3 * period, 100.0 * values, color=color, linestyle=style, linewidth=1.8, label=f"ratio {name}")
-        exact, euler = decay[name]
-        right.semilogx(1e3 * period, exact, color=color, linewidth=1.8, label=f"ratio {name}, exact")
-        right.semilogx(1e3 * period, euler, color=color, linestyle=(0, (4, 2)), linewidth=1.8, label="Euler")
-    left.yaxis.set_major_formatter("{x:g}")
-    for panel in (left, right):
+    figure, ((left, right),) = panels(1, 2, 3.8)
+    for panel, curves in ((left, gain), (right, decay)):
+        for (name, values), color, style in zip(curves.items(), _COLORS, _STYLES, strict=False):
+            panel.semilogx(1e3 * period, 100.0 * values, color=color, linestyle=style, linewidth=1.8,
+                           label=f"ratio {name}")  # fmt: skip
         panel.xaxis.set_major_formatter("{x:g}")
-    label(left, "Difference of the gains", "control period [ms]", "|K by Euler - K| / |K| [%]")
-    label(right, "Slowest decay of the sampled loop", "control period [ms]", "[rad/s]")
-    right.set_ylim(bottom=0.0)
+    left.set_yscale("log")
+    left.yaxis.set_major_formatter("{x:g}")
+    right.axhline(0.0, color=QUIET, linewidth=0.8)
+    label(left, "Gain", "control period [ms]", "size of the difference [%]")
+    label(right, "Slowest decay of the sampled loop", "control period [ms]", "difference [%]")
     legend(left, loc="upper left")
-    legend(right, loc="lower left", ncols=2)
+    legend(right, loc="upper left")
     return figure
 
 

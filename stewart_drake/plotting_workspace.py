@@ -63,6 +63,9 @@ class Slice:
         self.found = found
         across, up = (axis for axis in range(3) if grid.counts[axis] > 1)
         (fixed,) = {0, 1, 2} - {across, up}
+        self.turned = bool((grid.high - grid.low)[up] > (grid.high - grid.low)[across])
+        if self.turned:
+            across, up = up, across  # a wide picture rather than a high one
         scale = [_SCALES[c] for c in grid.coordinates]
         names = [_NAMES[c] for c in grid.coordinates]
         self.columns = (grid.coordinates[across], grid.coordinates[up])
@@ -76,7 +79,8 @@ class Slice:
 
     def field(self, values: np.ndarray) -> np.ndarray:
         """(n_up, n_across) of values (n,)."""
-        return values.reshape([n for n in self.found.grid.counts if n > 1]).T
+        field = values.reshape([n for n in self.found.grid.counts if n > 1])
+        return field if self.turned else field.T
 
     def prepare(self, panel: Axes) -> None:
         """Axes, labels and title."""
@@ -90,8 +94,12 @@ class Slice:
 
     def image(self, panel: Axes, values: np.ndarray, **style: Any) -> Any:
         """A picture of an array [row, column] or [row, column, colour]."""
-        aspect = "equal" if self.equal else "auto"
-        return panel.imshow(values, extent=self.extent, origin="lower", interpolation="nearest", aspect=aspect, **style)
+        left, right, bottom, top = self.extent
+        picture = panel.imshow(
+            values, extent=(left, right, bottom, top), origin="lower", interpolation="nearest", **style
+        )
+        panel.set_aspect("equal" if self.equal else "auto")
+        return picture
 
     def use_image(self, panel: Axes) -> set[str]:
         """How much of its limits each pose takes up, and in pale colours what is broken; names of the limits seen."""

@@ -84,7 +84,10 @@ def split_gain(
         a = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [t, 0.0, 1.0]])
         b = np.array([0.0, t, 0.0])
     q = np.diag([q_e, q_v, q_z])
-    p = _doubling(a, np.outer(b, b) * (s * s / r)[:, None, None], q)
+    try:
+        p = _doubling(a, np.outer(b, b) * (s * s / r)[:, None, None], q)
+    except np.linalg.LinAlgError as error:
+        raise RiccatiError(f"no gain for weights {weights}: {error}") from error
     pb = p @ b
     # In split coordinates the input matrix is s_i b.
     k = s[:, None] * (pb @ a) / (r + s * s * (pb @ b))[:, None]

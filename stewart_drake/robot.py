@@ -11,9 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Real, Vector3
+from stewart_drake.scalars import SECTION, Count, Real, Vector3, is_finite
 
 LEGS = 6
+SMALLEST, LARGEST = 1e-12, 1e6
+"""Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
 
@@ -80,11 +82,13 @@ class RobotParameters:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            values = np.atleast_1d(np.asarray(getattr(self, field.name), dtype=float))
-            if not np.all(np.isfinite(values)):
-                raise ConfigurationError(f"robot.{field.name}", getattr(self, field.name), "finite numbers")
-            if field.name not in {"shaft_height", "branch"} and np.any(values <= 0.0):
-                raise ConfigurationError(f"robot.{field.name}", getattr(self, field.name), "positive numbers")
+            given = getattr(self, field.name)
+            values = given if isinstance(given, tuple) else (given,)
+            signed = field.name in {"shaft_height", "branch"}
+            low = -LARGEST if signed else SMALLEST
+            if not all(is_finite(value) and low <= value <= LARGEST for value in values):
+                allowed = f"finite numbers from {low:g} to {LARGEST:g}" if signed else f"positive numbers to {LARGEST:g}"
+                raise ConfigurationError(f"robot.{field.name}", given, allowed)
         if self.branch not in (-1, 1):
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import Strict
@@ -16,3 +17,8 @@ Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 
 SECTION: Any = {"extra": "forbid", "allow_inf_nan": False, "use_attribute_docstrings": True}
 """How pydantic reads a plain dataclass as a section of a scenario; its docstrings become the schema's descriptions."""
+
+
+def is_finite(value: Any) -> bool:
+    """Whether a value is a finite number; a truth value or a text that looks like one is none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import warnings
 from collections.abc import Iterable, Mapping
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -57,6 +58,14 @@ class _Tuner(_Section):
     """Kind of density (35), (36); for a network, the one that it was trained on."""
     window: Annotated[Count, Field(ge=1, le=100_000)] = 49
     """Window m of (35), (36) [ticks]; means run over m + 1 samples."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _validate(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(data)
+        except ValidationError as error:
+            raise explain(cls, error, data, "tuner") from None
 
 
 class FixedTuner(_Tuner):
@@ -118,6 +127,14 @@ class Scenario(_Section):
             raise explain(cls, error, data) from None
         scenario._check()
         return scenario
+
+    @field_validator("robot", "model_robot", "plant", "reference", "controller", "limits", mode="before")
+    @classmethod
+    def _unpack(cls, section: Any) -> Any:
+        # A section made in Python is checked like one from a file; otherwise an array in it would only show at the end.
+        if isinstance(section, type) or not dataclasses.is_dataclass(section):
+            return section
+        return {field.name: getattr(section, field.name) for field in dataclasses.fields(section)}
 
     @field_validator("robot", "model_robot", mode="wrap")
     @classmethod
@@ -290,7 +307,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         size = path.stat().st_size
         if size > MAX_SCENARIO_BYTES:
             raise ConfigurationError(f"scenario file {path}", f"{size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
-        text = path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(f"scenario file {path}", error.strerror or str(error), "a readable file") from None
     except UnicodeDecodeError as error:

@@ -19,13 +19,14 @@ _NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
 _SHOWN_KEY = 60
 
 
-def explain(root: type, error: ValidationError, data: Any) -> ConfigurationError:
+def explain(root: type, error: ValidationError, data: Any, section: str = "") -> ConfigurationError:
     """The first problem of pydantic's report, in one line, under the key as the user wrote it.
 
     Args:
-        root: Class of the scenario.
+        root: Class of the scenario, or of one section of it.
         error: The report.
         data: What was validated.
+        section: Key of that section.
     """
     problems = error.errors(include_url=False)
     # A mistyped key that is required shows up twice; as an unknown key the message can name the right one.
@@ -65,6 +66,7 @@ def explain(root: type, error: ValidationError, data: Any) -> ConfigurationError
             allowed += " (without quotes)"
     if len(problems) > 1:
         allowed += f" (and {len(problems) - 1} more problem{'s' if len(problems) > 2 else ''})"
+    keys = [section, *keys] if section else keys
     return ConfigurationError(".".join(map(shown, keys)) or "scenario", value, allowed)
 
 
@@ -92,6 +94,7 @@ def _keys_written(location: Iterable[int | str], data: Any) -> list[str]:
     keys: list[str] = []
     here: Any = data
     for depth, part in enumerate(location):
+        here = vars(here) if dataclasses.is_dataclass(here) else here
         inside = (isinstance(here, Mapping) and part in here) or (
             isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
         )

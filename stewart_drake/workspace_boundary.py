@@ -17,6 +17,7 @@ from stewart_drake.workspace_region import (
     COORDINATES,
     LIMIT_NAMES,
     Kind,
+    check_center,
     governing_limit,
     outer_box,
     poses_at,
@@ -98,7 +99,7 @@ def boundary(
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        ConfigurationError: No position can be reached at this orientation.
+        ConfigurationError: A center that `workspace_region.check_center` refuses.
     """
 
     def follow(directions: np.ndarray, done: int) -> tuple[np.ndarray, np.ndarray]:
@@ -148,9 +149,10 @@ def follow_rays(
         -1 where none does.
 
     Raises:
-        ConfigurationError: No position can be reached at this orientation.
+        ConfigurationError: A center that `workspace_region.check_center` refuses.
     """
     center = np.asarray(center, dtype=float)
+    check_center(robot, center)
     bounds = limit_bounds(robot, limits)
     coordinates = COORDINATES[kind]
     longest = math.pi

@@ -41,6 +41,8 @@ LIMIT_NAMES = (
     "euler_pitch",
 )
 """Limits that a pose at rest can break; those of `limits.RULES`, the swings of the two joints apart."""
+ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
+"""[rad] roll, pitch and yaw, either way, that cover all orientations."""
 
 _COARSE = 40**3  # cells to find the box of the poses in reach with
 
@@ -164,35 +166,40 @@ def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, sample
         samples: At least 8.
 
     Raises:
-        ConfigurationError: A center that is not finite or not (6,), or with which nothing can be reached; too few
-        samples.
+        ConfigurationError: A center that `check_center` refuses; too few samples.
     """
     center = np.asarray(center, dtype=float)
-    if center.shape != (6,) or not np.isfinite(center).all():
-        raise ConfigurationError("center", center, "finite numbers of shape (6,)")
+    check_center(robot, center)
     if samples < 8:
         raise ConfigurationError("samples", samples, "at least 8")
-    if kind == "position":
-        low, high = outer_box(robot, center)
-    else:
-        high = np.array([np.pi, 0.5 * np.pi, np.pi])
-        low = -high
+    low, high = outer_box(robot, center) if kind == "position" else (-ALL_ANGLES, ALL_ANGLES.copy())
     coarse = Grid(COORDINATES[kind], center, low, high, _counts(high - low, _COARSE))
     inside = smallest_reach(robot, coarse.poses).reshape(coarse.counts) >= 0.0
-    if not inside.any():
-        raise ConfigurationError("center", center.tolist(), f"a pose from which some {kind} can be reached")
-    for axis in range(3):
+    for axis in range(3) if inside.any() else ():
         along = np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis})))
         edges = low[axis] + coarse.width[axis] * np.array([along[0] - 1, along[-1] + 2])
         low[axis], high[axis] = max(low[axis], edges[0]), min(high[axis], edges[1])
     return Grid(COORDINATES[kind], center, low, high, _counts(high - low, samples))
 
 
-def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) [m] of a box around all positions in reach at the orientation of `center`.
+def check_center(robot: RobotParameters, center: np.ndarray) -> None:
+    """Refuses what cannot be the centre of a workspace.
 
     Raises:
-        ConfigurationError: There are none.
+        ConfigurationError: Not six finite numbers, angles beyond `ALL_ANGLES`, or out of reach.
+    """
+    if center.shape != (6,) or not np.isfinite(center).all() or (np.abs(center[:3]) > ALL_ANGLES).any():
+        raise ConfigurationError(
+            "center", center.tolist(), "six finite numbers, roll and yaw within +-pi, pitch within +-pi/2"
+        )
+    if smallest_reach(robot, center[None])[0] < 0.0:
+        raise ConfigurationError("center", center.tolist(), "a pose that all rods can reach")
+
+
+def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center` in reach.
+
+    Of these, the positions on the centre's side of the motors' plane.
     """
     about = robot.shaft_positions - robot.platform_joints @ rotation_matrix(center[:3]).T
     reach = robot.crank_length + robot.rod_length
@@ -201,8 +208,6 @@ def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, n
         low[2] = max(low[2], robot.shaft_height)
     else:
         high[2] = min(high[2], robot.shaft_height)
-    if (low >= high).any():
-        raise ConfigurationError("center", center.tolist(), "an orientation that some position can be reached with")
     return low, high
 
 

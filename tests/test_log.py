@@ -64,14 +64,6 @@ def test_a_folder_means_the_log_in_it(log, tmp_path):
     np.testing.assert_array_equal(load_log(str(tmp_path))["pose"], log["pose"])
 
 
-def test_a_folder_named_like_a_column_adds_none(log, tmp_path):
-    for name in ("time=3", "duration=2"):
-        folder = tmp_path / name
-        folder.mkdir()
-        log.save(folder / "log.parquet")
-        np.testing.assert_array_equal(load_log(folder).time, log.time)
-
-
 def test_every_column_tells_its_unit_frame_and_meaning(log):
     schema = pq.read_schema(pa.BufferReader(log.to_parquet()))
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}

@@ -41,8 +41,8 @@ def test_the_second_half_is_that_of_the_planned_duration_its_first_row_included(
 
 
 def test_the_second_half_begins_at_its_row_in_spite_of_rounding():
-    # 0.1 * 3 is a little more than 0.3, 0.7 * 0.5 a little less than 0.35.
-    for step, duration, rows in ((0.1, 0.6, 7), (0.05, 0.7, 15), (0.005, 0.35, 71)):
+    # In binary 3 * 0.1 is a little more than half of 0.6, and 17 * 0.0003 a little less than half of 0.0102.
+    for step, duration, rows in ((0.1, 0.6, 7), (0.0003, 0.0102, 35), (0.005, 0.35, 71)):
         log = made_log(rows=rows, step=step, duration=duration)
         assert second_half(log).sum() == rows - (rows - 1) // 2
 

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 
 
@@ -29,11 +31,19 @@ class Table:
         caption: What it shows, and over what.
         columns: Headings, units included.
         rows: Cells as they are to be read; numbers are formatted by whoever makes the table.
+
+    Raises:
+        ValueError: A row has more or fewer cells than there are columns.
     """
 
     caption: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table {self.caption!r}: {len(row)} cells under {len(self.columns)} columns: {row}")
 
 
 @dataclass(frozen=True)
@@ -85,9 +95,13 @@ class Section:
         self.items.append(Figure(caption, file))
 
     def to_json(self) -> str:
-        """The section as JSON that `from_json` reads back."""
+        """The section as JSON that `from_json` reads back.
+
+        Raises:
+            ValueError, TypeError: `numbers` holds NaN, an infinity or something that is no plain value.
+        """
         items = [{"type": type(item).__name__, **asdict(item)} for item in self.items]
-        return json.dumps({**{k: getattr(self, k) for k in _PLAIN}, "items": items}, indent=1)
+        return json.dumps({**{k: getattr(self, k) for k in _PLAIN}, "items": items}, indent=1, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> Section:
@@ -98,7 +112,7 @@ class Section:
         """
         document = json.loads(text)
         section = cls(**{k: document[k] for k in _PLAIN})
-        for item in document["items"]:
+        for item in map(dict, document["items"]):
             kind = item.pop("type")
             if kind == "Table":
                 item["columns"], item["rows"] = tuple(item["columns"]), tuple(tuple(row) for row in item["rows"])
@@ -119,7 +133,7 @@ def cell(value: object) -> str:
 def to_markdown(title: str, preface: str, sections: Sequence[Section]) -> str:
     """The whole report; pictures are links into `figures/`."""
     lines = [f"# {title}", "", preface, "", "| section | verdict |", "|---|---|"]
-    lines += [f"| [{s.title}](#{_anchor(s.title)}) | {s.verdict} |" for s in sections]
+    lines += [f"| [{_in_row(s.title)}](#{_anchor(s.title)}) | {_in_row(s.verdict)} |" for s in sections]
     for section in sections:
         lines += ["", f"## {section.title}", "", f"**Claim.** {section.claim}", "", f"**Verdict.** {section.verdict}"]
         for item in section.items:
@@ -128,37 +142,60 @@ def to_markdown(title: str, preface: str, sections: Sequence[Section]) -> str:
 
 
 def to_html(markdown: str, title: str, folder: Path) -> str:
-    """The Markdown report as one page: pictures from `folder` inside it, nothing loaded from elsewhere."""
+    """The Markdown report as one page: pictures from `folder` inside it, nothing loaded from elsewhere.
+
+    Raises:
+        ConfigurationError: A picture cannot be read.
+    """
     from markdown_it import MarkdownIt
 
-    body = MarkdownIt("commonmark").enable("table").render(markdown)
+    # No raw HTML: what stands in angle brackets is meant to be read.
+    body = MarkdownIt("commonmark", {"html": False}).enable("table").render(markdown)
 
     def inline(match: re.Match[str]) -> str:
-        picture = (folder / html.unescape(match[1])).read_bytes()
+        path = folder / unquote(html.unescape(match[1]))
+        try:
+            picture = path.read_bytes()
+        except OSError as error:
+            raise ConfigurationError(f"figure {path}", error.strerror, "the picture that its section made") from None
         return f'src="data:image/png;base64,{base64.b64encode(picture).decode()}"'
 
+    def heading(match: re.Match[str]) -> str:
+        return f'<h2 id="{_anchor(html.unescape(re.sub("<[^>]*>", "", match[1])))}">{match[1]}</h2>'
+
     body = re.sub(r'src="(figures/[^"]+)"', inline, body)
-    body = re.sub(r"<h2>(.*?)</h2>", lambda m: f'<h2 id="{_anchor(html.unescape(m[1]))}">{m[1]}</h2>', body)
+    body = re.sub(r"<h2>(.*?)</h2>", heading, body)
     body = body.replace("<table>", '<div class="wide"><table>').replace("</table>", "</table></div>")
-    return _PAGE.replace("{title}", html.escape(title)).replace("{body}", body)
+    head, foot = _PAGE.split("{body}")
+    return head.replace("{title}", html.escape(title)) + body + foot
 
 
 def write_report(folder: Path, title: str, preface: str, sections: Sequence[Section]) -> None:
-    """Writes report.md and report.html into `folder`, whose `figures` the sections refer to."""
+    """Writes report.md and report.html into `folder`, whose `figures` the sections refer to.
+
+    Raises:
+        ConfigurationError: A picture is missing, or the folder cannot be written to; of a missing one before anything
+            is written.
+    """
     markdown = to_markdown(title, preface, sections)
+    page = to_html(markdown, title, folder)
     write_atomically(folder / "report.md", markdown.encode())
-    write_atomically(folder / "report.html", to_html(markdown, title, folder).encode())
+    write_atomically(folder / "report.html", page.encode())
 
 
 def _item_lines(item: Item) -> list[str]:
     if isinstance(item, Text):
         return [item.markdown]
     if isinstance(item, Figure):
-        return [f"![{item.caption}](figures/{item.file})", "", f"*{item.caption}*"]
-    escape = [[c.replace("|", "\\|") for c in row] for row in (item.columns, *item.rows)]
-    lines = [f"*{item.caption}*", "", "| " + " | ".join(escape[0]) + " |"]
-    lines.append("|" + "---|" * len(item.columns))
-    return lines + ["| " + " | ".join(row) + " |" for row in escape[1:]]
+        alternative = re.sub(r"([\[\]])", r"\\\1", item.caption)
+        return [f"![{alternative}](<figures/{item.file}>)", "", f"*{item.caption}*"]
+    head, *rows = ("| " + " | ".join(map(_in_row, row)) + " |" for row in (item.columns, *item.rows))
+    return [f"*{item.caption}*", "", head, "|" + "---|" * len(item.columns), *rows]
+
+
+def _in_row(text: str) -> str:
+    """Text as it must stand in a row of a table: one line, its pipes no borders."""
+    return " ".join(text.split()).replace("|", "\\|")
 
 
 def _anchor(title: str) -> str:

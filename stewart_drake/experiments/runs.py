@@ -6,30 +6,53 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.log import SimulationLog, load_log
 from stewart_drake.network import default_network_path
+from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
 from stewart_drake.versions import collect_versions
 
 
-def run_key(scenario: Scenario) -> str:
-    """A name for the result of `scenario`: digest of its keys (not its name), the tuner's weights and the versions."""
+def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None) -> str:
+    """A name for the result of `scenario`: digest of its keys (not its name), the tuner's weights and the versions.
+
+    Args:
+        scenario: What to run.
+        versions: From `collect_versions`; None collects them.
+
+    Raises:
+        ConfigurationError: The tuner's weights file cannot be read.
+    """
     data = scenario.to_dict()
     data.pop("name")
     content: list[Any] = [data]
     if isinstance(scenario.tuner, AnnTuner):
-        path = scenario.tuner.weights_file
-        content.append((default_network_path() if path is None else Path(path)).read_text(encoding="utf-8"))
-    versions = collect_versions()
+        content.append(weights_text(scenario.tuner))
+    versions = collect_versions() if versions is None else versions
     content.append({name: versions[name] for name in ("stewart-drake", "drake", "numpy", "source")})
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def weights_text(tuner: AnnTuner) -> str:
+    """Content of the weights file that `tuner` names.
+
+    Raises:
+        ConfigurationError: It cannot be read.
+    """
+    path = default_network_path() if tuner.weights_file is None else Path(tuner.weights_file)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"weights file {path}", str(error), "a readable file") from None
 
 
 def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
@@ -45,6 +68,9 @@ def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
 @dataclass(frozen=True)
 class RunStore:
     """Runs scenarios and keeps their logs (without the plant's state); an interrupted experiment goes on where it was.
+
+    Several workers are processes that import the calling script anew: there the call must stand under
+    `if __name__ == "__main__":`. One worker runs in the calling process.
 
     Attributes:
         folder: Where the logs lie.
@@ -68,46 +94,65 @@ class RunStore:
             check: As in `simulation.run`.
 
         Raises:
-            ConfigurationError: A scenario is refused before its run.
+            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to.
+            StewartDrakeError: A worker process ended by itself.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        paths = [self.folder / f"{run_key(s)}.parquet" for s in scenarios]
-        missing = {path: s for path, s in zip(paths, scenarios, strict=True) if not _readable(path)}
-        total = max(1, len(set(paths)))
-        if missing:
-            self._run_missing(missing, total, progress, check)
+        prepare_folder(self.folder)
+        versions = collect_versions()
+        paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
+        logs = {path: _kept(path) for path in dict.fromkeys(paths)}
+        missing = {path: s for path, s in zip(paths, scenarios, strict=True) if logs[path] is None}
+        done = len(logs) - len(missing)
+        for finished, _ in enumerate(self._run(missing, check), start=1):
+            if progress is not None:
+                progress((done + finished) / len(logs))
         if progress is not None:
             progress(1.0)
-        return [replace(load_log(path), scenario=s) for path, s in zip(paths, scenarios, strict=True)]
+        logs |= {path: load_log(path) for path in missing}
+        return [replace(logs[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
-    def _run_missing(
-        self,
-        missing: dict[Path, Scenario],
-        total: int,
-        progress: Callable[[float], None] | None,
-        check: bool,
-    ) -> None:
-        done = total - len(missing)
-        # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
-        pool = ProcessPoolExecutor(min(self.workers, len(missing)), multiprocessing.get_context("spawn"))
-        try:
-            pending = {pool.submit(_run_and_keep, s, path, check) for path, s in missing.items()}
-            while pending:
-                finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                    done += 1
-                    if progress is not None:
-                        progress(done / total)
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    def _run(self, missing: Mapping[Path, Scenario], check: bool) -> Iterator[None]:
+        """Runs `missing`; yields after each."""
+        workers = min(self.workers, len(missing))
+        if workers > 1:
+            yield from _run_in_processes(missing, workers, check)
+            return
+        for path, scenario in missing.items():
+            yield _run_and_keep(scenario, path, check)
 
 
-def _readable(path: Path) -> bool:
-    if not path.is_file():
-        return False
+def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool) -> Iterator[None]:
+    others = set(multiprocessing.active_children())
+    # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
     try:
-        load_log(path)
-    except ConfigurationError:
-        return False
-    return True
+        # The workers inherit that Ctrl-C is not for them: this process stops them, without a traceback from each.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            futures = [pool.submit(_run_and_keep, scenario, path, check) for path, scenario in missing.items()]
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        for future in as_completed(futures):
+            yield future.result()
+    except BrokenProcessPool:
+        raise StewartDrakeError(
+            "a worker process ended by itself: it was killed, or ran out of memory, or the script that called has no "
+            '`if __name__ == "__main__":` around the call, without which each worker runs the script again'
+        ) from None
+    except Exception:
+        raise
+    except BaseException:
+        # Ctrl-C, or the caller gives up: what is half done is lost all the same, so nobody waits for it.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _kept(path: Path) -> SimulationLog | None:
+    """The log at `path`; None where there is none that can be read."""
+    try:
+        return load_log(path)
+    except (ConfigurationError, ValueError, KeyError, TypeError):
+        return None

@@ -21,11 +21,13 @@ from stewart_drake.rigid_body_model import task_bias, task_inertia
 from stewart_drake.robot import LEGS, RobotParameters
 from stewart_drake.state_space import mass_diagonal
 
-SETTLING_STEPS = 20
+SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
 first step from rest and halve that in each further one."""
 _TORQUE_SHARE = 0.2
 """Part of the effort limit that is put on one motor at a time."""
+_DRIFT_STEP = 2e-4
+"""[s] plant step of the runs under constant torques."""
 
 MODELS = {
     "printed, p_i unrotated": "(9) to (18) to the letter",
@@ -96,15 +98,16 @@ def measured(
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     port, output = diagram.GetInputPort("torque"), diagram.GetOutputPort("state")
-    step, twist = stewart.plant.time_step(), stewart.indices.twist
+    plant, twist = stewart.plant, stewart.indices.twist
+    plant_context, step = plant.GetMyMutableContextFromRoot(context), plant.time_step()
     torque = _TORQUE_SHARE * robot.effort_limit
     runs = np.vstack([np.zeros(LEGS), torque * np.eye(LEGS)])
     gained = np.empty((len(poses), len(runs), 6))
     with drake_guard("measuring accelerations"):
-        for row, pose in enumerate(poses):
+        for row, state in enumerate(stewart.assemble(poses)):
             for column, torques in enumerate(runs):
                 context.SetTime(0.0)
-                stewart.set_state(context, pose)
+                plant.SetPositionsAndVelocities(plant_context, state)
                 port.FixValue(context, torques)
                 simulator.Initialize()
                 simulator.AdvanceTo((steps - 1) * step)
@@ -122,7 +125,7 @@ def exact(robot: RobotParameters, poses: np.ndarray, gravity: float) -> Accelera
 
 
 def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarray:
-    """q'' per unit of motor torque by one of `MODELS`; (n, 6, 6) [rad/s^2, m/s^2 per N m]."""
+    """Acceleration q'' per unit of motor torque by one of `MODELS`; (n, 6, 6) [rad/s^2, m/s^2 per N m]."""
     wrench = wrench_map(robot, poses, model)
     if model in ("statics, I in B", "massless legs"):
         rate = _of_body(robot, poses, wrench)
@@ -131,7 +134,7 @@ def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarr
 
 
 def wrench_map(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarray:
-    """tau of (18) by one of `MODELS`; (n, 6, 6) [-, 1/m]."""
+    """Map tau of (18) by one of `MODELS`; (n, 6, 6) [-, 1/m]."""
     legs = leg_geometry(robot, poses)
     if model == "printed, p_i unrotated":
         return np.asarray(rod_map_11(robot, legs) * crank_map(robot, legs, "printed")[..., None, :])
@@ -176,9 +179,9 @@ def drift_under(
         poses: (n, 6) [rad, m] where it starts.
         torques: (n, 6) [N m].
         gravity: [m/s^2] along -z.
-        duration: [s] simulated at 0.1 ms.
+        duration: [s].
     """
-    diagram, stewart = build_plant(robot, PlantOptions(time_step=1e-4), gravity)
+    diagram, stewart = build_plant(robot, PlantOptions(time_step=_DRIFT_STEP), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     shifts = np.empty(len(poses))

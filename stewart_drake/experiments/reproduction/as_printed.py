@@ -86,7 +86,7 @@ def crank_equation(robot: RobotParameters, joints: np.ndarray) -> CrankEquation:
 
 
 def crank_angles(equation: CrankEquation, branch: int) -> np.ndarray:
-    """theta = atan2(B, A) + branch * acos(C / sqrt(A^2 + B^2)); (..., 6) [rad], NaN where a rod cannot span."""
+    """Closed form theta = atan2(B, A) + branch * acos(C / sqrt(A^2 + B^2)); (..., 6) [rad], NaN out of reach."""
     with np.errstate(invalid="ignore"):
         return np.arctan2(equation.b, equation.a) + branch * np.arccos(equation.c / equation.size)
 

@@ -138,15 +138,20 @@ def misprint_effect(robot: RobotParameters, poses: np.ndarray, joints: np.ndarra
     )
 
 
-def branch_of_6(robot: RobotParameters, poses: np.ndarray) -> dict[str, float]:
+def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> dict[str, float]:
     """Which of the two solutions (6) gives, as shares of the legs at many poses.
 
+    Args:
+        robot: Geometry.
+        poses: (n, 6) [rad, m] in reach.
+        sense: -1 counts crank angles the other way round, which turns B into -B.
+
     Returns:
-        `-1` and `1`: share that equals that branch; `neither`: share that solves nothing; `a_positive`: share with A >
-        0.
+        `-1` and `1`: share that equals that branch; `neither`: share that solves nothing; `a_positive`: share with
+        A > 0.
     """
     equation = as_printed.crank_equation(robot, as_printed.platform_joints(robot, poses))
-    printed = as_printed.crank_angles_6(equation)
+    printed = sense * as_printed.crank_angles_6(equation._replace(b=sense * equation.b))
     match = [_apart(printed, as_printed.crank_angles(equation, branch)) < SAME_ANGLE for branch in BRANCHES]
     shares = {str(branch): float(hit.mean()) for branch, hit in zip(BRANCHES, match, strict=True)}
     return {**shares, "neither": float((~match[0] & ~match[1]).mean()), "a_positive": float((equation.a > 0.0).mean())}

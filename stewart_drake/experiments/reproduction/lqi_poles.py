@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from stewart_drake.riccati import riccati_gain, solve_drake, split_gain
@@ -58,7 +60,7 @@ def riccati_residual(acceleration_map: np.ndarray, period: float, omega_q: float
 
 def product_shape(*shapes: tuple[int, int]) -> tuple[int, int] | None:
     """Shape of a product of matrices; None where two neighbours do not fit."""
-    for (_, columns), (rows, _) in zip(shapes, shapes[1:], strict=False):
+    for (_, columns), (rows, _) in itertools.pairwise(shapes):
         if columns != rows:
             return None
     return shapes[0][0], shapes[-1][1]

@@ -20,9 +20,9 @@ OTHER_CENTERS: tuple[tuple[Kind, str, tuple[float, ...]], ...] = (
     ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "pitch 30 deg", (0.0, np.pi / 6.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "yaw 30 deg", (0.0, 0.0, np.pi / 6.0, 0.0, 0.0, 0.0)),
-    ("orientation", "50 mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
-    ("orientation", "50 mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
-    ("orientation", "100 mm along X", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
+    ("orientation", "Z 50 mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
+    ("orientation", "Z 50 mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
+    ("orientation", "X 100 mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
 )
 """Turned or moved from the centre; 30 deg of roll and 50 mm of height are the amplitudes of (37), (38)."""
 
@@ -37,7 +37,7 @@ class PoseStudy:
         boundaries: Of both workspaces.
         ranges: (2, 6) [rad, m] lowest and highest value of each coordinate alone.
         cuts: (2, 6) index in `LIMIT_NAMES` of what ends them; -1 for nothing.
-        others: Name, kind and survey around other centres; None where nothing can be reached.
+        others: Name, kind and survey around other centres; None where the centre is out of reach.
         rate: [1/s] poses measured.
     """
 
@@ -55,11 +55,11 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
 
     Args:
         study: For which robot and limits.
-        samples: Poses in each of the two workspaces; a tenth around each other centre.
+        samples: Poses in each of the two workspaces; a twentieth around each other centre.
         center: (6,) [rad, m].
 
     Raises:
-        ConfigurationError: Nothing can be reached with this orientation or position; too few samples.
+        ConfigurationError: A center that `check_center` refuses; too few samples.
     """
     base = study.base
     robot, limits, gravity = base.robot, base.limits, base.gravity
@@ -71,7 +71,7 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
         surveys[kind] = survey(robot, limits, grid, gravity, part_of(study, 0.17 * i, 0.17))
     rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
     for i, kind in enumerate(KINDS):
-        size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(2, 1)}
+        size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(3, 1)}
         boundaries[kind] = boundary(
             robot, limits, kind, center, **size, gravity=gravity, progress=part_of(study, 0.34 + 0.08 * i, 0.08)
         )
@@ -84,7 +84,7 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
     others: list[tuple[str, Kind, Survey | None]] = []
     for i, (kind, name, offset) in enumerate(OTHER_CENTERS):
         try:
-            grid = spanning_grid(robot, kind, center + offset, max(8, samples // 10))
+            grid = spanning_grid(robot, kind, center + offset, max(8, samples // 20))
             others.append((name, kind, survey(robot, limits, grid, gravity)))
         except ConfigurationError:
             others.append((name, kind, None))

@@ -39,7 +39,9 @@ class Singularity:
         return np.asarray(robot.home_pose + (self.distance - back) * self.direction)
 
 
-def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float, samples: int = 400) -> Singularity | None:
+def first_singularity(
+    robot: RobotParameters, direction: np.ndarray, most: float, samples: int = 400
+) -> Singularity | None:
     """Follows a ray from home until a crank reaches its dead centre or the determinant of the rods' lines changes sign.
 
     Args:

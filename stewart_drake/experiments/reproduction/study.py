@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stewart_drake.experiments.runs import RunStore
+from stewart_drake.network import default_network_path
 from stewart_drake.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -37,6 +38,12 @@ class Study:
     def store(self) -> RunStore:
         """Runs that are kept on disk."""
         return RunStore(self.folder / "runs")
+
+    @property
+    def tuner_file(self) -> Path:
+        """Weights of the tuner: those that this report's own training has left, else those of the package."""
+        own = self.folder / "tuner.json"
+        return own if own.is_file() else default_network_path()
 
     def pick(self, full: Any, quick: Any) -> Any:
         """One of two sizes."""

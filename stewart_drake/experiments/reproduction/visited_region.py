@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.feasibility import largest_amplitude, largest_scale
-from stewart_drake.limits import limit_bounds
 from stewart_drake.log import AXES, SimulationLog
 from stewart_drake.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.references import SineReference
@@ -22,52 +23,55 @@ from stewart_drake.workspace_region import LIMIT_NAMES, governing_limit, utilisa
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
 ONE_HERTZ = 2.0 * math.pi
-SIX_AXES = (0.8, 1.1, 0.9, 1.3, 0.7, 1.0)
-"""[-] angular frequencies of the motion on all axes at once, as parts of that of the paper."""
+SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
+"""[rad/s] of the motion on all axes at once, around the paper's 2."""
+SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
+"""[rad, m] from which that motion is scaled to what is feasible."""
+
+LARGE_SPREAD = 1.5
+"""[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
 
 
 def controlled_motions(study: Study) -> dict[str, Scenario]:
-    """The runs to look at by name: the base scenario's own motion first, which is the paper's unless the user changes it.
+    """The runs to look at by name; first the base scenario's own motion, the paper's unless the user changes it.
 
     The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed.
     """
     base = study.base
+    robot, limits = base.robot, base.limits
+    whole_period = {"duration": min(base.duration, study.pick(10.0, 3.2))}
     short = {"duration": min(base.duration, study.pick(5.0, 1.5))}
     model = {"gravity": 0.0, "controller.feedforward": "none", "tuner.kind": "fixed"}
     weights = {"tuner.omega_q": 1.0, "tuner.omega_r": 1.0}
     motions = {
-        "the paper's motion": base.replace({"duration": min(base.duration, study.pick(10.0, 1.5))}),
-        "the same without gravity, weights 1/1": base.replace(short | model | weights),
+        "the paper's motion": base.replace(whole_period),
+        "the same without gravity, weights 1/1": base.replace(whole_period | model | weights),
     }
     for axis in study.pick((1, 2, 3, 4), (4,)):
-        largest = largest_amplitude(base.robot, base.limits, axis, 1.0, base.gravity)
-        amplitude = AMPLITUDE_SHARE * largest * np.eye(6)[axis]
-        motions[f"{_named(axis)} at 1 Hz"] = base.replace(short | _sine(base, amplitude, np.full(6, ONE_HERTZ)))
-    frequency = 2.0 * np.array(SIX_AXES)
-    whole = np.array([0.35, 0.35, 0.35, 0.06, 0.06, 0.05])
+        largest = largest_amplitude(robot, limits, axis, 1.0, base.gravity)
+        reference = _sine(base, AMPLITUDE_SHARE * largest * np.eye(6)[axis], np.full(6, ONE_HERTZ))
+        name = AXES[axis] if axis < 3 else AXES[axis].upper()
+        motions[f"{name} at 1 Hz"] = base.replace(short | _as_change(reference))
 
-    def reference(scale: float) -> SineReference:
-        sine = _sine(base, scale * whole, frequency)["reference"]
-        return SineReference(**{k: tuple(v) if isinstance(v, list) else v for k, v in sine.items()})
+    def all_axes(scale: float) -> SineReference:
+        return _sine(base, scale * np.array(SIX_AMPLITUDES), np.array(SIX_FREQUENCIES))
 
-    scale = largest_scale(base.robot, base.limits, reference, short["duration"], base.gravity)
-    motions["all six axes"] = base.replace(short | _sine(base, AMPLITUDE_SHARE * scale * whole, frequency))
+    scale = largest_scale(robot, limits, all_axes, short["duration"], base.gravity)
+    motions["all six axes"] = base.replace(short | _as_change(all_axes(AMPLITUDE_SHARE * scale)))
     return motions
 
 
-def _named(axis: int) -> str:
-    return AXES[axis] if axis < 3 else AXES[axis].upper()
+def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> SineReference:
+    center, size, speed = (
+        (float(a), float(b), float(c), float(x), float(y), float(z))
+        for a, b, c, x, y, z in (base.robot.home_pose, amplitude, angular_frequency)
+    )
+    return SineReference(center=center, amplitude=size, angular_frequency=speed)
 
 
-def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> dict[str, dict[str, object]]:
-    return {
-        "reference": {
-            "kind": "sine",
-            "center": base.robot.home_pose.tolist(),
-            "amplitude": amplitude.tolist(),
-            "angular_frequency": angular_frequency.tolist(),
-        }
-    }
+def _as_change(reference: SineReference) -> dict[str, Any]:
+    plain = dataclasses.asdict(reference)
+    return {"reference": {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,7 @@ class VisitedRegion:
         log: The run.
         envelope: The box around it.
         use: Utilisation (n,) of each limit at its poses, at rest.
+        reference_use: Of its reference's poses.
         peak_torque: [N m] largest of any motor, within its limit.
         reference_torque: [N m] largest that the reference itself asks for, by the exact inverse dynamics.
     """
@@ -87,6 +92,7 @@ class VisitedRegion:
     log: SimulationLog
     envelope: MotionEnvelope
     use: dict[str, np.ndarray]
+    reference_use: dict[str, np.ndarray]
     peak_torque: float
     reference_torque: float
 
@@ -108,26 +114,32 @@ class VisitedRegion:
     @property
     def worst(self) -> tuple[float, str]:
         """[-] largest part of a limit that a visited pose takes up, and the limit."""
-        use, cause = governing_limit(self.use)
-        at = int(use.argmax())
-        return float(use[at]), LIMIT_NAMES[cause[at]]
+        return _worst(self.use)
+
+    @property
+    def reference_worst(self) -> tuple[float, str]:
+        """[-] largest part of a limit that a pose of the reference takes up, and the limit."""
+        return _worst(self.reference_use)
+
+
+def _worst(of: dict[str, np.ndarray]) -> tuple[float, str]:
+    use, cause = governing_limit(of)
+    at = int(use.argmax())
+    return float(use[at]), LIMIT_NAMES[cause[at]]
 
 
 def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
     """What one run visited, up to where it ended."""
     scenario = log.scenario
-    limit = limit_bounds(scenario.robot, scenario.limits).get("torque")
-    measures = measure_poses(scenario.robot, log["pose"], scenario.gravity, limit)
-    motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
-    wanted = inverse_dynamics(scenario.robot, *motion, scenario.gravity)
-    return VisitedRegion(
-        name,
-        log,
-        motion_envelope(log),
-        utilisation(scenario.robot, scenario.limits, log["pose"], measures),
-        float(np.abs(log["torque_applied"]).max()),
-        float(np.abs(wanted).max()),
+    robot, limits, gravity = scenario.robot, scenario.limits, scenario.gravity
+    use, reference_use = (
+        utilisation(robot, limits, pose, measure_poses(robot, pose, gravity))
+        for pose in (log["pose"], log["reference"])
     )
+    motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
+    wanted = inverse_dynamics(robot, *motion, gravity)
+    peaks = (float(np.abs(torque).max()) for torque in (log["torque_applied"], wanted))
+    return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
 
 
 def region_verdict(regions: Sequence[VisitedRegion]) -> str:
@@ -136,23 +148,25 @@ def region_verdict(regions: Sequence[VisitedRegion]) -> str:
     if not done:
         return f"Does not hold: none of the {len(regions)} controlled motions came to its end."
     peaks = [region.peak_torque for region in done]
-    use, limit = regions[0].worst
-    ended = f"{len(done)} of {len(regions)} controlled motions came to their end"
+    most = 100.0 * max(region.torque_use for region in done)
     bounded = (
-        f"{ended}; each fills a bounded region of states and torques (up to {max(peaks):.2f} N m, "
-        f"{100.0 * max(r.torque_use for r in done):.0f} % of the motors' limit)"
+        f"{len(done)} of {len(regions)} controlled motions came to their end; each fills a bounded region of states "
+        f"and torques (up to {max(peaks):.2f} N m, {most:.0f} % of the motors' limit)"
     )
+    paper = regions[0]
+    (use, limit), (reference_use, _) = paper.worst, paper.reference_worst
     own = (
-        f"The paper's own motion takes up at most {100.0 * use:.0f} % of a limit ({limit.replace('_', ' ')}) and "
-        f"{100.0 * regions[0].torque_use:.0f} % of the torque."
+        f"The paper's own motion takes up {100.0 * paper.torque_use:.0f} % of the torque and at most "
+        f"{100.0 * use:.0f} % of a limit on poses ({limit.replace('_', ' ')}; "
+        f"its reference {100.0 * reference_use:.0f} %)."
     )
-    spread = max(peaks) / min(peaks) if min(peaks) > 0.0 else math.inf
     outside = [region.name for region in done if region.worst[0] > 1.0]
     if outside:
-        own += f" Visited poses broke a limit in: {', '.join(outside)}."
-    if spread < 1.5:
+        own += f" Poses beyond a limit were visited by: {', '.join(outside)}."
+    spread = max(peaks) / min(peaks) if min(peaks) > 0.0 else math.inf
+    if spread < LARGE_SPREAD:
         return f"Holds: {bounded}, and the torques hardly depend on the motion (factor {spread:.2f}). {own}"
     return (
-        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque differs "
-        f"by a factor of {spread:.3g} between them. {own}"
+        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque "
+        f"differs by a factor of {spread:.3g} between the runs. {own}"
     )

@@ -18,6 +18,7 @@ from stewart_drake.experiments.reproduction.pose_study import (
 )
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.reproduction.visited_region import (
+    AMPLITUDE_SHARE,
     VisitedRegion,
     controlled_motions,
     region_verdict,
@@ -54,13 +55,14 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
         center: (6,) [rad, m] gives the fixed orientation and the fixed position.
 
     Raises:
-        ConfigurationError: Nothing can be reached with this orientation or position; too few samples.
+        ConfigurationError: A center that `check_center` refuses; too few samples; a motion that is refused.
     """
     section = Section(
         "workspace",
         "Workspace of the states and the torques",
-        "Abstract and conclusion: the method defines the workspace of both the states and the torques. The paper shows "
-        "neither as a region; Fig. 7 gives one motion's histories.",
+        "Abstract: the method defines the workspace of both the states and the torques, a start for the design of such "
+        "robots; section IV: the torques of Fig. 7(b) serve to choose the motors. The paper shows no region, but the "
+        "histories of one motion.",
     )
     poses = survey_poses(study, samples, center)
     regions = run_motions(study)
@@ -69,6 +71,23 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
     _write_motions(section, study, poses, regions)
     study.progress(1.0)
     return section
+
+
+def summary(numbers: dict[str, Any]) -> list[tuple[str, str]]:
+    """The section's main figures, for the terminal."""
+    rows = []
+    for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
+        found = numbers["workspaces"][kind]
+        rows += [
+            (f"{kind}s that the mechanism can reach", f"{scale * found['regular']:.3g} {unit}"),
+            (f"{kind}s within all limits", f"{scale * found['connected']:.3g} {unit}"),
+            (f"first limit on straight ways through {kind}s", next(iter(found["first"]), "none").replace("_", " ")),
+        ]
+    radius = [numbers["workspaces"][kind]["inscribed_radius"] for kind in KINDS]
+    rows.append(("free in every direction", f"{1e3 * radius[0]:.0f} mm, {np.degrees(radius[1]):.0f} deg"))
+    for name, motion in numbers.get("motions", {}).items():
+        rows.append((f"torque of {name}", f"{motion['peak_torque']:.3f} N m, {motion['status']}"))
+    return [*rows, ("poses measured a second", f"{numbers['poses_per_second']:,.0f}")]
 
 
 def run_motions(study: Study) -> list[VisitedRegion]:
@@ -84,19 +103,19 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
     count = sum(len(found.grid.poses) for found in poses.surveys.values())
     section.text(
         "### What the poses allow\n\n"
-        f"Positions at the orientation of the centre, orientations at its position; the centre is {_pose_text(poses.center)}. "
-        f"{count:,} poses were measured at {poses.rate:,.0f} poses a second. A limit takes part of what the mechanism "
-        "alone could reach, which is all that can be joined to the centre without passing a singularity. The limits are "
-        "ours, because the paper gives none. Two kinds of singularity must be told apart. At a **serial** one a crank "
-        "stands at its dead centre, e_l . e_N = 0: a motor turns without moving the platform, and no force along that rod "
-        "reaches the motor; the edge of reach is made of these. At a **parallel** one the six rods' lines lose rank, "
-        "sigma_min of tau_1 (14) = 0: the platform moves although all motors are locked, and holding it takes torques "
-        "without bound."
+        "Positions at the orientation of the centre, orientations at its position; the centre is "
+        f"{_pose_text(poses.center)}. {count:,} poses were measured at {poses.rate:,.0f} poses a second. Limits take "
+        "their parts of what the mechanism alone could reach: all that can be joined to the centre without passing a "
+        "singularity. They are our assumptions, because the paper gives none.\n\n"
+        "Two kinds of singularity must be told apart. At a **serial** one a crank stands at its dead centre, "
+        "e_l . e_N = 0: its motor turns without moving the platform, and no force along that rod reaches the motor. "
+        "The edge of reach is made of these. At a **parallel** one the six rods' lines lose rank, sigma_min of tau_1 "
+        "(14) = 0: the platform moves although all motors are locked, and to hold it takes torques without bound."
     )
     section.table(
-        "Size of the workspaces. Positions in litres (dm^3), orientations in % of all orientations of a body. Boxes are "
-        "those of the poses joined to the centre within all limits.",
-        ("fixed", "rods can span", "no singularity passed", "within all limits", "and joined to the centre", "box"),
+        "Size of the workspaces: positions in litres (dm^3), orientations in % of all orientations of a body. The box "
+        "is that around the poses joined to the centre within all limits.",
+        ("workspace", "rods can span", "no singularity passed", "within all limits", "and joined to the centre", "box"),
         [_size_row(*row) for row in _all_surveys(poses)],
     )
     section.table(
@@ -114,7 +133,7 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
         + " ".join(_first_words(kind, poses.boundaries[kind]) for kind in KINDS)
     )
     section.figure(
-        "The two workspaces as surfaces: where straight ways from the centre first break a limit, coloured by that limit.",
+        "The two workspaces as surfaces: where straight ways from the centre first break a limit, in its colour.",
         study.save_figure(plot_boundaries([poses.boundaries[kind] for kind in KINDS]), "workspace-boundary"),
     )
     for kind, what in zip(KINDS, ("positions", "orientations"), strict=True):
@@ -138,11 +157,11 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
         ),
     )
     section.text(
-        "Strength. To exert the wrench w on something, the motors need T = t + A w, with t the torque that holds the weight "
-        "and A the inverse of the map tau of (18), `statics`. A force of size r in any direction, without moment, moves "
-        "the torque of motor i by at most r |a_i|, where a_i are the three entries of row i of A that multiply the force; "
-        "some direction does move it by that much. So the largest force that can be exerted in every direction is the "
-        "smallest of (T_max - |t_i|) / |a_i| over the motors, exactly; the moment likewise with the other three entries."
+        "Strength. To exert the wrench w on something, the motors need T = t + A w: t is the torque that holds the "
+        "weight, A the inverse of the map tau of (18), `statics`. A force of size r without moment moves the torque of "
+        "motor i by at most r |a_i|, where a_i are the three entries of row i of A that multiply the force, and in one "
+        "direction it does move it by that much. So the largest force that can be exerted in every direction is the "
+        "smallest of (T_max - |t_i|) / |a_i| over the motors, exactly; so is the moment, with the other three entries."
     )
     section.table(
         "What the robot can do at the centre, and over all poses joined to it within the limits.",
@@ -169,20 +188,22 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
     base = study.base
     section.text(
         "### What controlled motions visit\n\n"
-        "The paper speaks of the workspace of states and torques that its method defines. Read literally: the states and "
-        "torques that motions under its controller pass through. The runs below use the base scenario with the reference "
-        "changed; amplitudes of our own motions are half of the largest that the limits allow."
+        "The paper speaks of the workspace of states and torques that its method defines. Read literally, these are "
+        "the states and torques that motions under its controller pass through. The runs use the base scenario with its "
+        f"reference changed; amplitudes of our own motions are {AMPLITUDE_SHARE:g} of the largest that the limits "
+        "allow, to leave room for the error of tracking."
     )
     section.table(
-        "Region visited by each run. Coordinates: largest distance from the centre of the motion. Torques are those "
-        "within the motors' limits; the reference's are by the exact inverse dynamics, without control. The last columns "
-        "look at the visited poses as if at rest.",
+        "Region that each run visited. Coordinates: largest distance from the centre of the motion. Torques are those "
+        "within the motors' limits; the reference's are by the exact inverse dynamics, without control. The last "
+        "columns look at poses as if at rest: the largest part of a limit taken up.",
         ("run", "ended", *(f"{n} [{u}]" for n, u in zip(_NAMES, _UNITS, strict=True)), "crank speed [rad/s]",
-         "peak torque [N m]", "reference's [N m]", "of the limit", "peak power [W]", "limit taken up", "which"),
+         "peak torque [N m]", "reference's [N m]", "of the limit", "peak power [W]", "by the run", "by its reference"),
         [_region_row(region) for region in regions],
     )  # fmt: skip
     if not regions:
         return
+    section.text(_motor_words(poses, regions))
     whole = envelope_of_all([region.log for region in regions])
     first = regions[0].envelope
     section.table(
@@ -203,8 +224,8 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
         ("motor", "angle, paper's [deg]", "speed, paper's [rad/s]", "torque, paper's [N m]", "speed, all [rad/s]",
          "torque, all [N m]"),
         [
-            (i, _span(np.degrees(first.crank_angle[:, i])), _span(first.crank_rate[:, i], 2), _span(first.torque[:, i], 3),
-             _span(whole.crank_rate[:, i], 2), _span(whole.torque[:, i], 3))
+            (i, _span(np.degrees(first.crank_angle[:, i])), _span(first.crank_rate[:, i], 2),
+             _span(first.torque[:, i], 3), _span(whole.crank_rate[:, i], 2), _span(whole.torque[:, i], 3))
             for i in range(6)
         ],
     )  # fmt: skip
@@ -236,18 +257,18 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
             "peak_torque": region.peak_torque,
             "reference_torque": region.reference_torque,
             "peak_power": region.power,
-            "limit_use": region.worst[0] if np.isfinite(region.worst[0]) else None,
+            "limit_use": _finite(region.worst[0]),
             "limit": region.worst[1],
+            "reference_limit_use": _finite(region.reference_worst[0]),
         }
         for region in regions
     }
 
 
 def _all_surveys(poses: PoseStudy) -> list[tuple[str, Kind, Survey | None]]:
-    named = {"position": "orientation of the centre", "orientation": "position of the centre"}
-    return [(named[kind], kind, found) for kind, found in poses.surveys.items()] + [
-        (f"{named[kind]}, {name}", kind, found) for name, kind, found in poses.others
-    ]
+    named = {"position": "positions", "orientation": "orientations"}
+    around = [(f"{named[kind]} around the centre", kind, poses.surveys[kind]) for kind in KINDS]
+    return [*around, *((f"{named[kind]}, centre with {name}", kind, found) for name, kind, found in poses.others)]
 
 
 def _size_row(name: str, kind: Kind, found: Survey | None) -> tuple[str, ...]:
@@ -294,7 +315,7 @@ def _first_words(kind: Kind, surface: Boundary) -> str:
 
 
 def _capability_cells(poses: PoseStudy, name: str, scale: float) -> list[str]:
-    cells = []
+    cells: list[str] = []
     for kind in KINDS:
         found = poses.surveys[kind]
         if not cells:
@@ -331,13 +352,34 @@ def _region_row(region: VisitedRegion) -> tuple[str, ...]:
     log = region.log
     middle = np.array(getattr(log.scenario.reference, "center", log.scenario.robot.home_pose))
     far = _SCALES * np.abs(region.envelope.pose - middle).max(axis=0)
-    use, limit = region.worst
+    uses = (region.worst, region.reference_worst)
     ended = f"{log.end_time:g} s" if log.status == "completed" else f"{log.reason} at {log.end_time:.3f} s"
     return (
         region.name, ended, *(f"{x:.3g}" if x >= 0.005 else "0" for x in far), f"{region.speed:.2f}",
-        f"{region.peak_torque:.3f}", f"{region.reference_torque:.3f}", f"{100.0 * region.torque_use:.0f} %",
-        f"{region.power:.2f}", f"{100.0 * use:.0f} %", limit.replace("_", " "),
+        f"{region.peak_torque:.3f}", f"{region.reference_torque:.3f}", f"{100.0 * region.torque_use:.1f} %",
+        f"{region.power:.2f}", *(f"{100.0 * use:.0f} % of {limit.replace('_', ' ')}" for use, limit in uses),
     )  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _motor_words(poses: PoseStudy, regions: Sequence[VisitedRegion]) -> str:
+    """What would come of a motor chosen by the torques of the paper's motion."""
+    peak = regions[0].peak_torque
+    parts = []
+    for kind in KINDS:
+        found = poses.surveys[kind]
+        total = found.size(found.connected)
+        share = found.size(found.connected & (found.measures.holding_torque > peak)) / total if total > 0.0 else 0.0
+        parts.append(f"{100.0 * share:.0f} % of the {kind}s within the limits")
+    stronger = sum(region.peak_torque > peak for region in regions[1:])
+    return (
+        f"Choosing the motors. The largest torque of the paper's motion is {peak:.2f} N m. A motor of just that torque "
+        f"could not hold the platform still at {' and '.join(parts)}, and {stronger} of the other {len(regions) - 1} "
+        "runs ask for more."
+    )
 
 
 def _span(ends: np.ndarray, digits: int = 1) -> str:
