@@ -135,10 +135,12 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
     from stewart_drake.scenario import load_scenario
 
     base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
-    prepare_folder(out)
 
+    from stewart_drake.experiments.reproduction.reproduce import check_base
     from stewart_drake.experiments.reproduction.reproduce import reproduce as make_report
 
+    check_base(base)
+    prepare_folder(out)
     with _progress("reproduction", 100.0, quiet, unit="%") as advance:
         sections = make_report(out, quick, base, lambda key, share: advance(100.0 * share, key.replace("_", " ")))
     if not quiet:

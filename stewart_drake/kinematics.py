@@ -163,22 +163,6 @@ def _spans(robot: RobotParameters, pose: np.ndarray) -> tuple[np.ndarray, np.nda
     return arm, arm + pose[..., None, 3:] - robot.shaft_positions
 
 
-def _crank_equation(robot: RobotParameters, span: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C of A cos(theta) + B sin(theta) = C, each (..., 6) [m^2]; what (6) leaves unsaid."""
-    a = robot.crank_length
-    along = 2.0 * a * np.sum(span * robot.crank_zero_directions, axis=-1)
-    up = 2.0 * a * span[..., 2]
-    constant = np.sum(span * span, axis=-1) + a * a - robot.rod_length**2
-    return along, up, constant
-
-
-def _crank_ratio(along: np.ndarray, up: np.ndarray, constant: np.ndarray) -> np.ndarray:
-    """C / sqrt(A^2 + B^2) of each leg; infinite where the platform joint lies on the motor axis."""
-    size = np.hypot(along, up)
-    ratio: np.ndarray = np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
-    return ratio
-
-
 def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
@@ -189,8 +173,7 @@ def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     Returns:
         (..., 6) [-].
     """
-    margin: np.ndarray = 1.0 - np.abs(_crank_ratio(*_crank_equation(robot, _spans(robot, pose)[1])))
-    return margin
+    return robot.reach_margin(_spans(robot, pose)[1])
 
 
 def inverse_kinematics(robot: RobotParameters, pose: np.ndarray, branch: int | None = None) -> np.ndarray:
@@ -245,8 +228,7 @@ def _solve_cranks(
     if branch not in (-1, 1):
         raise ConfigurationError("branch", branch, "-1 or 1")
     arm, span = _spans(robot, pose)
-    along, up, constant = _crank_equation(robot, span)
-    ratio = _crank_ratio(along, up, constant)
+    along, up, ratio = robot.crank_equation(span)
     size = np.abs(ratio)
     if size.max(initial=0.0) > 1.0:
         worst = np.unravel_index(int(size.argmax()), size.shape)

@@ -15,9 +15,9 @@ from stewart_drake.motion_envelope import crank_rates
 from stewart_drake.plotting_workspace import COLORS, WORDS, Slice, limit_keys, line_keys, use_bar
 from stewart_drake.workspace_region import Survey
 
-_TEXT, _QUIET, _PAPER = "#222222", "#8C8C8C", "#000000"
-# Okabe and Ito's palette without its yellow; the first run, the paper's, is black and thicker.
-_RUNS = (_PAPER, "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7")
+_TEXT, _QUIET, _FIRST = "#222222", "#8C8C8C", "#000000"
+# Okabe and Ito's palette without its yellow; the first run is black and thicker.
+_RUNS = (_FIRST, "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7")
 _AXES = (
     *(("roll", "deg", "deg/s"), ("pitch", "deg", "deg/s"), ("yaw", "deg", "deg/s")),
     *(("X", "mm", "mm/s"), ("Y", "mm", "mm/s"), ("Z", "mm", "mm/s")),
@@ -33,24 +33,24 @@ def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndar
         log: The run.
         use: Utilisation (n,) of each limit at the poses of the log.
     """
-    figure = Figure(figsize=(12.0, 6.3), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(12.0, 6.0), facecolor="white", layout="constrained")
     map_, time_ = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     drawn = Slice(found)
     drawn.prepare(map_)
     seen = drawn.use_image(map_)
     drawn.lines(map_)
     for path, color, width, dashes in (
-        (log["pose"], _PAPER, 1.3, "-"),
+        (log["pose"], _FIRST, 1.3, "-"),
         (log["reference"], "#FFFFFF", 1.8, (0, (4, 3))),
     ):
         across, up = (_SCALES[c] * path[:, c] for c in drawn.columns)
         map_.plot(across, up, color=color, linewidth=width, linestyle=dashes)
     map_.set_title("Path over a slice: run black, reference white", loc="left", fontsize=11, fontweight="bold")
     use_bar(figure, map_)
-    keys = [*line_keys(), *limit_keys(seen)]
-    map_.legend(handles=keys, loc="upper center", bbox_to_anchor=(0.55, -0.12), ncols=3, frameon=False, fontsize=9)
-    for name, values in use.items():
-        time_.plot(log.time, values, color=COLORS[name], linewidth=1.6, label=WORDS[name])
+    lines = [
+        time_.plot(log.time, values, color=COLORS[name], linewidth=1.6, label=WORDS[name])[0]
+        for name, values in use.items()
+    ]
     time_.axhline(1.0, color=_TEXT, linewidth=1.2)
     largest = max(float(np.nanmax(values)) for values in use.values())
     time_.set_ylim(0.0, max(1.12, 1.05 * min(2.0, largest)))
@@ -58,7 +58,8 @@ def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndar
     time_.set_xlabel("time [s]")
     time_.set_ylabel("part of the limit taken up, at rest [-]")
     time_.set_title("What the run takes up of each limit", loc="left", fontsize=11, fontweight="bold")
-    time_.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False, fontsize=9)
+    keys = [*line_keys(), *limit_keys(seen), *lines]
+    figure.legend(handles=keys, loc="outside lower center", ncols=5, frameon=False, fontsize=9.5)
     return figure
 
 
@@ -66,7 +67,7 @@ def plot_state_region(logs: Sequence[SimulationLog], names: Sequence[str], range
     """Phase planes of the six coordinates: what each run visits, and how far the limits let that coordinate go.
 
     Args:
-        logs: Runs, the paper's first.
+        logs: Runs; the first is drawn thicker.
         names: Of the runs.
         ranges: (2, 6) [rad, m] lowest and highest value of each coordinate alone, from the centre.
     """
@@ -96,7 +97,7 @@ def plot_torque_region(
     """Speed and torque of the six motors: what each run visits, against the motors' limits.
 
     Args:
-        logs: Runs, the paper's first.
+        logs: Runs; the first is drawn thicker.
         names: Of the runs.
         speed_limit: [rad/s] or None.
         torque_limit: [N m].

@@ -18,6 +18,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped] # this part has no types
 
+from stewart_drake.kinematics import leg_geometry
+from stewart_drake.robot import RobotParameters
 from stewart_drake.workspace_boundary import Boundary
 from stewart_drake.workspace_region import COORDINATES, LIMIT_NAMES, Loss, Survey, governing_limit
 
@@ -189,8 +191,13 @@ def plot_capability(found: Survey) -> Figure:
     return figure
 
 
-def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
-    """The surfaces on which straight ways from the centre first break a limit, in space; a panel each."""
+def plot_boundaries(boundaries: Sequence[Boundary], robot: RobotParameters) -> Figure:
+    """The surfaces on which straight ways from the centre first break a limit, in space; a panel each.
+
+    Args:
+        boundaries: One or two.
+        robot: Drawn at the centre, below the surface of the positions.
+    """
     figure = Figure(figsize=(12.0, 6.4), facecolor="white")
     seen: set[str] = set()
     for column, surface in enumerate(boundaries):
@@ -200,6 +207,9 @@ def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
         columns = COORDINATES[surface.kind]
         points = np.array(_SCALES)[list(columns)] * surface.points
         low, high = points.min(axis=0), points.max(axis=0)
+        if surface.kind == "position":
+            ends = np.concatenate(_draw_robot(panel, robot, surface.center))
+            low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
         margin = 0.08 * max((high - low).max(), 1e-9)
         low, high = low - margin, high + margin
         corners = points[surface.triangles]
@@ -209,8 +219,9 @@ def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
         base = np.array([to_rgb(COLORS[LIMIT_NAMES[i]] if i >= 0 else _QUIET) for i in cause])
         shadow = corners.copy()
         shadow[..., 2] = low[2]
-        for polygons, colors in ((shadow, np.array(to_rgb("#E2E2E2"))), (corners, _shade(corners, base))):
-            panel.add_collection3d(Poly3DCollection(polygons, facecolor=colors, edgecolor=colors, linewidth=0.3))
+        for order, polygons, colors in ((1, shadow, to_rgb("#E2E2E2")), (3, corners, _shade(corners, base))):
+            style = {"facecolor": colors, "edgecolor": colors, "linewidth": 0.3, "zorder": order}
+            panel.add_collection3d(Poly3DCollection(polygons, **style))
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         panel.set_box_aspect(high - low)
         panel.view_init(elev=22.0, azim=-55.0)
@@ -227,6 +238,20 @@ def plot_boundaries(boundaries: Sequence[Boundary]) -> Figure:
     handles = [Patch(color=COLORS[name], label=f"first cut by {WORDS[name]}") for name in LIMIT_NAMES if name in seen]
     figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=10)
     return figure
+
+
+def _draw_robot(panel: Any, robot: RobotParameters, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Base, cranks, rods and platform at a pose, behind the surface; shafts and crank tips (6, 3) [mm]."""
+    legs = leg_geometry(robot, pose)
+    shafts = 1e3 * robot.shaft_positions
+    tips = shafts + 1e3 * robot.crank_length * legs.crank
+    joints = 1e3 * (legs.arm + pose[3:])
+    for ring in (shafts, joints):
+        panel.plot(*np.concatenate([ring, ring[:1]]).T, color="#9A9A9A", linewidth=1.2, zorder=2)
+    for shaft, tip, joint in zip(shafts, tips, joints, strict=True):
+        panel.plot(*np.stack([tip, joint]).T, color="#5F6B76", linewidth=2.0, zorder=2)
+        panel.plot(*np.stack([shaft, tip]).T, color=_TEXT, linewidth=3.0, zorder=2)
+    return shafts, tips
 
 
 def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]]) -> Figure:
@@ -250,7 +275,8 @@ def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]])
                 if share > 0.0:
                     color = COLORS[loss.limit]
                     bar = panel.barh(y, 100.0 * share, 0.24, color=_tint(color, tint), edgecolor=color, linewidth=0.8)
-                    panel.bar_label(bar, [f"{100.0 * share:.2g} %"], padding=3, fontsize=8.5, color=_TEXT)
+                    label = f"{100.0 * share:.2g} %" if share >= 0.001 else "< 0.1 %"
+                    panel.bar_label(bar, [label], padding=3, fontsize=8.5, color=_TEXT)
         for y, of_limit in zip(height, values, strict=True):
             if not any(of_limit):
                 panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=_QUIET)

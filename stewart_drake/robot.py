@@ -87,7 +87,9 @@ class RobotParameters:
             signed = field.name in {"shaft_height", "branch"}
             low = -LARGEST if signed else SMALLEST
             if not all(is_finite(value) and low <= value <= LARGEST for value in values):
-                allowed = f"finite numbers from {low:g} to {LARGEST:g}" if signed else f"positive numbers to {LARGEST:g}"
+                allowed = (
+                    f"finite numbers from {low:g} to {LARGEST:g}" if signed else f"positive numbers to {LARGEST:g}"
+                )
                 raise ConfigurationError(f"robot.{field.name}", given, allowed)
         if self.branch not in (-1, 1):
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
@@ -102,10 +104,8 @@ class RobotParameters:
         for name in ("shaft_half_angle", "platform_half_angle"):
             if getattr(self, name) >= math.pi / 3.0:
                 raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
-        # A robot that cannot stand at home has no SDF. Kinematics imports this module, so the import is local.
-        from stewart_drake.kinematics import reach_margin
-
-        margin = reach_margin(self, self.home_pose)
+        # A robot that cannot stand at home has no SDF.
+        margin = self.reach_margin(self.platform_joints + self.home_pose[3:] - self.shaft_positions)
         if margin.min() <= 0.0:
             raise ConfigurationError(
                 "robot.home_height",
@@ -146,6 +146,27 @@ class RobotParameters:
     def crank_axis_inertia(self) -> float:
         """[kg m^2] inertia of a crank about its motor axis."""
         return self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_length) ** 2
+
+    def crank_equation(self, span: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and C / sqrt(A^2 + B^2) of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
+
+        Args:
+            span: (..., 6, 3) [m] from motor shaft to platform joint, the L_i of (2).
+
+        Returns:
+            A (..., 6) [m^2], B (..., 6) [m^2] and the ratio (..., 6) [-], infinite where the platform joint lies on the
+            motor axis.
+        """
+        a = self.crank_length
+        along = 2.0 * a * np.sum(span * self.crank_zero_directions, axis=-1)
+        up = 2.0 * a * span[..., 2]
+        constant = np.sum(span * span, axis=-1) + a * a - self.rod_length**2
+        size = np.hypot(along, up)
+        return along, up, np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
+
+    def reach_margin(self, span: np.ndarray) -> np.ndarray:
+        """1 - |C| / sqrt(A^2 + B^2) of each leg (..., 6), for spans (..., 6, 3) [m]; negative: the rod cannot span."""
+        return 1.0 - np.abs(self.crank_equation(span)[2])
 
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.

@@ -2,7 +2,6 @@ import importlib.util
 import io
 import re
 from contextlib import redirect_stdout
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from stewart_drake.diagram import ClosedLoop, build_diagram
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.network import load_network
 from stewart_drake.scenario import Scenario
 from stewart_drake.simulation import run
 
@@ -197,7 +197,7 @@ def test_a_loop_wired_by_hand_is_the_loop_of_the_scenario(name, tmp_path):
     if name == "ann_tuned_lqi":
         tuner = with_network(tmp_path)
         keys = {**keys, "tuner": tuner}
-        replaced["default_network_path"] = lambda: Path(tuner["weights_file"])
+        replaced["load_network"] = lambda: load_network(tuner["weights_file"])
     text = printed(name, **replaced)
     log = run(Scenario.from_dict({"duration": 0.5, **keys}))
     half = log["error"][log.time >= 0.2499]

@@ -27,7 +27,10 @@ def margins_at(pose, rate=None, acceleration=None, limits=ALL, robot=ROBOT):
 
 
 def brute_distance(a, b, c, d):
-    """Minimum over s in [0, 1] of the distance of one point of the first segment to the second; convex in s."""
+    """Minimum over s in [0, 1] of the distance of one point of the first segment to the second; convex in s.
+
+    The minimiser stops near the square root of rounding, so 1e-6 is what it can vouch for.
+    """
 
     def from_point(s):
         point = a + s * (b - a)
@@ -42,13 +45,13 @@ def brute_distance(a, b, c, d):
 @given(points=vectors(12))
 def test_segment_distance_is_the_minimum_over_both_segments(points):
     a, b, c, d = points.reshape(4, 3)
-    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-8)
+    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
 
 
 @given(points=st.lists(st.integers(-2, 2), min_size=12, max_size=12).map(np.array))
 def test_segment_distance_on_a_lattice_where_parallel_touching_and_zero_length_are_common(points):
     a, b, c, d = points.reshape(4, 3).astype(float)
-    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-8)
+    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
 
 
 X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is called O

@@ -73,6 +73,7 @@ class Section:
         verdict: One line: holds, holds in part, does not hold; and why.
         items: The evidence, in order.
         numbers: Every figure that other code or a test may want, by name.
+        files: Other files that it left, relative to the report's folder.
     """
 
     key: str
@@ -81,6 +82,7 @@ class Section:
     verdict: str = ""
     items: list[Item] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
 
     def text(self, markdown: str) -> None:
         """Adds paragraphs."""
@@ -120,7 +122,7 @@ class Section:
         return section
 
 
-_PLAIN = ("key", "title", "claim", "verdict", "numbers")
+_PLAIN = ("key", "title", "claim", "verdict", "numbers", "files")
 
 
 def cell(value: object) -> str:

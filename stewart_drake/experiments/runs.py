@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -55,16 +55,6 @@ def weights_text(tuner: AnnTuner) -> str:
         raise ConfigurationError(f"weights file {path}", str(error), "a readable file") from None
 
 
-def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
-    from stewart_drake.simulation import run
-
-    log = run(scenario, check=check)
-    if log.status == "interrupted":
-        raise KeyboardInterrupt
-    kept = {name: values for name, values in log.signals.items() if name != "plant_state"}
-    replace(log, signals=kept, state_names=()).save(path)
-
-
 @dataclass(frozen=True)
 class RunStore:
     """Runs scenarios and keeps their logs (without the plant's state); an interrupted experiment goes on where it was.
@@ -103,46 +93,56 @@ class RunStore:
         logs = {path: _kept(path) for path in dict.fromkeys(paths)}
         missing = {path: s for path, s in zip(paths, scenarios, strict=True) if logs[path] is None}
         done = len(logs) - len(missing)
-        for finished, _ in enumerate(self._run(missing, check), start=1):
-            if progress is not None:
-                progress((done + finished) / len(logs))
-        if progress is not None:
-            progress(1.0)
-        logs |= {path: load_log(path) for path in missing}
-        return [replace(logs[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
-    def _run(self, missing: Mapping[Path, Scenario], check: bool) -> Iterator[None]:
-        """Runs `missing`; yields after each."""
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            if progress is not None:
+                progress(done / len(logs))
+
         workers = min(self.workers, len(missing))
         if workers > 1:
-            yield from _run_in_processes(missing, workers, check)
-            return
-        for path, scenario in missing.items():
-            yield _run_and_keep(scenario, path, check)
+            _run_in_processes(missing, workers, check, advance)
+        else:
+            for path, scenario in missing.items():
+                _run_and_keep(scenario, path, check)
+                advance()
+        if progress is not None:
+            progress(1.0)
+        return [replace(logs[path] or load_log(path), scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
 
-def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool) -> Iterator[None]:
+def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
+    from stewart_drake.simulation import run
+
+    log = run(scenario, check=check)
+    if log.status == "interrupted":
+        raise KeyboardInterrupt
+    kept = {name: values for name, values in log.signals.items() if name != "plant_state"}
+    replace(log, signals=kept, state_names=()).save(path)
+
+
+def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool, advance: Callable[[], None]) -> None:
     others = set(multiprocessing.active_children())
     # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
     try:
-        # The workers inherit that Ctrl-C is not for them: this process stops them, without a traceback from each.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             futures = [pool.submit(_run_and_keep, scenario, path, check) for path, scenario in missing.items()]
         finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for future in as_completed(futures):
-            yield future.result()
+            future.result()
+            advance()
     except BrokenProcessPool:
         raise StewartDrakeError(
             "a worker process ended by itself: it was killed, or ran out of memory, or the script that called has no "
             '`if __name__ == "__main__":` around the call, without which each worker runs the script again'
         ) from None
-    except Exception:
-        raise
-    except BaseException:
-        # Ctrl-C, or the caller gives up: what is half done is lost all the same, so nobody waits for it.
+    except KeyboardInterrupt:
+        # What is half done is lost all the same, so nobody waits for it.
         for worker in set(multiprocessing.active_children()) - others:
             worker.terminate()
         raise

@@ -12,6 +12,9 @@ from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
 from stewart_drake.errors import RunFailure
 from stewart_drake.sampling import on_grid
 
+_AHEAD = 1.0 + 4e-10
+"""A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
+
 
 class TickedSystem(LeafSystem):
     """A sampled system without added delay: at a tick, outputs are computed from the inputs of that very instant.
@@ -24,6 +27,9 @@ class TickedSystem(LeafSystem):
     Args:
         period: [s] tick period; ticks at 0, period, 2 period, ...
         initial: (n,) result before the first tick.
+
+    Attributes:
+        period: [s] as Drake has it, see `sampling.on_grid`; the period for a log of every tick.
     """
 
     def __init__(self, period: float, initial: np.ndarray) -> None:
@@ -61,7 +67,7 @@ class TickedSystem(LeafSystem):
 
     def _calc(self, context: Context, cache: Any) -> None:
         held = context.get_discrete_state(self._result_index).value()
-        if context.get_time() / self.period + 1e-6 < context.get_discrete_state(self._ticks_index).value()[0]:
+        if context.get_time() / self.period * _AHEAD + 1e-6 < context.get_discrete_state(self._ticks_index).value()[0]:
             cache.set_value([held.copy()])
             return
         try:

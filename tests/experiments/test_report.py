@@ -137,7 +137,14 @@ def test_what_is_no_section_is_told_by_the_errors_that_are_promised(text):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "-"), (0.123456, "0.1235"), (np.float64(2e-7), "2e-07"), (1234567, "1234567"), ("a|b", "a|b"), (True, "True")],
+    [
+        (None, "-"),
+        (0.123456, "0.1235"),
+        (np.float64(2e-7), "2e-07"),
+        (1234567, "1234567"),
+        ("a|b", "a|b"),
+        (True, "True"),
+    ],
 )
 def test_a_cell_reads_as_a_person_would_write_it(value, text):
     assert cell(value) == text

@@ -147,6 +147,20 @@ def test_what_a_tick_says_acts_from_that_instant_on(step, period):
     np.testing.assert_array_equal(kept[1:], np.arange(2000) // ratio * ratio)
 
 
+def test_a_log_at_decimal_times_shows_the_tick_of_its_own_row_however_long_the_run():
+    # Decimal times come a little before the stretched ones, more and more so.
+    builder = DiagramBuilder()
+    sampler = builder.AddSystem(Sampler(0.001))
+    builder.Connect(builder.AddSystem(Clock()).get_output_port(), sampler.input)
+    sink = LogVectorOutput(sampler.value, builder, publish_period=0.001)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(12.0)
+    log = sink.FindLog(simulator.get_context())
+    assert log.num_samples() == 12001
+    np.testing.assert_allclose(log.data()[0], log.sample_times(), rtol=1e-9)
+
+
 def test_state_lives_in_the_context():
     diagram, _ = wire(Clock(), Sampler(0.5))
     one, other = Simulator(diagram), Simulator(diagram)

@@ -17,8 +17,8 @@ from stewart_drake.force_map import crank_map, force_map_of_legs
 from stewart_drake.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
 from stewart_drake.plant import build_plant
 from stewart_drake.plant_options import PlantOptions
-from stewart_drake.rigid_body_model import task_bias, task_inertia
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.rigid_body_model import inverse_dynamics, static_torque, task_bias, task_inertia
+from stewart_drake.robot import LEGS, SMALLEST, RobotParameters
 from stewart_drake.state_space import mass_diagonal
 
 SETTLING_STEPS = 14
@@ -69,12 +69,12 @@ class Accelerations:
 
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
-    """The robot with masses and inertias of cranks and rods times `scale`."""
+    """The robot with masses and inertias of cranks and rods times `scale`, but no less than a robot may have."""
     return robot.replace(
-        rod_mass=scale * robot.rod_mass,
-        crank_mass=scale * robot.crank_mass,
-        rod_inertia=tuple(scale * moment for moment in robot.rod_inertia),
-        crank_inertia=tuple(scale * moment for moment in robot.crank_inertia),
+        rod_mass=max(SMALLEST, scale * robot.rod_mass),
+        crank_mass=max(SMALLEST, scale * robot.crank_mass),
+        rod_inertia=tuple(max(SMALLEST, scale * moment) for moment in robot.rod_inertia),
+        crank_inertia=tuple(max(SMALLEST, scale * moment) for moment in robot.crank_inertia),
     )
 
 
@@ -195,6 +195,34 @@ def drift_under(
             end = stewart.pose_and_rate(diagram.GetOutputPort("state").Eval(context))[0]
             shifts[row] = np.linalg.norm(end[3:] - pose[3:])
     return shifts
+
+
+def torque_parts(
+    robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: float
+) -> dict[str, np.ndarray]:
+    """Motor torques of a motion, split into what the controller's model knows, (10) with statics, and the rest.
+
+    Args:
+        robot: Geometry and masses.
+        pose: (n, 6) [rad, m].
+        pose_rate: (n, 6) [rad/s, m/s].
+        pose_acceleration: (n, 6) [rad/s^2, m/s^2].
+        gravity: [m/s^2] along -z.
+
+    Returns:
+        Name -> (n, 6) [N m]; their sum is the torque of the exact model.
+    """
+    rest = np.zeros_like(pose)
+    known = np.linalg.solve(wrench_map(robot, pose, "statics"), (mass_diagonal(robot) * pose_acceleration)[..., None])[
+        ..., 0
+    ]
+    return {
+        "M q'' of (10)": known,
+        "other inertia: legs, and the platform's attitude": inverse_dynamics(robot, pose, rest, pose_acceleration, 0.0)
+        - known,
+        "velocity: centrifugal and gyroscopic": inverse_dynamics(robot, pose, pose_rate, rest, 0.0),
+        "gravity on all bodies": static_torque(robot, pose, gravity),
+    }
 
 
 def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:

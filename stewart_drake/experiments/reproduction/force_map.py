@@ -19,6 +19,7 @@ from stewart_drake.experiments.reproduction.accelerations import (
     predicted,
     relative_error,
     rod_force_per_torque,
+    torque_parts,
     weight_torque,
 )
 from stewart_drake.experiments.reproduction.region import ANNOUNCED, NEAR, sample_poses
@@ -69,6 +70,7 @@ def make(study: Study) -> Section:
     _where(section, study, robot, rng)
     _models(section, study, robot, runs)
     _holding(section, study, robots, runs)
+    _disturbance(section, robot)
     study.progress(0.95)
     _tilt(section, study, robot)
     section.verdict = verdict(section.numbers)
@@ -295,6 +297,30 @@ def _holding(
          "shift [mm]"),
         rows,
     )  # fmt: skip
+
+
+def _disturbance(section: Section, robot: RobotParameters) -> None:
+    motion = paper_reference().evaluate(np.linspace(0.0, np.pi, 401))
+    if reach_margin(robot, motion[0]).min() < LEAST_MARGIN:
+        return
+    parts = torque_parts(robot, *motion, STANDARD_GRAVITY)
+    parts["all"] = np.sum(list(parts.values()), axis=0)
+    section.numbers["torque_parts"] = numbers = {
+        name: {"rms": float(np.sqrt(np.mean(torque**2))), "peak": float(np.abs(torque).max())}
+        for name, torque in parts.items()
+    }
+    heavier = numbers["gravity on all bodies"]["rms"] / numbers["M q'' of (10)"]["rms"]
+    section.text(
+        "### What the model leaves to d(t)\n\n"
+        "(10) knows neither gravity nor legs nor gyroscopic terms; (19) puts them into the disturbance. This is how "
+        f"the motor torques of (37), (38) divide, by the exact rigid-body model: gravity takes {heavier:.0f} times "
+        "what the model knows of (RMS)."
+    )
+    section.table(
+        "Motor torques along (37), (38), over all motors and one period.",
+        ("part", "RMS [N m]", "peak [N m]"),
+        [(name, f"{row['rms']:.4f}", f"{row['peak']:.4f}") for name, row in numbers.items()],
+    )
 
 
 def _tilt(section: Section, study: Study, robot: RobotParameters) -> None:

@@ -79,10 +79,10 @@ def verdict(numbers: dict[str, Any]) -> str:
 def _inverse(section: Section, robot: RobotParameters, samples: list[PoseSample], solves: int) -> None:
     section.text(
         "### Inverse kinematics, (1), (2)\n\n"
-        "The crank angles come from theta = atan2(B, A) ± acos(C / sqrt(A² + B²)) with d = R p + G - P, "
-        "A = 2 |a| d·h, B = 2 |a| d·z and C = d·d + |a|² - 0.404². Crank angles and pose then go into Drake's plant, "
-        "each for itself, and Drake's forward kinematics says how far each crank tip is from its platform joint. The "
-        "last column puts rods in between as well: the gap at the ball that closes each loop."
+        "The crank angles come from theta = atan2(B, A) ± acos(C / sqrt(A² + B²)) with d = R p + G - P, A = 2 |a| "
+        f"d·h, B = 2 |a| d·z and C = d·d + |a|² - {robot.rod_length:g}². Crank angles and pose then go into Drake's "
+        "plant, each for itself, and Drake's forward kinematics says how far each crank tip is from its platform "
+        "joint. The last column puts rods in between as well: the gap at the ball that closes each loop."
     )
     rows, numbers = [], {}
     for branch in BRANCHES:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.experiments.report import Section, write_report
+from stewart_drake.experiments.report import Figure, Section, write_report
 from stewart_drake.experiments.reproduction.study import Study
+from stewart_drake.experiments.runs import weights_text
 from stewart_drake.files import write_atomically
-from stewart_drake.scenario import Scenario
-from stewart_drake.versions import collect_versions
+from stewart_drake.outputs import prepare_folder
+from stewart_drake.references import paper_reference
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY
+from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.versions import collect_versions, package_version
 
 SECTIONS = (
     "plant",
@@ -31,6 +35,9 @@ SECTIONS = (
 )
 """Modules of this package in the report's order; each has `make(study) -> Section`."""
 
+PAPER_DURATION = 10.0
+"""[s] for which the robot must be able to follow (37), (38)."""
+_VERSIONS = ("stewart-drake", "drake", "numpy", "scipy", "torch", "source")
 TITLE = "Intelligent optimal feed-back torque control of a rotary Stewart platform: what holds and what does not"
 
 
@@ -43,7 +50,8 @@ def reproduce(
     """Makes the report in `folder`: report.html, report.md, report.json, figures/.
 
     Args:
-        folder: Where to; finished parts of an earlier call with the same code and settings are used again.
+        folder: Where to; finished parts of an earlier call with the same code and settings are used again, as long as
+            the files that belong to them are still there and unchanged.
         quick: Smaller sizes.
         base: Scenario to vary; None takes the defaults.
         progress: Called with the section at hand and the share of the whole that is done, 0 to 1.
@@ -52,15 +60,14 @@ def reproduce(
         The sections.
 
     Raises:
-        ConfigurationError: The folder cannot be written to, or `base` cannot run, such as a geometry for which the
-            paper's reference is out of reach; found before any work.
+        ConfigurationError: See `check_base`; or the folder cannot be written to. Found before any work.
     """
     base = Scenario() if base is None else base
-    _refuse_early(base)
+    check_base(base)
+    folder = prepare_folder(folder)
     study = Study(folder, quick, base)
-    parts = folder / "parts"
-    parts.mkdir(parents=True, exist_ok=True)
-    versions = collect_versions()
+    parts = prepare_folder(folder / "parts")
+    versions = collect_versions() | {"torch": package_version("torch")}
     stamp = _stamp(base, quick, versions)
     sections = []
     for index, key in enumerate(SECTIONS):
@@ -71,44 +78,71 @@ def reproduce(
 
         advance(0.0)
         path = parts / f"{key}-{stamp}.json"
-        section = _kept(path)
+        section = _kept(path, folder)
         if section is None:
-            section = import_module(f"{__package__}.{key}").make(replace(study, progress=advance))
-            write_atomically(path, section.to_json().encode())
+            made = import_module(f"{__package__}.{key}").make(replace(study, progress=advance))
+            section = _keep(made, path, folder)
         sections.append(section)
         advance(1.0)
     write_report(folder, TITLE, _preface(quick, versions), sections)
     numbers = {section.key: section.numbers for section in sections}
     document = {"quick": quick, "versions": versions, "scenario": base.to_dict(), "numbers": numbers}
-    write_atomically(folder / "report.json", (json.dumps(document, indent=1) + "\n").encode())
+    write_atomically(folder / "report.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     return sections
 
 
-def _refuse_early(base: Scenario) -> None:
+def check_base(base: Scenario) -> None:
+    """Refuses a scenario from which the report cannot be made, before any work.
+
+    Raises:
+        ConfigurationError: `base` itself cannot run; its robot cannot follow the paper's reference (37), (38) within
+            its limits, with gravity or without; its weights file cannot be used.
+    """
     from stewart_drake.simulation import check_scenario
 
     check_scenario(base)
     base.load_tuner_network()
+    paper = base.replace({"reference": asdict(paper_reference()), "duration": PAPER_DURATION})
+    for gravity in (0.0, base.gravity or STANDARD_GRAVITY):
+        check_scenario(paper.replace({"gravity": gravity}))
 
 
-def _kept(path: Path) -> Section | None:
+def _keep(section: Section, path: Path, folder: Path) -> Section:
+    """Writes a finished part, the section and digests of its files; returns the section as it will be read back."""
+    text = section.to_json()
+    part = {"section": json.loads(text), "digests": _digests(section, folder)}
+    write_atomically(path, json.dumps(part, indent=1, allow_nan=False).encode())
+    return Section.from_json(text)
+
+
+def _kept(path: Path, folder: Path) -> Section | None:
+    """The part at `path`; None where there is none, or where its files are no longer those that it was made with."""
     try:
-        return Section.from_json(path.read_text(encoding="utf-8"))
+        part = json.loads(path.read_text(encoding="utf-8"))
+        section = Section.from_json(json.dumps(part["section"]))
+        return section if part["digests"] == _digests(section, folder) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
+def _digests(section: Section, folder: Path) -> dict[str, str]:
+    figures = [f"figures/{item.file}" for item in section.items if isinstance(item, Figure)]
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (*figures, *section.files)}
+
+
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
-    same = {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")}
-    content: list[Any] = [base.to_dict(), quick, same]
+    content: list[Any] = [base.to_dict(), quick, {name: versions[name] for name in _VERSIONS}]
+    if isinstance(base.tuner, AnnTuner):
+        content.append(weights_text(base.tuner))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _preface(quick: bool, versions: dict[str, str | None]) -> str:
     size = "This is the quick version, with smaller sizes. " if quick else ""
-    named = ", ".join(f"{name} {versions[name]}" for name in ("stewart-drake", "drake", "numpy", "scipy", "python"))
+    names = ("stewart-drake", "drake", "numpy", "scipy", "torch", "python")
+    named = ", ".join(f"{name} {versions[name]}" for name in names)
     return (
-        "Every figure and table below was computed by `stewart-drake reproduce` in one go, on the multibody plant. "
-        "Each section begins with what the paper claims and ends with what we saw. "
+        "Every number, table and figure below was computed by `stewart-drake reproduce`. Each section says what the "
+        "paper claims and what came of it, and then shows the evidence. "
         f"{size}Versions: {named}; revision {versions['git_revision'] or 'unknown'}."
     )

@@ -76,20 +76,20 @@ def verdict(numbers: dict[str, Any]) -> str:
     lost = sorted({rank for row in hautus["singular"] for rank in row["rank"].values() if rank is not None})
     first = "Holds in part" if regular else "Does not hold"
     where = "at every regular pose tried" if regular else "not even at every regular pose tried"
-    falls = f" and falls to {lost[0]} at singular poses" if lost and lost[0] < STATES else ""
+    falls = f" and falls, down to {lost[0]}, at singular poses" if lost and lost[0] < STATES else ""
     unstable = [row["ratio"] for row in mixed["rows"] if row["radius"] > 1.0]
     tau = (
         f"(22) with tau for M^-1 tau gives an unstable loop at ratio {', '.join(f'{r:g}' for r in unstable)}"
         if unstable
         else "(22) with tau for M^-1 tau still gives stable loops"
     )
-    useless = numbers["riccati"]["undiscretised_gain"] < SAME_GAIN
-    continuous = "is zero" if useless else "is not zero"
+    continuous = "is zero" if numbers["riccati"]["undiscretised_gain"] < SAME_GAIN else "is not zero"
+    rates = [row[k] for row in numbers["decay"]["rows"] for k in ("least", "most")]
     return (
-        f"{first}: (28) has rank {STATES} {where}{falls}; (29) has rank {hautus['detectability']} everywhere. {tau}; "
-        f"(32) as printed {'can' if numbers['riccati']['sizes_fit'] else 'cannot'} be evaluated, and the gain from A "
-        f"and B undiscretised {continuous}. The nine pairs are {nine['distinct']} controllers, and under equal "
-        f"weights the error decays no faster than {numbers['decay']['limit']:.2f} rad/s."
+        f"{first}: (28) has rank {STATES} {where}{falls}; (29) has rank {hautus['detectability']} everywhere. {tau} "
+        f"(at {1e3 * mixed['period']:g} ms); (32) as printed {'can' if numbers['riccati']['sizes_fit'] else 'cannot'} "
+        f"be evaluated, and the gain from A and B undiscretised {continuous}. The nine pairs are {nine['distinct']} "
+        f"controllers, under which the slowest error decays at {min(rates):.2f} to {max(rates):.2f} rad/s."
     )
 
 

@@ -14,7 +14,7 @@ from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.feasibility import largest_amplitude, largest_scale
 from stewart_drake.log import AXES, SimulationLog
 from stewart_drake.motion_envelope import MotionEnvelope, motion_envelope
-from stewart_drake.references import SineReference
+from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.scenario import Scenario
 from stewart_drake.workspace import measure_poses
@@ -43,8 +43,9 @@ def controlled_motions(study: Study) -> dict[str, Scenario]:
     short = {"duration": min(base.duration, study.pick(5.0, 1.5))}
     model = {"gravity": 0.0, "controller.feedforward": "none", "tuner.kind": "fixed"}
     weights = {"tuner.omega_q": 1.0, "tuner.omega_r": 1.0}
+    own = "the paper's motion" if base.reference == paper_reference() else "the scenario's motion"
     motions = {
-        "the paper's motion": base.replace(whole_period),
+        own: base.replace(whole_period),
         "the same without gravity, weights 1/1": base.replace(whole_period | model | weights),
     }
     for axis in study.pick((1, 2, 3, 4), (4,)):
@@ -142,21 +143,26 @@ def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
     return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
 
 
-def region_verdict(regions: Sequence[VisitedRegion]) -> str:
-    """What came of the claim that the method defines the workspace of states and torques."""
+def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
+    """What came of the claim that the method defines the workspace of states and torques.
+
+    Args:
+        regions: Of the runs that left a log, the scenario's own motion first.
+        runs: All that were tried.
+    """
     done = [region for region in regions if region.log.status == "completed"]
     if not done:
-        return f"Does not hold: none of the {len(regions)} controlled motions came to its end."
+        return f"Does not hold: none of the {runs} controlled motions came to its end."
     peaks = [region.peak_torque for region in done]
     most = 100.0 * max(region.torque_use for region in done)
     bounded = (
-        f"{len(done)} of {len(regions)} controlled motions came to their end; each fills a bounded region of states "
+        f"{len(done)} of {runs} controlled motions came to their end; each fills a bounded region of states "
         f"and torques (up to {max(peaks):.2f} N m, {most:.0f} % of the motors' limit)"
     )
-    paper = regions[0]
-    (use, limit), (reference_use, _) = paper.worst, paper.reference_worst
+    first = regions[0]
+    (use, limit), (reference_use, _) = first.worst, first.reference_worst
     own = (
-        f"The paper's own motion takes up {100.0 * paper.torque_use:.0f} % of the torque and at most "
+        f"{first.name[0].upper()}{first.name[1:]} takes up {100.0 * first.torque_use:.0f} % of the torque and at most "
         f"{100.0 * use:.0f} % of a limit on poses ({limit.replace('_', ' ')}; "
         f"its reference {100.0 * reference_use:.0f} %)."
     )

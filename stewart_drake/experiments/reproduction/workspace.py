@@ -65,10 +65,13 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
         "histories of one motion.",
     )
     poses = survey_poses(study, samples, center)
-    regions = run_motions(study)
-    section.verdict = region_verdict(regions)
+    motions = controlled_motions(study)
+    logs = study.store.run_all(list(motions.values()), part_of(study, 0.6, 0.3))
+    regions = [visited_region(name, log) for name, log in zip(motions, logs, strict=True) if len(log.time)]
+    section.verdict = region_verdict(regions, len(motions))
     _write_poses(section, study, poses)
-    _write_motions(section, study, poses, regions)
+    if regions:
+        _write_motions(section, study, poses, regions)
     study.progress(1.0)
     return section
 
@@ -88,13 +91,6 @@ def summary(numbers: dict[str, Any]) -> list[tuple[str, str]]:
     for name, motion in numbers.get("motions", {}).items():
         rows.append((f"torque of {name}", f"{motion['peak_torque']:.3f} N m, {motion['status']}"))
     return [*rows, ("poses measured a second", f"{numbers['poses_per_second']:,.0f}")]
-
-
-def run_motions(study: Study) -> list[VisitedRegion]:
-    """The controlled motions and what they visited, the paper's first."""
-    motions = controlled_motions(study)
-    logs = study.store.run_all(list(motions.values()), part_of(study, 0.6, 0.3))
-    return [visited_region(name, log) for name, log in zip(motions, logs, strict=True) if len(log.time)]
 
 
 def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
@@ -134,7 +130,9 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
     )
     section.figure(
         "The two workspaces as surfaces: where straight ways from the centre first break a limit, in its colour.",
-        study.save_figure(plot_boundaries([poses.boundaries[kind] for kind in KINDS]), "workspace-boundary"),
+        study.save_figure(
+            plot_boundaries([poses.boundaries[kind] for kind in KINDS], study.base.robot), "workspace-boundary"
+        ),
     )
     for kind, what in zip(KINDS, ("positions", "orientations"), strict=True):
         slices = slice_surveys(study, poses, kind)
@@ -189,27 +187,24 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
     section.text(
         "### What controlled motions visit\n\n"
         "The paper speaks of the workspace of states and torques that its method defines. Read literally, these are "
-        "the states and torques that motions under its controller pass through. The runs use the base scenario with its "
-        f"reference changed; amplitudes of our own motions are {AMPLITUDE_SHARE:g} of the largest that the limits "
-        "allow, to leave room for the error of tracking."
+        "the states and torques that motions under its controller pass through. The runs use the base scenario with "
+        f"its reference changed; the amplitudes of our own motions are {AMPLITUDE_SHARE:g} of the largest that the "
+        "limits allow, to leave room for the error of tracking."
     )
     section.table(
-        "Region that each run visited. Coordinates: largest distance from the centre of the motion. Torques are those "
-        "within the motors' limits; the reference's are by the exact inverse dynamics, without control. The last "
-        "columns look at poses as if at rest: the largest part of a limit taken up.",
-        ("run", "ended", *(f"{n} [{u}]" for n, u in zip(_NAMES, _UNITS, strict=True)), "crank speed [rad/s]",
-         "peak torque [N m]", "reference's [N m]", "of the limit", "peak power [W]", "by the run", "by its reference"),
+        "Region that each run visited: largest distance of any angle and any coordinate from the motion's centre; "
+        "torques within the motors' limits, beside those that the reference needs by the exact inverse dynamics. The "
+        "last columns look at poses as if at rest: the largest part of a limit taken up.",
+        ("run", "ended", "angles [deg]", "ways [mm]", "crank speed [rad/s]", "peak torque [N m]", "reference's [N m]",
+         "part of motor limit", "peak power [W]", "limit on poses: run", "its reference"),
         [_region_row(region) for region in regions],
     )  # fmt: skip
-    if not regions:
-        return
     section.text(_motor_words(poses, regions))
     whole = envelope_of_all([region.log for region in regions])
-    first = regions[0].envelope
+    first, own = regions[0].envelope, regions[0].name
     section.table(
-        "Envelope of states: from .. to, the paper's motion and all runs, and the range that the limits leave each "
-        "coordinate alone.",
-        ("coordinate", "paper's", "all runs", "allowed at rest", "rate, paper's", "rate, all runs"),
+        f"Envelope of states, from .. to: {own}, all runs, and the range that the limits leave each coordinate alone.",
+        ("coordinate", own, "all runs", "allowed at rest", f"rate, {own}", "rate, all runs"),
         [
             (
                 f"{_NAMES[i]} [{_UNITS[i]}]",
@@ -220,9 +215,9 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
         ],
     )
     section.table(
-        f"Envelope of the motors; the limit of the torque is +-{base.robot.effort_limit:g} N m.",
-        ("motor", "angle, paper's [deg]", "speed, paper's [rad/s]", "torque, paper's [N m]", "speed, all [rad/s]",
-         "torque, all [N m]"),
+        f"Envelope of the motors: {own} (first three columns) and all runs; the limit of the torque is "
+        f"+-{base.robot.effort_limit:g} N m.",
+        ("motor", "angle [deg]", "speed [rad/s]", "torque [N m]", "speed, all runs [rad/s]", "torque, all runs [N m]"),
         [
             (i, _span(np.degrees(first.crank_angle[:, i])), _span(first.crank_rate[:, i], 2),
              _span(first.torque[:, i], 3), _span(whole.crank_rate[:, i], 2), _span(whole.torque[:, i], 3))
@@ -231,10 +226,10 @@ def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Se
     )  # fmt: skip
     logs, names = [region.log for region in regions], [region.name for region in regions]
     section.figure(
-        "The paper's motion among the limits: its path, and what it takes up of each limit.",
+        f"{_sentence(own)} among the limits: its path, and what it takes up of each limit.",
         study.save_figure(
             plot_motion_map(motion_slice(study, poses, logs[0]["reference"]), logs[0], regions[0].use),
-            "workspace-paper-motion",
+            "workspace-motion",
         ),
     )
     section.figure(
@@ -355,10 +350,14 @@ def _region_row(region: VisitedRegion) -> tuple[str, ...]:
     uses = (region.worst, region.reference_worst)
     ended = f"{log.end_time:g} s" if log.status == "completed" else f"{log.reason} at {log.end_time:.3f} s"
     return (
-        region.name, ended, *(f"{x:.3g}" if x >= 0.005 else "0" for x in far), f"{region.speed:.2f}",
+        region.name, ended, f"{far[:3].max():.1f}", f"{far[3:].max():.1f}", f"{region.speed:.2f}",
         f"{region.peak_torque:.3f}", f"{region.reference_torque:.3f}", f"{100.0 * region.torque_use:.1f} %",
         f"{region.power:.2f}", *(f"{100.0 * use:.0f} % of {limit.replace('_', ' ')}" for use, limit in uses),
     )  # fmt: skip
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
 
 
 def _finite(value: float) -> float | None:
@@ -366,7 +365,7 @@ def _finite(value: float) -> float | None:
 
 
 def _motor_words(poses: PoseStudy, regions: Sequence[VisitedRegion]) -> str:
-    """What would come of a motor chosen by the torques of the paper's motion."""
+    """What would come of a motor chosen by the torques of the first motion, the paper's."""
     peak = regions[0].peak_torque
     parts = []
     for kind in KINDS:
@@ -374,11 +373,14 @@ def _motor_words(poses: PoseStudy, regions: Sequence[VisitedRegion]) -> str:
         total = found.size(found.connected)
         share = found.size(found.connected & (found.measures.holding_torque > peak)) / total if total > 0.0 else 0.0
         parts.append(f"{100.0 * share:.0f} % of the {kind}s within the limits")
+    ratios = [r.peak_torque / r.reference_torque for r in regions]
+    most = int(np.argmax(ratios))
     stronger = sum(region.peak_torque > peak for region in regions[1:])
     return (
-        f"Choosing the motors. The largest torque of the paper's motion is {peak:.2f} N m. A motor of just that torque "
+        f"Choosing the motors. The largest torque of {regions[0].name} is {peak:.2f} N m. A motor of just that torque "
         f"could not hold the platform still at {' and '.join(parts)}, and {stronger} of the other {len(regions) - 1} "
-        "runs ask for more."
+        f"runs ask for more. What the control adds to what the motion itself needs is largest in {regions[most].name}: "
+        f"{ratios[most]:.2f} times the largest torque of the reference by inverse dynamics."
     )
 
 
