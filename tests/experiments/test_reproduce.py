@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 from conftest import make_network
-from matplotlib.figure import Figure as Canvas
 
 from stewart_drake import versions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
@@ -20,6 +19,7 @@ from stewart_drake.experiments.reproduction.reproduce import SECTIONS, check_bas
 from stewart_drake.scenario import Scenario
 
 ROOT = Path(__file__).parent.parent.parent
+PNG = b"\x89PNG\r\n\x1a\n"
 KEYS = ("first", "second", "third")
 # The clearance of links takes most of the check's time and changes nothing of its logic.
 BASE = Scenario.from_dict({"limits": {"clearance": None}})
@@ -36,9 +36,9 @@ def made(monkeypatch):
             study.progress(0.5)
             section = Section(key, f"The {key}", f"Claim of {key}.", f"Verdict of {key}.")
             section.numbers = {"rows": (1, 2.5, None), "size": study.pick(10, 3), "z": {"pi": float(np.pi)}}
-            figure = Canvas(figsize=(1.0, 1.0))
-            figure.add_subplot().plot([0, study.pick(1, 2)])
-            section.figure("A line", study.save_figure(figure, key))
+            (study.folder / "figures").mkdir(exist_ok=True)
+            (study.folder / "figures" / f"{key}.png").write_bytes(PNG + study.pick(b"whole", b"quick"))
+            section.figure("A line", f"{key}.png")
             (study.folder / f"{key}.txt").write_text(str(study.quick))
             section.files.append(f"{key}.txt")
             return section
@@ -341,7 +341,7 @@ def test_the_command_ends_with_130_when_it_is_interrupted(call, made, monkeypatc
     second = sys.modules[f"{module.__package__}.second"]
     real = second.make
 
-    def interrupted(study):
+    def interrupted(_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(second, "make", interrupted)
@@ -362,7 +362,7 @@ class Links(HTMLParser):
         self.sources, self.targets, self.ids = [], [], []
         self.feed(page)
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, _, attrs):
         values = dict(attrs)
         self.sources += [values[name] for name in ("src", "srcset", "data") if name in values]
         if "href" in values:
@@ -408,7 +408,7 @@ def test_the_quick_reproduction_from_a_shell_tests_every_claim(tmp_path):
     assert len(figures) == len(set(figures)) >= 10
     assert {path.name for path in (folder / "figures").iterdir()} == set(figures)
     for name in figures:
-        assert (folder / "figures" / name).read_bytes().startswith(b"\x89PNG")
+        assert (folder / "figures" / name).read_bytes().startswith(PNG)
     links = Links(page)
     assert len(links.sources) == len(figures)
     assert all(source.startswith("data:image/png;base64,") for source in links.sources)

@@ -271,7 +271,7 @@ def test_a_folder_that_cannot_be_made_is_found_before_any_run(tmp_path, ran):
 def test_what_is_done_outlives_an_interruption_and_the_next_call_completes_it(tmp_path, workers):
     store, scenarios = RunStore(tmp_path, workers), several(4)
 
-    def interrupt(share):
+    def interrupt(_):
         raise KeyboardInterrupt
 
     others = set(multiprocessing.active_children())

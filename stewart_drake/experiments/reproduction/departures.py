@@ -28,7 +28,7 @@ DEPARTURES: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "(3)",
-        "Entry (3,1) lacks a factor; the matrix is no rotation. It is also the passive matrix.",
+        "Entry (3,1) has cos theta where cos phi belongs; the matrix is no rotation. It is also the passive matrix.",
         "The rotation that is meant: R_BP = Rz Ry Rx.",
         "section on kinematics",
     ),
