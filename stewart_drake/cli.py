@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.terminal import ProgressBar, print_run, print_table
 
 if TYPE_CHECKING:
-    from stewart_drake.log import SimulationLog
+    pass
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 
@@ -70,11 +72,11 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
         viewer = Meshcat()
         click.echo(f"live view: {viewer.web_url()}", err=True)
-    with _progress(loaded.name, loaded.duration, quiet) as advance:
+    with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
         log = simulate(loaded, progress=advance, meshcat=viewer, check=False)
     metrics = write_run(log, folder, graph)
     if not quiet:
-        _print_run(log, metrics, folder)
+        print_run(log, metrics, folder)
     if log.status == "failed":
         click.echo(f"stewart-drake: {log.reason} at t = {log.end_time:.3f} s: {log.message}", err=True)
     elif log.status == "interrupted":
@@ -91,7 +93,7 @@ def collect(out: Path, quiet: bool) -> None:
     from stewart_drake.training.collect import collect_dataset
 
     prepare_folder(out.parent)
-    with _progress("nine experiments", 9.0, quiet, unit="runs") as advance:
+    with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
         dataset = collect_dataset(progress=advance)
     dataset.save(out)
     click.echo(f"{len(dataset.inputs)} samples in {out}")
@@ -113,11 +115,11 @@ def train(dataset: Path, out: Path, seed: int, epochs: int, quiet: bool) -> None
 
     from stewart_drake.training.train import TrainingOptions, train_network
 
-    with _progress("training", float(epochs), quiet, unit="epochs") as advance:
+    with ProgressBar("training", float(epochs), quiet, unit="epochs") as advance:
         result = train_network(data, TrainingOptions(seed=seed, epochs=epochs), progress=advance)
     result.network.save(out)
     if not quiet:
-        _print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
+        print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
 
 
 @cli.command()
@@ -141,10 +143,10 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
 
     check_base(base)
     prepare_folder(out)
-    with _progress("reproduction", 100.0, quiet, unit="%") as advance:
+    with ProgressBar("reproduction", 100.0, quiet, unit="%") as advance:
         sections = make_report(out, quick, base, lambda key, share: advance(100.0 * share, key.replace("_", " ")))
     if not quiet:
-        _print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
+        print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
 
 
 @cli.command()
@@ -176,6 +178,9 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
     write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint)
 
 
+cli.add_command(workspace)
+
+
 def main() -> None:
     """Entry point: errors of this package end in one line and an exit status, never in a traceback."""
     try:
@@ -201,77 +206,3 @@ def main() -> None:
     except StewartDrakeError as error:
         click.echo(f"stewart-drake: {error.reason}: {' '.join(str(error).split())}", err=True)
         sys.exit(EXIT_RUN_FAILED)
-
-
-class _progress:  # noqa: N801 - reads as a function at its call sites
-    """A progress bar of simulated seconds (or of runs, epochs) on the terminal."""
-
-    def __init__(self, title: str, total: float, quiet: bool, unit: str = "s") -> None:
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-        digits = 2 if unit == "s" else 0
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn(f"{{task.completed:.{digits}f}} / {{task.total:.{digits}f}} {unit}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=_console(stderr=True),
-            disable=quiet,
-            # A refresh thread would take the interpreter from the simulation at every step.
-            auto_refresh=False,
-        )
-        self._task = self._bar.add_task(title, total=total)
-
-    def __enter__(self) -> Any:
-        self._bar.start()
-        return self._advance
-
-    def _advance(self, completed: float, title: str | None = None) -> None:
-        self._bar.update(self._task, completed=completed, description=title, refresh=True)
-
-    def __exit__(self, *details: object) -> None:
-        self._bar.stop()
-
-
-def _console(stderr: bool = False) -> Any:
-    from rich.console import Console
-
-    return Console(stderr=stderr)
-
-
-def _print_table(title: str, rows: list[tuple[str, str]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left", show_header=False)
-    table.add_column()
-    table.add_column(justify="right", overflow="fold")
-    for name, value in rows:
-        table.add_row(name, escape(value))
-    _console().print(table)
-
-
-def _print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
-    def numbers(values: list[float] | None, form: str = "{:.4g}") -> str:
-        return "-" if values is None else "  ".join(form.format(v) for v in values)
-
-    rows = [
-        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
-        ("simulated time", f"{log.end_time:.3f} s"),
-        ("RMSE roll pitch yaw, second half", f"{numbers(metrics['rmse_deg'])} deg"),
-        ("RMSE X Y Z, second half", f"{numbers(metrics['rmse_mm'])} mm"),
-        ("peak roll pitch yaw, second half", f"{numbers(metrics['peak_deg'])} deg"),
-        ("peak X Y Z, second half", f"{numbers(metrics['peak_mm'])} mm"),
-        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "{:.2g}")),
-    ]
-    if len(log.time):
-        rows += [
-            ("torque RMS, peak", f"{metrics['torque_rms']:.3f}, {metrics['torque_peak']:.3f} N m"),
-            ("share of torques at the limit", f"{metrics['saturated_fraction']:.2%}"),
-            ("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"),
-            ("largest loop gap", f"{metrics['loop_gap_max_m']:.2e} m"),
-        ]
-    factor = metrics["real_time_factor"]
-    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
-    _print_table(log.scenario.name, rows)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from stewart_drake.terminal import ProgressBar, print_table
+
 
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs/workspace"), show_default=True)
@@ -59,17 +61,16 @@ def workspace(
     base.load_tuner_network()
     prepare_folder(out)
 
-    from stewart_drake.cli import _print_table, _progress
     from stewart_drake.experiments.report import write_report
     from stewart_drake.experiments.reproduction.study import Study
     from stewart_drake.experiments.reproduction.workspace import make_section, summary
     from stewart_drake.files import write_atomically
 
-    with _progress("workspace", 100.0, quiet, unit="%") as advance:
+    with ProgressBar("workspace", 100.0, quiet, unit="%") as advance:
         study = Study(out, base=base, progress=lambda share: advance(100.0 * share))
         section = make_section(study, samples, center)
     preface = f"Made by `stewart-drake workspace` for the scenario {base.name}."
     write_report(out, section.title, preface, [section])
     write_atomically(out / "workspace.json", (json.dumps(section.numbers, indent=1, allow_nan=False) + "\n").encode())
     if not quiet:
-        _print_table(f"report in {out / 'report.html'}", summary(section.numbers))
+        print_table(f"report in {out / 'report.html'}", summary(section.numbers))

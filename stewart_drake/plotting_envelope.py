@@ -39,12 +39,9 @@ def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndar
     drawn.prepare(map_)
     seen = drawn.use_image(map_)
     drawn.lines(map_)
-    for path, color, width, dashes in (
-        (log["pose"], _FIRST, 1.3, "-"),
-        (log["reference"], "#FFFFFF", 1.8, (0, (4, 3))),
-    ):
+    for path, color, width in ((log["pose"], _FIRST, 1.3), (log["reference"], "#FFFFFF", 1.3)):
         across, up = (_SCALES[c] * path[:, c] for c in drawn.columns)
-        map_.plot(across, up, color=color, linewidth=width, linestyle=dashes)
+        map_.plot(across, up, color=color, linewidth=width)
     map_.set_title("Path over a slice: run black, reference white", loc="left", fontsize=11, fontweight="bold")
     use_bar(figure, map_)
     lines = [

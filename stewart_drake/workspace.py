@@ -85,9 +85,9 @@ def measure_poses(
         progress: Called with the share done, 0 to 1.
 
     Returns:
-        Equal to the functions named above to rounding: 1e-12 relative, but for `conditioning` (1e-11 absolute), the
-        swings (1e-8 rad, worst at 180 deg) and torque, force and moment near a parallel singularity, whose relative
-        error is 1e-14 / conditioning^2 at most.
+        What the functions of those modules give, to rounding: 1e-12 relative, but for `conditioning` (1e-11 absolute),
+        the swings (1e-8 rad, worst at 180 deg), `transmission` at a dead centre (1e-8 absolute), and torque, force and
+        moment near a parallel singularity (1e-14 / conditioning relative).
 
     Raises:
         ConfigurationError: Poses that are not finite or not (n, 6).

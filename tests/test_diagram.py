@@ -146,7 +146,7 @@ def test_tracking_errors_are_those_of_the_independent_study_in_the_notes():
     case = Scenario.from_dict(
         {
             "gravity": 0.0,
-            "controller": {"period": 0.001, "feedforward": "none", "solver": "split"},
+            "controller": {"period": 0.001, "feedforward": "none"},
             "tuner": {"kind": "fixed"},
         }
     )

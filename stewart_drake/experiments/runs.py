@@ -138,8 +138,8 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
             advance()
     except BrokenProcessPool:
         raise StewartDrakeError(
-            "a worker process ended by itself: it was killed, or ran out of memory, or the script that called has no "
-            '`if __name__ == "__main__":` around the call, without which each worker runs the script again'
+            "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script "
+            'that called, which must be a file with the call under `if __name__ == "__main__":`'
         ) from None
     except KeyboardInterrupt:
         # What is half done is lost all the same, so nobody waits for it.

@@ -46,18 +46,15 @@ def feasible_amplitudes(
         gravity: [m/s^2] along -z of B.
 
     Returns:
-        (n_f, 6) [rad, m] largest feasible amplitude of each axis alone, and (n_f, 6) the largest common share of these that
-        is feasible with all six axes moving at once, `PHASES` apart.
+        (n_f, 6) [rad, m] largest feasible amplitude of each axis alone, and (n_f, 6) the largest common share of these
+        that is feasible with all six axes moving at once, `PHASES` apart.
     """
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
     together = []
     for frequency, single in zip(FREQUENCIES, alone, strict=True):
 
         def burst(scale: float, frequency: float = frequency, single: Vector6 = single) -> SineBurstsReference:
-            amplitude = six(scale * np.array(single))
-            return SineBurstsReference(
-                frequency=(frequency,), amplitude=(amplitude,), phase=six(PHASES), burst_duration=BURST
-            )
+            return _bursts(robot, (frequency,), (six(scale * np.array(single)),))
 
         together.append(six(largest_scale(robot, limits, burst, BURST, gravity) * np.array(single)))
     return alone, tuple(together)
@@ -67,10 +64,24 @@ def experiment_reference(base: Scenario) -> SineBurstsReference:
     """The motion of every experiment: 1 to 5 Hz on all six axes, `SHARE` of what the limits of `base` allow.
 
     Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2).
+
+    Raises:
+        ConfigurationError: The home pose itself is outside the limits of `base`, so there is no motion.
     """
     _, together = feasible_amplitudes(base.robot, base.limits, base.gravity)
-    amplitude = tuple(six(SHARE * np.array(row)) for row in together)
-    return SineBurstsReference(frequency=FREQUENCIES, amplitude=amplitude, phase=six(PHASES), burst_duration=BURST)
+    if not np.all(np.array(together) > 0.0):
+        raise ConfigurationError("limits", base.limits, "limits within which the robot can move from its home pose")
+    # To whole microradians and micrometres, downwards: rounding errors of the search then leave the data as it is.
+    amplitude = tuple(six(np.floor(1e6 * SHARE * np.array(row)) / 1e6) for row in together)
+    return _bursts(base.robot, FREQUENCIES, amplitude)
+
+
+def _bursts(
+    robot: RobotParameters, frequency: tuple[float, ...], amplitude: tuple[Vector6, ...]
+) -> SineBurstsReference:
+    return SineBurstsReference(
+        frequency=frequency, amplitude=amplitude, center=six(robot.home_pose), phase=six(PHASES), burst_duration=BURST
+    )
 
 
 def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
@@ -118,12 +129,7 @@ def dataset_from_logs(
     """
     inputs, outputs, runs, times = [], [], [], []
     for index, log in enumerate(logs):
-        if log.status != "completed" or len(log.time) < samples:
-            omega_q, omega_r = log.scenario.tuner.omega_q, log.scenario.tuner.omega_r
-            raise RunFailure(
-                f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "
-                f"{log.message}"
-            )
+        _refuse_part(index, log, samples)
         signals = np.concatenate([log["error"], log["torque"]], axis=1)[:samples]
         inputs.append([density(signals[max(0, k - window) : k + 1], kind) for k in range(samples)])
         outputs.append(log["weights"][:samples])
@@ -132,6 +138,15 @@ def dataset_from_logs(
     return Dataset(
         np.concatenate(inputs), np.concatenate(outputs), np.concatenate(runs), np.concatenate(times), metadata
     )
+
+
+def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
+    if log.status != "completed" or len(log.time) < samples:
+        omega_q, omega_r = log.scenario.tuner.omega_q, log.scenario.tuner.omega_r
+        raise RunFailure(
+            f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "
+            f"{log.message}"
+        )
 
 
 def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
@@ -166,7 +181,8 @@ def collect_dataset(
 
     Raises:
         ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.
-        RunFailure: An experiment ended early; it says which.
+        RunFailure: An experiment ended early; it says which. The rest is not run.
+        KeyboardInterrupt: After Ctrl-C, which `simulation.run` turns into a log.
     """
     from stewart_drake.simulation import run
 
@@ -179,6 +195,9 @@ def collect_dataset(
     logs = []
     for index, scenario in enumerate(scenarios):
         logs.append(run(scenario))
+        if logs[-1].status == "interrupted":
+            raise KeyboardInterrupt
+        _refuse_part(index, logs[-1], samples)
         if progress is not None:
             progress(index + 1.0)
     metadata = dataset_metadata(base, reference)

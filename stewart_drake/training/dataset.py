@@ -68,17 +68,20 @@ def load_dataset(path: str | Path) -> Dataset:
 
     Raises:
         ConfigurationError: Missing file, another format or version, missing columns, numbers that are not finite,
-            weights that are not positive, no samples.
+            weights that are not positive, runs that are no whole numbers, a kind of density or a window that no network
+            can have, no samples.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     key = f"dataset {path}"
     try:
-        table = pq.read_table(path)
-    except OSError as error:
-        raise ConfigurationError(key, error.strerror or str(error), "a readable file; `collect` makes one") from None
-    except pa.ArrowException as error:
+        # Not read_table: of a folder such as runs/run=3 it would make a column, and it takes folders for files.
+        with Path(path).open("rb") as stream:
+            table = pq.ParquetFile(stream).read()
+    except (OSError, pa.ArrowException) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise ConfigurationError(key, error.strerror, "a readable file; `collect` makes one") from None
         raise ConfigurationError(key, " ".join(str(error).split()), "a Parquet file") from None
     try:
         document = json.loads((table.schema.metadata or {}).get(_FORMAT_KEY, b"{}"))
@@ -86,6 +89,10 @@ def load_dataset(path: str | Path) -> Dataset:
         raise ConfigurationError(key, str(error), "a dataset written by `collect`") from None
     if not isinstance(document, dict) or document.pop("version", None) != _VERSION:
         raise ConfigurationError(key, "another format", f"a dataset of version {_VERSION}, written by `collect`")
+    if document.get("density", "magnitude") not in ("magnitude", "signed"):
+        raise ConfigurationError(f"{key}: density", document["density"], "magnitude or signed")
+    if type(document.get("window", 1)) is not int or document.get("window", 1) < 1:
+        raise ConfigurationError(f"{key}: window", document["window"], "an integer >= 1")
     columns = ("time", "run", *_INPUTS, "omega_q", "omega_r")
     missing = [name for name in columns if name not in table.column_names]
     if missing or not table.num_rows:
@@ -96,10 +103,12 @@ def load_dataset(path: str | Path) -> Dataset:
         raise ConfigurationError(key, str(error), "columns of numbers") from None
     for name, values in data.items():
         unusable = ~np.isfinite(values) | (name.startswith("omega") & (values <= 0.0))
+        if name == "run":
+            unusable |= ~((values >= 0.0) & (values < 2.0**53) & (values == np.floor(values)))
         if unusable.any():
             bad = int(unusable.argmax())
             raise ConfigurationError(
-                f"{key}: {name}", f"{values[bad]} in row {bad}", "finite (weights: positive) numbers"
+                f"{key}: {name}", f"{values[bad]} in row {bad}", "finite numbers; weights positive, runs counted from 0"
             )
     return Dataset(
         np.stack([data[name] for name in _INPUTS], axis=-1),

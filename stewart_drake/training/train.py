@@ -79,6 +79,19 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
     return mask
 
 
+def _refuse_empty_class(dataset: Dataset, training: np.ndarray, options: TrainingOptions) -> None:
+    """Refuses a split whose training side lacks a value of omega_Q or omega_R that several experiments share."""
+    for name, values in zip(("omega_Q", "omega_R"), dataset.outputs.T, strict=True):
+        classes = np.unique(values)
+        lacking = np.setdiff1d(classes, values[training])
+        if len(lacking) and len(classes) < len(np.unique(dataset.run)):
+            raise ConfigurationError(
+                "training.seed",
+                options.seed,
+                f"one whose split by {options.split} leaves training samples of {name} = {lacking[0]:g}",
+            )
+
+
 def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
     """1 - residual / total sum of squares; NaN where the target does not vary."""
     total = float(np.sum((target - target.mean()) ** 2))
@@ -96,10 +109,12 @@ def train_network(
         progress: Called with the epochs done, now and then.
 
     Raises:
-        ConfigurationError: A split that leaves one side empty.
+        ConfigurationError: A split that leaves one side empty, or a value of omega_Q or omega_R without training
+            samples.
     """
     options = TrainingOptions() if options is None else options
     training = split_samples(dataset, options)
+    _refuse_empty_class(dataset, training, options)
     target = np.log10(dataset.outputs)
     mean, scale = dataset.inputs[training].mean(axis=0), dataset.inputs[training].std(axis=0)
     scale = np.where(scale > 1e-9, scale, 1.0)

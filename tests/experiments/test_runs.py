@@ -30,6 +30,12 @@ def several(count):
     return [SHORT.replace({"name": f"run {k}", "tuner.omega_q": 1.0 + k}) for k in range(count)]
 
 
+@pytest.fixture(autouse=True)
+def _code_as_it_is(monkeypatch):
+    # What is tested here must not depend on whether someone edits the package meanwhile.
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+
+
 @pytest.fixture
 def ran(monkeypatch):
     """Names of the scenarios that were run in this process, in order."""
@@ -223,13 +229,14 @@ def test_a_weights_file_that_cannot_be_read_is_found_before_any_run(tmp_path, ra
 
 
 def test_other_code_or_another_drake_gives_another_key(monkeypatch):
-    before = run_key(SHORT)
+    keys, real = [run_key(SHORT)], versions.package_version
+    for package in ("drake", "numpy", "stewart-drake"):
+        with monkeypatch.context() as patch:
+            patch.setattr(versions, "package_version", lambda name, of=package: "9" if name == of else real(name))
+            keys.append(run_key(SHORT))
     monkeypatch.setattr(versions, "source_digest", lambda: "changed")
-    changed = run_key(SHORT)
-    monkeypatch.undo()
-    real = versions.package_version
-    monkeypatch.setattr(versions, "package_version", lambda name: "9" if name == "drake" else real(name))
-    assert len({before, changed, run_key(SHORT)}) == 3
+    keys.append(run_key(SHORT))
+    assert len(set(keys)) == 5
 
 
 # --- bad input -----------------------------------------------------------------------------------------------------

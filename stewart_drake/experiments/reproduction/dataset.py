@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.density import DensityKind
 from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.reproduction.nine_experiments import distinct
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.feasibility import check_reference
+from stewart_drake.limits import limit_bounds
 from stewart_drake.log import AXES, SimulationLog
 from stewart_drake.references import SineBurstsReference, SineReference
 from stewart_drake.scenario import Scenario
@@ -33,6 +36,9 @@ _CLAIM = (
     "Nine experiments, angles within pi/6 and translations of 0.3 m in each direction at 1 to 5 Hz, give 14,400 "
     "samples of densities and weights (section III.D)."
 )
+PAPER_SAMPLES = 14_400
+SAME_DATA = 1e-6
+"""[-] difference of densities below which two runs count as one set of data."""
 
 
 def run_experiments(study: Study) -> tuple[list[Scenario], list[SimulationLog]]:
@@ -60,6 +66,7 @@ def binding_limits(base: Scenario, amplitude: np.ndarray) -> list[list[str]]:
         names.append([])
         for axis in range(6):
             reference = SineReference(
+                center=six(base.robot.home_pose),
                 amplitude=six(1.01 * row * (np.arange(6) == axis)),
                 angular_frequency=six(np.full(6, 2.0 * np.pi * frequency)),
             )
@@ -68,19 +75,22 @@ def binding_limits(base: Scenario, amplitude: np.ndarray) -> list[list[str]]:
     return names
 
 
+def run_distances(dataset: Dataset) -> np.ndarray:
+    """Largest difference of a density between two runs, tick by tick; (runs, runs) [-]."""
+    inputs = [dataset.inputs[dataset.run == run] for run in np.unique(dataset.run)]
+    return np.array([[np.abs(a - b).max() for b in inputs] for a in inputs])
+
+
+def same_ratio(dataset: Dataset) -> np.ndarray:
+    """Whether two runs have one ratio omega_Q / omega_R; (runs, runs) bool."""
+    _, first = np.unique(dataset.run, return_index=True)
+    ratio = dataset.outputs[first, 0] / dataset.outputs[first, 1]
+    return np.isclose(ratio[:, None], ratio)
+
+
 def label_spread(dataset: Dataset) -> float:
-    """Largest difference between the inputs of runs whose weights have one ratio."""
-    log_ratio = np.round(np.log10(dataset.outputs[:, 0] / dataset.outputs[:, 1]), 6)
-    runs = {int(r): dataset.inputs[dataset.run == r] for r in np.unique(dataset.run)}
-    ratio_of = {r: float(log_ratio[dataset.run == r][0]) for r in runs}
-    return max(
-        (
-            float(np.abs(runs[a] - runs[b]).max())
-            for a, b in itertools.combinations(runs, 2)
-            if ratio_of[a] == ratio_of[b]
-        ),
-        default=0.0,
-    )
+    """Largest difference between the densities of runs whose weights have one ratio."""
+    return float(run_distances(dataset)[same_ratio(dataset)].max())
 
 
 def make(study: Study) -> Section:
@@ -94,54 +104,76 @@ def make(study: Study) -> Section:
     scenarios, logs = run_experiments(study)
     data = dataset_of(study, scenarios, logs, base.tuner.density)
     data.save(study.folder / "dataset.parquet")
-
+    section.files.append("dataset.parquet")
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)
-    rows = []
-    for f, frequency in enumerate(FREQUENCIES):
-        alone = [_amplitude(a, largest[f, a]) + f" ({binding[f][a]})" for a in range(6)]
-        rows.append((f"{frequency:g} Hz, each axis alone", *alone))
-        rows.append((f"{frequency:g} Hz, as run", *(_amplitude(a, reference.amplitude[f][a]) for a in range(6))))
-    rows.append(("paper, 1 to 5 Hz", *(_amplitude(a, PAPER_AMPLITUDE[a]) for a in range(6))))
-    section.text(
-        "### Amplitudes\n\n"
-        "The paper's amplitudes cannot be reached at its frequencies: 0.3 m at 5 Hz alone is 296 m/s^2. The largest "
-        "feasible amplitude of each axis alone keeps to reach, transmission, conditioning, joint swing, clearance, "
-        "crank speed and motor torque (the limit that binds stands in brackets). In the runs all six axes move at "
-        f"once, 60 deg apart in phase, with {SHARE:g} of the largest common share of these amplitudes that is "
-        "feasible: at the whole of it the weaker pairs overshoot into a dead centre."
-    )
-    section.table("Amplitude by axis", ("motion", *AXES), rows)
-
-    spread = label_spread(data)
-    section.text(
-        "### Samples\n\n"
-        f"{len(data.run)} samples: {len(scenarios)} runs of {len(data.run) // len(scenarios)} ticks of "
-        f"{1e3 * base.controller.period:g} ms, window m = {base.tuner.window}, gravity {base.gravity:g} m/s^2, "
-        f"feedforward `{base.controller.feedforward}`. The file (`dataset.parquet`) carries sample time, window, "
-        "amplitudes, phases and the whole scenario in its metadata. Runs with one ratio of weights give the same "
-        f"densities to {spread:.1e}: their labels differ, their data does not."
-    )
-    section.figure(
-        "Densities of the nine experiments by ratio of weights: medians and 5 to 95 % bands",
-        study.save_figure(plot_densities(data), "densities"),
-    )
     fraction = float(np.mean(largest >= np.array(PAPER_AMPLITUDE)))
+    distances = run_distances(data)
     section.numbers = {
         "samples": len(data.run),
         "largest_amplitude": largest.tolist(),
         "binding_limit": binding,
         "amplitude": [list(row) for row in reference.amplitude],
-        "equal_ratio_spread": spread,
+        "bursts": min(len(FREQUENCIES), math.ceil(scenarios[0].duration / reference.burst_duration - 1e-9)),
+        "equal_ratio_spread": label_spread(data),
+        "next_ratio_spread": float(distances[~same_ratio(data)].min()),
+        "distinct": distinct(distances, SAME_DATA),
         "share_of_paper_amplitudes_feasible": fraction,
         "sha256": data.digest(),
     }
-    section.verdict = (
-        f"{len(data.run)} samples collected. Of the 30 combinations of axis and frequency the paper's amplitude is "
-        f"feasible in {round(30 * fraction)}; we use the largest feasible ones. The nine runs hold five distinct sets "
-        "of data."
+    _add_amplitudes(section, base)
+    _add_samples(section, base, len(scenarios))
+    section.figure(
+        "Densities (35), (36) of the nine experiments by ratio of weights: medians and 5 to 95 % bands",
+        study.save_figure(plot_densities(data), "densities"),
     )
+    section.verdict = verdict(section.numbers, len(scenarios))
     return section
+
+
+def _add_amplitudes(section: Section, base: Scenario) -> None:
+    n = section.numbers
+    rows: list[tuple[str, ...]] = []
+    for f, frequency in enumerate(FREQUENCIES):
+        alone = [f"{_amplitude(a, n['largest_amplitude'][f][a])} ({n['binding_limit'][f][a]})" for a in range(6)]
+        rows.append((f"{frequency:g} Hz, each axis alone", *alone))
+        if f < n["bursts"]:
+            rows.append((f"{frequency:g} Hz, as run", *(_amplitude(a, n["amplitude"][f][a]) for a in range(6))))
+    rows.append(("paper, 1 to 5 Hz", *(_amplitude(a, PAPER_AMPLITUDE[a]) for a in range(6))))
+    peak = (2.0 * np.pi * FREQUENCIES[-1]) ** 2 * PAPER_AMPLITUDE[-1]
+    limits = ", ".join(name.replace("_", " ") for name in limit_bounds(base.robot, base.limits))
+    section.text(
+        "### Amplitudes\n\n"
+        f"{PAPER_AMPLITUDE[-1]:g} m at {FREQUENCIES[-1]:g} Hz alone is {peak:.0f} m/s^2. The table has the largest "
+        f"feasible amplitude of each axis alone, within the limits on {limits}; the one that binds stands in brackets. "
+        f"In the runs all six axes move at once, 60 deg apart in phase, with {SHARE:g} of the largest common share of "
+        "these amplitudes that is feasible; the rest is left for the overshoot of the weaker pairs. "
+        f"The runs of this report have the bursts of {FREQUENCIES[0]:g} to {FREQUENCIES[n['bursts'] - 1]:g} Hz."
+    )
+    section.table("Amplitude by axis", ("motion", *AXES), rows)
+
+
+def _add_samples(section: Section, base: Scenario, runs: int) -> None:
+    n = section.numbers
+    section.text(
+        "### Samples\n\n"
+        f"{n['samples']} samples: {runs} runs of {n['samples'] // runs} ticks of {1e3 * base.controller.period:g} ms, "
+        f"window m = {base.tuner.window}, gravity {base.gravity:g} m/s^2, feedforward "
+        f"`{base.controller.feedforward}`. The file (`dataset.parquet`) carries sample time, window, amplitudes, "
+        "phases and the whole scenario in its metadata. Densities of runs whose weights have one ratio differ by "
+        f"{n['equal_ratio_spread']:.1e} at most, of other runs by {n['next_ratio_spread']:.1e} at least."
+    )
+
+
+def verdict(numbers: dict[str, Any], runs: int) -> str:
+    """What came of the claim, from the section's numbers."""
+    cells = 6 * len(FREQUENCIES)
+    feasible = round(cells * numbers["share_of_paper_amplitudes_feasible"])
+    return (
+        f"{numbers['samples']} samples collected (the paper: {PAPER_SAMPLES}). The paper's amplitude is feasible in "
+        f"{feasible} of {cells} combinations of axis and frequency, each axis alone; we use the largest feasible ones. "
+        f"The {runs} runs hold {numbers['distinct']} distinct sets of data."
+    )
 
 
 def _amplitude(axis: int, value: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from stewart_drake.workspace_region import LIMIT_NAMES, governing_limit, utilisa
 
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
-ONE_HERTZ = 2.0 * math.pi
+ONE_HERTZ = 2.0 * np.pi
 SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
 """[rad/s] of the motion on all axes at once, around the paper's 2."""
 SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
@@ -151,8 +150,10 @@ def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
         runs: All that were tried.
     """
     done = [region for region in regions if region.log.status == "completed"]
-    if not done:
-        return f"Does not hold: none of the {runs} controlled motions came to its end."
+    if 2 * len(done) <= runs:
+        reasons = sorted({str(region.log.reason) for region in regions if region.log.status != "completed"})
+        why = f" ({', '.join(reasons)})" if reasons else ""
+        return f"Does not hold: only {len(done)} of {runs} controlled motions came to their end{why}."
     peaks = [region.peak_torque for region in done]
     most = 100.0 * max(region.torque_use for region in done)
     bounded = (
@@ -169,10 +170,11 @@ def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
     outside = [region.name for region in done if region.worst[0] > 1.0]
     if outside:
         own += f" Poses beyond a limit were visited by: {', '.join(outside)}."
-    spread = max(peaks) / min(peaks) if min(peaks) > 0.0 else math.inf
-    if spread < LARGE_SPREAD:
-        return f"Holds: {bounded}, and the torques hardly depend on the motion (factor {spread:.2f}). {own}"
+    range_ = f"from {min(peaks):.2f} to {max(peaks):.2f} N m"
+    if max(peaks) <= LARGE_SPREAD * min(peaks):
+        holds = "Holds" if len(done) == runs else "Holds in part"
+        return f"{holds}: {bounded}, and the largest torque hardly depends on the motion ({range_}). {own}"
     return (
-        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque "
-        f"differs by a factor of {spread:.3g} between the runs. {own}"
+        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque of a "
+        f"run goes {range_}. {own}"
     )

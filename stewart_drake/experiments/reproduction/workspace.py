@@ -102,7 +102,7 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
         "Positions at the orientation of the centre, orientations at its position; the centre is "
         f"{_pose_text(poses.center)}. {count:,} poses were measured at {poses.rate:,.0f} poses a second. Limits take "
         "their parts of what the mechanism alone could reach: all that can be joined to the centre without passing a "
-        "singularity. They are our assumptions, because the paper gives none.\n\n"
+        "singularity. The limits are our assumptions, because the paper gives none.\n\n"
         "Two kinds of singularity must be told apart. At a **serial** one a crank stands at its dead centre, "
         "e_l . e_N = 0: its motor turns without moving the platform, and no force along that rod reaches the motor. "
         "The edge of reach is made of these. At a **parallel** one the six rods' lines lose rank, sigma_min of tau_1 "
@@ -373,14 +373,13 @@ def _motor_words(poses: PoseStudy, regions: Sequence[VisitedRegion]) -> str:
         total = found.size(found.connected)
         share = found.size(found.connected & (found.measures.holding_torque > peak)) / total if total > 0.0 else 0.0
         parts.append(f"{100.0 * share:.0f} % of the {kind}s within the limits")
-    ratios = [r.peak_torque / r.reference_torque for r in regions]
-    most = int(np.argmax(ratios))
+    added, most = max((region.peak_torque - region.reference_torque, region.name) for region in regions)
     stronger = sum(region.peak_torque > peak for region in regions[1:])
     return (
         f"Choosing the motors. The largest torque of {regions[0].name} is {peak:.2f} N m. A motor of just that torque "
         f"could not hold the platform still at {' and '.join(parts)}, and {stronger} of the other {len(regions) - 1} "
-        f"runs ask for more. What the control adds to what the motion itself needs is largest in {regions[most].name}: "
-        f"{ratios[most]:.2f} times the largest torque of the reference by inverse dynamics."
+        f"runs ask for more. What the control adds to what the motion itself needs is largest in {most}: its "
+        f"largest torque is {added:.2f} N m above that of its reference by inverse dynamics."
     )
 
 

@@ -1,0 +1,87 @@
+"""What the commands show on the terminal: progress bars and tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stewart_drake.log import SimulationLog
+
+
+class ProgressBar:
+    """A progress bar of simulated seconds (or of runs, epochs) on the terminal."""
+
+    def __init__(self, title: str, total: float, quiet: bool, unit: str = "s") -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        digits = 2 if unit == "s" else 0
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn(f"{{task.completed:.{digits}f}} / {{task.total:.{digits}f}} {unit}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console(stderr=True),
+            disable=quiet,
+            # A refresh thread would take the interpreter from the simulation at every step.
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task(title, total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return self._advance
+
+    def _advance(self, completed: float, title: str | None = None) -> None:
+        self._bar.update(self._task, completed=completed, description=title, refresh=True)
+
+    def __exit__(self, *details: object) -> None:
+        self._bar.stop()
+
+
+def console(stderr: bool = False) -> Any:
+    """Terminal that wraps and colours."""
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    """A table of two columns on standard output."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(justify="right", overflow="fold")
+    for name, value in rows:
+        table.add_row(name, escape(value))
+    console().print(table)
+
+
+def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
+    """How a run went, as a table."""
+
+    def numbers(values: list[float] | None, form: str = "{:.4g}") -> str:
+        return "-" if values is None else "  ".join(form.format(v) for v in values)
+
+    rows = [
+        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
+        ("simulated time", f"{log.end_time:.3f} s"),
+        ("RMSE roll pitch yaw, second half", f"{numbers(metrics['rmse_deg'])} deg"),
+        ("RMSE X Y Z, second half", f"{numbers(metrics['rmse_mm'])} mm"),
+        ("peak roll pitch yaw, second half", f"{numbers(metrics['peak_deg'])} deg"),
+        ("peak X Y Z, second half", f"{numbers(metrics['peak_mm'])} mm"),
+        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "{:.2g}")),
+    ]
+    if len(log.time):
+        rows += [
+            ("torque RMS, peak", f"{metrics['torque_rms']:.3f}, {metrics['torque_peak']:.3f} N m"),
+            ("share of torques at the limit", f"{metrics['saturated_fraction']:.2%}"),
+            ("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"),
+            ("largest loop gap", f"{metrics['loop_gap_max_m']:.2e} m"),
+        ]
+    factor = metrics["real_time_factor"]
+    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
+    print_table(log.scenario.name, rows)

@@ -1,0 +1,55 @@
+"""Poses measured a second, all measures of each: `make bench`."""
+
+import numpy as np
+import pytest
+
+from stewart_drake.limits import Limits, limit_margins
+from stewart_drake.robot import RobotParameters
+from stewart_drake.workspace import measure_poses, smallest_reach
+from stewart_drake.workspace_region import spanning_grid
+
+ROBOT = RobotParameters()
+
+
+@pytest.fixture
+def per_second(benchmark):
+    """Runs a benchmark and reports how many poses a second it did."""
+
+    def run(name, function, poses, rounds):
+        benchmark.pedantic(function, rounds=rounds, warmup_rounds=0)
+        rate = poses / benchmark.stats.stats.min
+        benchmark.extra_info["poses per second"] = round(rate)
+        print(f"\n{name}: {poses:,} poses, {rate:,.0f} a second")
+
+    return run
+
+
+def within_reach(count):
+    """Poses of which every rod can span, so that none is spared the costly measures."""
+    spread = np.array([0.4, 0.4, 0.4, 0.06, 0.06, 0.05])
+    pose = ROBOT.home_pose + np.random.default_rng(0).uniform(-1.0, 1.0, (2 * count, 6)) * spread
+    pose = pose[smallest_reach(ROBOT, pose) >= 0.0][:count]
+    assert len(pose) == count
+    return pose
+
+
+def test_a_million_poses_within_reach(per_second):
+    pose = within_reach(1_000_000)
+    per_second("all within reach", lambda: measure_poses(ROBOT, pose), len(pose), rounds=2)
+
+
+@pytest.mark.parametrize("kind", ["position", "orientation"])
+def test_a_million_poses_of_a_workspace(per_second, kind):
+    pose = spanning_grid(ROBOT, kind, ROBOT.home_pose, 1_000_000).poses
+    per_second(f"{kind} workspace", lambda: measure_poses(ROBOT, pose), len(pose), rounds=2)
+
+
+def test_one_thread(per_second):
+    pose = within_reach(100_000)
+    per_second("one thread", lambda: measure_poses(ROBOT, pose, workers=1), len(pose), rounds=3)
+
+
+def test_the_reference_functions(per_second):
+    """What the fast measures are compared with in the tests; it lacks force and moment."""
+    pose, still = within_reach(5_000), np.zeros((5_000, 6))
+    per_second("limit_margins", lambda: limit_margins(ROBOT, Limits(), pose, still, still, 9.81), len(pose), rounds=3)
