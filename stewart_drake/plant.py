@@ -121,8 +121,8 @@ def add_plant(
     with drake_guard("building the plant"):
         plant = MultibodyPlant(on_grid(options.time_step))
         plant.set_name("plant")
-        # Sampled outputs would make the step an unrestricted update, which Drake takes before the discrete updates of the
-        # same instant: a discrete controller or sensor would then read the state after the step.
+        # Sampled outputs would make the step an unrestricted update, which Drake takes before the discrete updates of
+        # the same instant: a discrete controller or sensor would then read the state after the step.
         plant.SetUseSampledOutputPorts(False)
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
         plant.set_contact_model(ContactModel.kPoint)

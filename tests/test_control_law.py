@@ -106,7 +106,8 @@ def test_the_torque_is_minus_k_times_the_state(pose, error, rate_error, integral
     state = np.concatenate([error, rate_error, integral])
     gain = independent_gain(pose, period, 10.0**log_ratio, force_map)
     # scipy's own residual is the limit here, see the notes on the split solution.
-    np.testing.assert_allclose(output.torque, gain @ state, atol=1e-6 * np.abs(gain).max() * np.abs(state).max() + 1e-30)
+    scale = np.abs(gain).max() * np.abs(state).max()
+    np.testing.assert_allclose(output.torque, gain @ state, atol=1e-6 * scale + 1e-30)
 
 
 @few

@@ -151,7 +151,8 @@ def test_base_is_welded_at_the_origin_of_the_world():
     plant = built()[1].plant
     assert isinstance(plant.GetJointByName("base_weld"), WeldJoint)
     assert plant.IsAnchored(plant.GetBodyByName("base"))
-    pose = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName("base"))
+    context = plant.CreateDefaultContext()  # the pose is a reference into it
+    pose = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("base"))
     assert pose.IsExactlyEqualTo(RigidTransform())
 
 

@@ -25,7 +25,7 @@ from stewart_drake.experiments.reproduction.region import NEAR, sample_poses
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.force_map import force_map
 from stewart_drake.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix
-from stewart_drake.plotting_force_map import RatioSlice, plot_measured, plot_models, plot_ratio, plot_tilt
+from stewart_drake.plotting.force_map import RatioSlice, plot_measured, plot_models, plot_ratio, plot_tilt
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import inverse_dynamics, static_torque
 from stewart_drake.robot import RobotParameters

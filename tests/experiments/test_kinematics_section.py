@@ -19,7 +19,7 @@ from stewart_drake.experiments.reproduction.kinematics_checks import (
 from stewart_drake.experiments.reproduction.region import ANNOUNCED, NEAR, WIDE, Region, sample_poses
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.kinematics import inverse_kinematics, leg_geometry, reach_margin, rotation_matrix
-from stewart_drake.plotting_kinematics import plot_forward, plot_misprints
+from stewart_drake.plotting.kinematics import plot_forward, plot_misprints
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()

@@ -15,6 +15,7 @@ from stewart_drake import versions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.experiments.report import Figure, Section
 from stewart_drake.experiments.reproduction import reproduce as module
+from stewart_drake.experiments.reproduction.departures import DEPARTURES
 from stewart_drake.experiments.reproduction.reproduce import SECTIONS, check_base, reproduce
 from stewart_drake.scenario import Scenario
 
@@ -408,6 +409,10 @@ def test_the_quick_reproduction_from_a_shell_tests_every_claim(tmp_path):
         figures += [item.file for item in section.items if isinstance(item, Figure)]
         for name in section.files:
             assert (folder / name).stat().st_size > 0
+    for where, _, _, places in DEPARTURES:
+        # A section that is named for an equation speaks of it.
+        for equation in re.findall(r"^\(\d+\)", where):
+            assert [key for key in places if key in parts and equation not in str(parts[key]["section"])] == [], where
     assert len(figures) == len(set(figures)) >= 10
     assert {path.name for path in (folder / "figures").iterdir()} == set(figures)
     for name in figures:

@@ -30,7 +30,7 @@ from stewart_drake.experiments.reproduction.state_space import make, verdict
 from stewart_drake.experiments.reproduction.state_space_lqi import acceleration_map, compare_discretisations
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.kinematics import leg_geometry, rod_lines
-from stewart_drake.plotting_state_space import plot_decay, plot_discretisation, plot_matrices, plot_singular
+from stewart_drake.plotting.state_space import plot_decay, plot_discretisation, plot_matrices, plot_singular
 from stewart_drake.robot import RobotParameters
 from stewart_drake.state_space import discretize, input_matrix, output_matrix, state_matrix
 

@@ -21,8 +21,8 @@ from stewart_drake.experiments.reproduction.visited_region import (
 from stewart_drake.kinematics import inverse_kinematics
 from stewart_drake.limits import Limits
 from stewart_drake.log import SimulationLog
-from stewart_drake.plotting_envelope import plot_motion_map, plot_state_region, plot_torque_region
-from stewart_drake.plotting_workspace import plot_boundaries, plot_capability, plot_losses, plot_slices
+from stewart_drake.plotting.envelope import plot_motion_map, plot_state_region, plot_torque_region
+from stewart_drake.plotting.workspace import plot_boundaries, plot_capability, plot_losses, plot_slices
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.scenario import Scenario

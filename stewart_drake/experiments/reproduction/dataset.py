@@ -95,7 +95,7 @@ def label_spread(dataset: Dataset) -> float:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    from stewart_drake.plotting_training import plot_densities
+    from stewart_drake.plotting.training import plot_densities
 
     section = Section("dataset", "The data", _CLAIM)
     base = study.base

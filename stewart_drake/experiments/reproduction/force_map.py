@@ -26,7 +26,7 @@ from stewart_drake.experiments.reproduction.region import ANNOUNCED, NEAR, sampl
 from stewart_drake.experiments.reproduction.study import SEED, Study
 from stewart_drake.force_map import rod_map
 from stewart_drake.kinematics import euler_rate_matrix, leg_geometry, reach_margin
-from stewart_drake.plotting_force_map import RatioSlice, plot_measured, plot_models, plot_ratio, plot_tilt
+from stewart_drake.plotting.force_map import RatioSlice, plot_measured, plot_models, plot_ratio, plot_tilt
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY, task_inertia
 from stewart_drake.robot import RobotParameters

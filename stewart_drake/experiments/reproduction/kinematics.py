@@ -21,7 +21,7 @@ from stewart_drake.experiments.reproduction.kinematics_checks import (
 from stewart_drake.experiments.reproduction.region import ANNOUNCED, NEAR, WIDE, PoseSample, sample_poses
 from stewart_drake.experiments.reproduction.study import SEED, Study
 from stewart_drake.kinematics import inverse_kinematics, leg_geometry, line_conditioning
-from stewart_drake.plotting_kinematics import plot_forward, plot_misprints
+from stewart_drake.plotting.kinematics import plot_forward, plot_misprints
 from stewart_drake.robot import RobotParameters
 
 EXACT = 1e-11

@@ -252,9 +252,9 @@ def _time_to_failure(section: Section, study: Study) -> None:
     ]
     section.text(
         "### Gravity and (34) alone\n\n"
-        "The paper's model has no gravity, its multibody model has. With nothing but (34) the platform sags: in these "
-        f"runs by {min(drop):.1f} to {max(drop):.1f} mm below the reference. The map by statics ends early in "
-        f"{ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in {ends('printed')}. At a dead "
+        "The paper's model, (7) to (18), has no gravity, its multibody model has. With nothing but (34) the platform "
+        f"sags: in these runs by {min(drop):.1f} to {max(drop):.1f} mm below the reference. The map by statics ends "
+        f"early in {ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in {ends('printed')}. At a dead "
         "centre the two part ways: (15) as printed goes to zero there, by statics it goes to infinity."
     )
     section.table(

@@ -77,7 +77,7 @@ def observed_orders(steps: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    from stewart_drake.plotting_plant import plot_convergence
+    from stewart_drake.plotting.plant import plot_convergence
 
     section = Section("plant", "The plant", _CLAIM)
     robot, gravity = study.base.robot, study.base.gravity

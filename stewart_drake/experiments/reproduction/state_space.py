@@ -29,7 +29,7 @@ from stewart_drake.experiments.reproduction.state_space_lqi import (
 )
 from stewart_drake.experiments.reproduction.study import SEED, Study
 from stewart_drake.force_map import ForceMapKind, force_map
-from stewart_drake.plotting_state_space import plot_matrices, plot_singular
+from stewart_drake.plotting.state_space import plot_matrices, plot_singular
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.state_space import (

@@ -23,7 +23,7 @@ from stewart_drake.experiments.reproduction.lqi_poles import (
 from stewart_drake.experiments.reproduction.region import NEAR, sample_poses
 from stewart_drake.experiments.reproduction.study import SEED, Study
 from stewart_drake.force_map import ForceMapKind, force_map
-from stewart_drake.plotting_state_space import plot_decay, plot_discretisation
+from stewart_drake.plotting.state_space import plot_decay, plot_discretisation
 from stewart_drake.riccati import split_gain
 from stewart_drake.robot import RobotParameters
 from stewart_drake.state_space import AXES, STATES, Discretization, mass_diagonal

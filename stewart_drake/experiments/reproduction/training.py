@@ -89,7 +89,7 @@ def labels_apart(dataset: Dataset, training: np.ndarray) -> tuple[int, int]:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    from stewart_drake.plotting_training import plot_learning_curves, plot_predictions
+    from stewart_drake.plotting.training import plot_learning_curves, plot_predictions
 
     section = Section("training", "The network", _CLAIM)
     scenarios, logs = run_experiments(replace(study, progress=lambda s: study.progress(0.2 * s)))

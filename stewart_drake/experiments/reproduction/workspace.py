@@ -94,7 +94,7 @@ def summary(numbers: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
-    from stewart_drake.plotting_workspace import plot_boundaries, plot_capability, plot_losses, plot_slices
+    from stewart_drake.plotting.workspace import plot_boundaries, plot_capability, plot_losses, plot_slices
 
     count = sum(len(found.grid.poses) for found in poses.surveys.values())
     section.text(
@@ -181,7 +181,7 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
 
 
 def _write_motions(section: Section, study: Study, poses: PoseStudy, regions: Sequence[VisitedRegion]) -> None:
-    from stewart_drake.plotting_envelope import plot_motion_map, plot_state_region, plot_torque_region
+    from stewart_drake.plotting.envelope import plot_motion_map, plot_state_region, plot_torque_region
 
     base = study.base
     section.text(

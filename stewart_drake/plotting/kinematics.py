@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from stewart_drake.plotting_panels import BLUE, ORANGE, QUIET, heatmap, label, legend, panels
+from stewart_drake.plotting.panels import BLUE, ORANGE, QUIET, heatmap, label, legend, panels
 
 
 def plot_forward(

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stewart_drake.plotting_panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, label, legend, panels
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, label, legend, panels
 
 STATE_NAMES = (
     r"$\phi$", r"$\dot\phi$", r"$\theta$", r"$\dot\theta$", r"$\psi$", r"$\dot\psi$",

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stewart_drake.plotting_panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, TEXT, heatmap, label, legend, panels
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, TEXT, heatmap, label, legend, panels
 
 
 @dataclass(frozen=True)

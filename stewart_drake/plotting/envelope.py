@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.log import SimulationLog
 from stewart_drake.motion_envelope import crank_rates
-from stewart_drake.plotting_workspace import COLORS, WORDS, Slice, limit_keys, line_keys, use_bar
+from stewart_drake.plotting.workspace import COLORS, WORDS, Slice, limit_keys, line_keys, use_bar
 from stewart_drake.workspace_region import Survey
 
 _TEXT, _QUIET, _FIRST = "#222222", "#8C8C8C", "#000000"
