@@ -327,11 +327,11 @@ def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
 def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path):
     code = (
         "from stewart_drake import cli\n"
-        "real = cli._progress._advance\n"
-        "def advance(self, completed):\n"
+        "real = cli.ProgressBar._advance\n"
+        "def advance(self, completed, title=None):\n"
         "    open('ticking', 'w').close()\n"
-        "    real(self, completed)\n"
-        "cli._progress._advance = advance\n"
+        "    real(self, completed, title)\n"
+        "cli.ProgressBar._advance = advance\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=100", "--out", "out")
     process = start(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)

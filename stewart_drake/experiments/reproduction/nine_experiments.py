@@ -254,8 +254,8 @@ def _time_to_failure(section: Section, study: Study) -> None:
         "### Gravity and (34) alone\n\n"
         "The paper's model, (7) to (18), has no gravity, its multibody model has. With nothing but (34) the platform "
         f"sags: in these runs by {min(drop):.1f} to {max(drop):.1f} mm below the reference. The map by statics ends "
-        f"early in {ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in {ends('printed')}. At a dead "
-        "centre the two part ways: (15) as printed goes to zero there, by statics it goes to infinity."
+        f"early in {ends('statics')} of {len(periods) * len(RATIOS)} runs, the printed map in {ends('printed')}. At a "
+        "dead centre the two part ways: (15) as printed goes to zero there, by statics it goes to infinity."
     )
     section.table(
         "Gravity on, no feedforward: how the run ends, by control period, force map and ratio omega_Q / omega_R",
