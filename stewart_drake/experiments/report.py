@@ -6,7 +6,7 @@ import base64
 import html
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -123,6 +123,12 @@ class Section:
 
 
 _PLAIN = ("key", "title", "claim", "verdict", "numbers", "files")
+
+
+def holds(parts: Iterable[bool]) -> str:
+    """First words of a verdict on a claim of several parts: all of them hold, some do, or none."""
+    held = list(parts)
+    return "Holds" if all(held) else "Holds in part" if any(held) else "Does not hold"
 
 
 def cell(value: object) -> str:

@@ -45,8 +45,8 @@ def unseen_trajectories() -> tuple[Trajectory, ...]:
     """Eleven motions about home that share neither shape nor frequency with the paper's data (1 to 5 Hz, six axes).
 
     Each lasts twice a whole number of half periods of every axis, so that the second half, over which errors are
-    judged, holds whole swings; what is left of the start has then decayed to a few per cent at the slowest pole of the
-    nine controllers (0.6 rad/s).
+    judged, holds whole swings; what is left of the start has then decayed to less than a tenth at the slowest pole of
+    the nine controllers (0.6 rad/s).
     """
     return (
         _sines("breathing", 10.0, roll=(3.0, 0.3, _QUARTER), z=(10.0, 0.3, 0.0)),

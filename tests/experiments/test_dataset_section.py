@@ -240,12 +240,13 @@ def test_only_the_limits_that_are_on_are_named(tmp_path, asked):
 def test_the_verdict_follows_from_the_numbers():
     numbers = {"samples": 14400, "share_of_paper_amplitudes_feasible": 11 / 30, "distinct": 5}
     assert verdict(numbers, 9).startswith(
-        "14400 samples collected (the paper: 14400). The paper's amplitude is feasible"
+        "Holds in part: 14400 samples collected (the paper: 14400). The paper's amplitude is feasible"
     )
     assert "in 11 of 30 combinations" in verdict(numbers, 9)
     assert "The 9 runs hold 5 distinct sets of data." in verdict(numbers, 9)
     other = {"samples": 90, "share_of_paper_amplitudes_feasible": 1.0, "distinct": 9}
-    assert "90 samples" in verdict(other, 9)
+    assert verdict(other, 9).startswith("Holds: 90 samples")
+    assert verdict(other | {"share_of_paper_amplitudes_feasible": 0.0}, 9).startswith("Does not hold: ")
     assert "in 30 of 30" in verdict(other, 9)
     assert "9 distinct" in verdict(other, 9)
 

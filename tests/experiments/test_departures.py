@@ -90,7 +90,7 @@ def test_the_section_lists_all_of_them(tmp_path):
     assert table.rows[0][3] == "`robot.py`; `tests/test_robot.py`"
     assert "section nine experiments; section training" in {row[3] for row in table.rows}
     assert section.numbers == {"departures": len(DEPARTURES)}
-    assert section.verdict.startswith(f"{len(DEPARTURES)} departures")
+    assert section.verdict.startswith(f"Does not hold: {len(DEPARTURES)} departures")
     assert shares == [1.0]
     page = to_html(to_markdown("t", "", [section]), "t", tmp_path)
     assert page.count("<tr>") == len(DEPARTURES) + 1 + 2

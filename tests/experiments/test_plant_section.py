@@ -115,12 +115,14 @@ NUMBERS = {
 def test_the_verdict_follows_from_the_numbers():
     text = verdict(NUMBERS, 1e-3)
     assert text.startswith(
-        "The plant converges to rigid-body mechanics, with order 1.00 in the step; at 1 ms it is 0.2 mm"
+        "Holds: the plant converges to rigid-body mechanics, with order 1.00 in the step; at 1 ms it is 0.2 mm"
     )
     assert "open by 1e-06 m" in text
     assert "at 0.5 ms it is 0.1 mm" in verdict(NUMBERS, 1e-4)
     for broken in ({"orders": [1.0, 0.1]}, {"orders": [-1.0, -1.0]}, {"position_error": [1e-4, 2e-4, 4e-4]}):
-        assert verdict(NUMBERS | broken, 1e-3).startswith("The plant does not converge to rigid-body mechanics")
+        assert verdict(NUMBERS | broken, 1e-3).startswith(
+            "Does not hold: the plant does not converge to rigid-body mechanics"
+        )
 
 
 def test_the_figure_has_labelled_logarithmic_axes():

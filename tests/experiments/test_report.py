@@ -13,7 +13,17 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.experiments.report import Figure, Section, Table, Text, cell, to_html, to_markdown, write_report
+from stewart_drake.experiments.report import (
+    Figure,
+    Section,
+    Table,
+    Text,
+    cell,
+    holds,
+    to_html,
+    to_markdown,
+    write_report,
+)
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -130,6 +140,14 @@ def test_numbers_that_json_does_not_have_are_refused_when_they_are_kept(value):
 def test_what_is_no_section_is_told_by_the_errors_that_are_promised(text):
     with pytest.raises((ValueError, KeyError, TypeError)):
         Section.from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [([True, True], "Holds"), ([True, False], "Holds in part"), ([False, False], "Does not hold"), ([True], "Holds")],
+)
+def test_a_verdict_begins_with_how_much_of_the_claim_holds(parts, words):
+    assert holds(part for part in parts) == words
 
 
 # --- tables --------------------------------------------------------------------------------------------------------

@@ -1,3 +1,4 @@
+import functools
 import json
 import os
 import re
@@ -26,6 +27,10 @@ KEYS = ("first", "second", "third")
 BASE = Scenario.from_dict({"limits": {"clearance": None}})
 
 
+# A base that has passed is not looked at again in every test.
+once_checked = functools.cache(check_base)
+
+
 @pytest.fixture
 def made(monkeypatch):
     """Three small sections in place of the report's own; the list names those that were computed, with their size."""
@@ -52,6 +57,7 @@ def made(monkeypatch):
     for key in KEYS:
         monkeypatch.setitem(sys.modules, f"{package}.{key}", module_of(key))
     monkeypatch.setattr(module, "SECTIONS", KEYS)
+    monkeypatch.setattr(module, "check_base", once_checked)
     # What is tested here must not depend on whether someone commits meanwhile.
     monkeypatch.setattr(versions, "git_revision", lambda: "abc")
     monkeypatch.setattr(versions, "source_digest", lambda: "as it is")

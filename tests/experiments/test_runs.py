@@ -96,9 +96,8 @@ def test_no_scenarios_give_no_logs(tmp_path):
     assert one_worker(tmp_path).run_all([]) == []
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_progress_rises_to_one_and_counts_what_was_there(tmp_path, workers):
-    store, shares = RunStore(tmp_path, workers), []
+def test_progress_rises_to_one_and_counts_what_was_there(tmp_path):
+    store, shares = one_worker(tmp_path), []
     store.run_all(several(2), shares.append)
     assert shares == [0.5, 1.0, 1.0]
     shares.clear()
@@ -274,7 +273,7 @@ def test_a_folder_that_cannot_be_made_is_found_before_any_run(tmp_path, ran):
 # --- interruption --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_is_done_outlives_an_interruption_and_the_next_call_completes_it(tmp_path, workers):
     store, scenarios = RunStore(tmp_path, workers), several(4)
 
@@ -360,6 +359,7 @@ def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_traceba
     assert list(runs.glob("*.parquet")) == []
 
 
+@pytest.mark.slow
 def test_a_script_without_its_guard_is_told_of_it(tmp_path):
     process = start(tmp_path, "if True:", 0.02)
     _, err = process.communicate(timeout=120)

@@ -190,17 +190,15 @@ def said(q, r, ratio):
 
 def test_the_verdict_follows_from_the_scores():
     text = said(0.42, 0.4, 0.84)
-    assert text.startswith(
-        "The claim does not hold: on the validation samples R^2 is 0.42 for omega_Q, 0.4 for omega_R"
-    )
+    assert text.startswith("Does not hold: on the validation samples R^2 is 0.42 for omega_Q, 0.4 for omega_R")
     assert "0.84 for their ratio, of at most 0.5, 0.5 and 1." in text
     assert text.endswith("more): ratio.")
-    assert said(0.9, LEARNT, 0.9).startswith("The claim holds")
+    assert said(0.9, LEARNT, 0.9).startswith("Holds: ")
     assert said(0.9, LEARNT, 0.9).endswith("omega_Q and omega_R and ratio.")
-    assert said(0.9, LEARNT - 0.01, 0.9).startswith("The claim does not hold")
+    assert said(0.9, LEARNT - 0.01, 0.9).startswith("Holds in part: ")
     assert said(-4.0, 0.1, 0.3).endswith("more): nothing.")
     none = said(None, 0.1, 0.3)
-    assert none.startswith("The claim does not hold")
+    assert none.startswith("Does not hold: ")
     assert "- for omega_Q" in none
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.density import DensityKind
-from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.report import Section, holds
 from stewart_drake.experiments.reproduction.nine_experiments import distinct
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.feasibility import check_reference
@@ -170,7 +170,8 @@ def verdict(numbers: dict[str, Any], runs: int) -> str:
     cells = 6 * len(FREQUENCIES)
     feasible = round(cells * numbers["share_of_paper_amplitudes_feasible"])
     return (
-        f"{numbers['samples']} samples collected (the paper: {PAPER_SAMPLES}). The paper's amplitude is feasible in "
+        f"{holds((feasible == cells, feasible > 0))}: {numbers['samples']} samples collected (the paper: "
+        f"{PAPER_SAMPLES}). The paper's amplitude is feasible in "
         f"{feasible} of {cells} combinations of axis and frequency, each axis alone; we use the largest feasible ones. "
         f"The {runs} runs hold {numbers['distinct']} distinct sets of data."
     )

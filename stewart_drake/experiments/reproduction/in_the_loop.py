@@ -131,7 +131,7 @@ def _fig7(
         for which, run in logs.items():
             m, z = run_metrics(run), _largest_integral(run)
             roll, height = (m["rmse_deg"] or [None])[0], (m["rmse_mm"] or [None])[-1]
-            over_all = float(np.abs(run["integral"]).max())
+            over_all = float(np.abs(run["integral"]).max(initial=0.0))
             torques = (m["torque_rms"], m["torque_peak"])
             rows.append((where, which, roll, height, growth(run), z, over_all, *torques, outcome(run)))
             found = {"rmse_deg": roll, "rmse_mm": height, "integral_at_5s": z, "integral_largest": over_all}

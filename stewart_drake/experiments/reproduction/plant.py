@@ -124,9 +124,9 @@ def verdict(numbers: dict[str, Any], time_step: float) -> str:
     order, errors = numbers["orders"][-1], numbers["position_error"]
     nearest = int(np.argmin(np.abs(np.array(numbers["step"]) - time_step)))
     if errors[-1] < errors[0] and order > LEAST_ORDER:
-        what = f"The plant converges to rigid-body mechanics, with order {order:.2f} in the step"
+        what = f"Holds: the plant converges to rigid-body mechanics, with order {order:.2f} in the step"
     else:
-        what = f"The plant does not converge to rigid-body mechanics: the observed order in the step is {order:.2f}"
+        what = f"Does not hold: the plant does not converge to rigid-body mechanics, observed order {order:.2f}"
     return (
         f"{what}; at {1e3 * numbers['step'][nearest]:g} ms it is {1e3 * errors[nearest]:.2g} mm off after "
         f"{DURATION:g} s and its loops are open by {numbers['loop_gap'][nearest]:.0e} m."
