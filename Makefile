@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test lint bench format clean
+.PHONY: demo install test lint bench picture format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -28,6 +28,11 @@ lint: install
 
 bench: install
 	$(BIN)/pytest tests/benchmarks -p no:xdist
+
+# The README's picture of the robot.
+picture: install
+	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.replay import render_png; \
+	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
 
 format: install
 	$(BIN)/ruff check --fix .

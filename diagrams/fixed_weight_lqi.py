@@ -8,7 +8,7 @@ from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 from stewart_drake import LqiOptions, RobotParameters, add_plant, paper_reference
 from stewart_drake.systems import LqiController, ReferenceSource, TaskSpaceSensor
 
-DURATION = 4.0  # [s]
+DURATION = 10.0  # [s]
 GRAVITY = 9.81  # [m/s^2]
 
 

@@ -5,16 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.terminal import ProgressBar, print_run, print_table
-
-if TYPE_CHECKING:
-    pass
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 

@@ -45,7 +45,7 @@ def _axes(angle: str, length: str, text: str) -> SignalSpec:
 
 
 def _legs(unit: str, text: str) -> SignalSpec:
-    return SignalSpec(LEGS, (unit,) * 6, "leg 0..5", text)
+    return SignalSpec(LEGS, (unit,) * 6, "", f"{text}, by leg 0..5")
 
 
 SIGNALS: Mapping[str, SignalSpec] = {
@@ -65,9 +65,21 @@ SIGNALS: Mapping[str, SignalSpec] = {
         (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEGS)), ("1",) * 12, "", "density features"
     ),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
-    "plant_state": SignalSpec((), (), "W", "positions and velocities of the MultibodyPlant"),
+    "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
 }
 """Every signal of a log. `plant_state` has one column per entry of the plant's state, named by Drake."""
+
+
+def _state_column(name: str) -> tuple[str, str, str]:
+    """Unit, frame and explanation of an entry of the plant's state, from the name that Drake gives it."""
+    joint, _, quantity = name.rpartition("_")
+    if joint == "platform":
+        unit = "1" if quantity[0] == "q" else {"w": "rad/s", "v": "m/s"}.get(quantity[0], "m")
+        return unit, "P in B", "quaternion, position, angular velocity or velocity of the platform"
+    unit = "rad/s" if quantity[0] == "w" else "rad"
+    if joint.startswith("motor"):
+        return unit, "about the motor axis, from home", "crank_angle less its value at home, or its speed"
+    return unit, "rod in crank, from home", "angle or speed of the joint between crank and rod"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +133,7 @@ class SimulationLog:
             spec = SIGNALS[name]
             if name == "plant_state":
                 for index, state in enumerate(self.state_names):
-                    columns[f"plant_state.{state}"] = (values[:, index], "SI", spec.frame, spec.text)
+                    columns[f"plant_state.{state}"] = (values[:, index], *_state_column(state))
             elif not spec.components:
                 columns[name] = (values, spec.units[0], spec.frame, spec.text)
             else:

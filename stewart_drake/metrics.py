@@ -31,7 +31,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
     Returns:
         status, reason, message, end_time [s], leg; rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
         torque_peak [N m] over all motors; saturated_fraction of ticks and motors at the limit; loop_gap_max_m;
-        integral_at_5s [6] [rad s, m s] or None; omega_q, omega_r: mean over the run; real_time_factor; versions.
+        integral_at_5s [6] [rad s, m s] or None; omega_q, omega_r: mean over the run; omega_ratio: geometric
+        mean of their ratio; real_time_factor; git_revision; versions.
     """
     error = tracking_error(log)[second_half(log)]
     metrics: dict[str, Any] = {
@@ -51,6 +52,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         "loop_gap_max_m": None,
         "omega_q": None,
         "omega_r": None,
+        "omega_ratio": None,
     }
     if len(error):
         rms, peak = np.sqrt(np.mean(error**2, axis=0)), np.abs(error).max(axis=0)
@@ -63,6 +65,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         metrics["saturated_fraction"] = float(np.mean(np.abs(log["torque"]) > log.scenario.robot.effort_limit))
         metrics["loop_gap_max_m"] = float(log["loop_gap"].max())
         metrics["omega_q"], metrics["omega_r"] = log["weights"].mean(axis=0).tolist()
+        metrics["omega_ratio"] = float(np.exp(np.mean(np.log(log["weights"][:, 0] / log["weights"][:, 1]))))
     metrics["integral_at_5s"] = integral_at(log, INTEGRAL_TIME)
     metrics["real_time_factor"] = log.end_time / log.wall_time if log.wall_time > 0.0 else None
     versions = dict(log.versions)

@@ -57,7 +57,8 @@ class _Tuner(_Section):
     density: DensityKind = "magnitude"
     """Kind of density (35), (36); for a network, the one that it was trained on."""
     window: Annotated[Count, Field(ge=1, le=100_000)] = 49
-    """Window m of (35), (36) [ticks]; means run over m + 1 samples."""
+    """Window m of (35), (36) [ticks]; means run over m + 1 samples. A network works with any: a density has no unit of
+    time."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -94,7 +95,8 @@ class Scenario(_Section):
     name: Annotated[StrictStr, Field(min_length=1, max_length=100, pattern=r"^\w[\w .+-]*$")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
     duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
-    """[s] simulated time; at most 8000, beyond which sample times would lose their exactness."""
+    """[s] simulated time; at most 8000, beyond which sample times would lose their exactness. A run ends with the last
+    whole step of the plant."""
     gravity: Annotated[Real, Field(ge=0.0)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
     robot: RobotParameters = Field(default_factory=RobotParameters)
@@ -202,7 +204,8 @@ class Scenario(_Section):
         """The network that this scenario names, or None where the weights are fixed.
 
         Raises:
-            ConfigurationError: Missing or corrupt file, or trained on another kind of density.
+            ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
+                the range that it was trained on.
         """
         if not isinstance(self.tuner, AnnTuner):
             return None
@@ -212,6 +215,10 @@ class Scenario(_Section):
             raise ConfigurationError(
                 "tuner.density", self.tuner.density, f"{network.density}, as {path} was trained on"
             )
+        for index, key in enumerate(("omega_q", "omega_r")):
+            value, low, high = getattr(self.tuner, key), network.omega_min[index], network.omega_max[index]
+            if not low <= value <= high:
+                raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
         return network
 
     def control_law(self) -> ControlLaw:

@@ -9,6 +9,8 @@ from made_logs import STATES, made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.log import AXES, SIGNALS, SimulationLog, load_log
+from stewart_drake.plant import build_plant
+from stewart_drake.robot import RobotParameters
 
 
 @pytest.fixture
@@ -77,7 +79,7 @@ def test_every_column_tells_its_unit_frame_and_meaning(log):
     assert [units[f"torque.{leg}"] for leg in range(6)] == ["N m"] * 6
     assert units["loop_gap.0"] == "m"
     assert frames["pose.x"] == "P in B"
-    assert frames["torque.3"] == "leg 0..5"
+    assert frames["torque.3"] == ""
 
 
 def test_there_is_a_column_per_component_and_no_other(log):
@@ -159,3 +161,20 @@ def test_saving_where_nothing_can_be_written_leaves_nothing(log, tmp_path):
     with pytest.raises(ConfigurationError, match=r"log\.parquet"):
         log.save(tmp_path / "no" / "log.parquet")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("motor_0_q", "rad"),
+        ("universal_3_wy", "rad/s"),
+        ("platform_qw", "1"),
+        ("platform_z", "m"),
+        ("platform_wx", "rad/s"),
+        ("platform_vy", "m/s"),
+    ],
+)
+def test_entries_of_the_plants_state_have_their_own_units(name, unit):
+    plant = build_plant(RobotParameters())[1]
+    log = dataclasses.replace(made_log(rows=2), state_names=plant.state_names)
+    assert log.columns()[f"plant_state.{name}"][1] == unit

@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from stewart_drake.density import DensityKind, density, push
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.systems.ticked import TickedSystem
 
 _SIGNALS = 12
@@ -28,6 +29,8 @@ class DensityFeatures(TickedSystem):
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
+        if window < 1:
+            raise ConfigurationError("window", window, "at least 1 tick")
         # Result: density, then rows filled, then the window.
         super().__init__(period, np.concatenate([np.ones(_SIGNALS), [0.0], np.zeros((window + 1) * _SIGNALS)]))
         self._kind: DensityKind = kind

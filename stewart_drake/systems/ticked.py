@@ -37,8 +37,8 @@ class TickedSystem(LeafSystem):
         self.period = on_grid(period)
         self._result_index = self.DeclareDiscreteState(np.asarray(initial, dtype=float))
         self._ticks_index = self.DeclareDiscreteState([0.0])
-        # Not a discrete update: MultibodyPlant's own is unrestricted, as long as it samples its outputs, and Drake does
-        # those first. A discrete update of the same instant would find the plant one step ahead.
+        # Drake takes unrestricted updates before discrete ones. So a tick is stored before the plant steps, whether
+        # that step is discrete (as `plant.add_plant` makes it) or unrestricted (Drake's default, with sampled outputs).
         self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def _declare_result(self) -> None:

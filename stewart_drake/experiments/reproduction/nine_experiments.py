@@ -301,7 +301,7 @@ def verdict(numbers: dict[str, Any], logs: Mapping[Cell, SimulationLog]) -> str:
         "lost_uncompensated": lost,
         "survived_compensated": survived,
     }
-    span = f" (by factors of {min(change):.2f} to {max(change):.2f})" if change else ""
+    span = f" (last over first: {min(change):.2f} to {max(change):.2f})" if change else ""
     held = (near == len(free), shrinks == len(change) > 0, numbers["controllers"] == len(PAIRS))
     return (
         f"{holds(held)}: without gravity the integral states are below {NEAR_ZERO:g} at 5 s for {near} of {len(free)} "
