@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -125,7 +126,7 @@ def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
 def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool, advance: Callable[[], None]) -> None:
     others = set(multiprocessing.active_children())
     # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:
         # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -148,6 +149,18 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _kept(path: Path) -> SimulationLog | None:

@@ -150,27 +150,23 @@ def test_a_run_that_breaks_is_told_with_reason_leg_and_time():
     assert outcome(failed(2.54)) == "crank dead centre, leg 2, 2.540 s"
 
 
-def with_error(first, last, axis=0):
-    """Three periods; the error in one axis is `first`, in the last period `last`, in the other axes 1 mm or mrad."""
-    pose = np.full((190, 6), 1e-3)
-    pose[:, axis] = first
-    pose[127:, axis] = last  # 6.35 s
-    return log(rows=190, duration=9.45, pose=pose)
+def with_error(first, late, axis=0):
+    """A run whose error in one axis is `first`, in the second half `late`; 1 mm or mrad in the other axes."""
+    pose = np.full((105, 6), 1e-3)
+    pose[:52, axis], pose[52:, axis] = first, late
+    return log(pose=pose)
 
 
 @pytest.mark.parametrize("axis", [0, 5])
-def test_growth_compares_the_last_period_with_the_first_in_the_axes_that_move(axis):
+def test_growth_compares_the_second_half_with_the_first_in_the_axes_that_move(axis):
     # The other axis does not change: 1 is the least that can come out.
-    assert growth(with_error(0.1, 0.3, axis)) == pytest.approx(3.0, rel=0.01)
+    assert growth(with_error(0.1, 0.3, axis)) == pytest.approx(3.0)
     assert growth(with_error(0.1, 0.01, axis)) == pytest.approx(1.0)
     both = with_error(0.2, 0.1)
-    both["pose"][127:, 5] *= 0.25
-    assert growth(both) == pytest.approx(0.5, rel=0.01)
-    both["pose"][127:, 1:5] = 7.0
-    assert growth(both) == pytest.approx(0.5, rel=0.01)
-    # The middle counts for nothing.
-    both["pose"][64:126] = 9.0
-    assert growth(both) == pytest.approx(0.5, rel=0.01)
+    both["pose"][52:, 5] *= 0.25
+    assert growth(both) == pytest.approx(0.5)
+    both["pose"][52:, 1:5] = 7.0
+    assert growth(both) == pytest.approx(0.5)
     assert growth(failed(2.0)) is None
 
 
@@ -179,7 +175,7 @@ def test_growth_compares_the_last_period_with_the_first_in_the_axes_that_move(ax
 
 def with_integral(value):
     made = with_error(0.2, 0.1)
-    made["pose"][127:, 5] *= 0.1
+    made["pose"][52:, 5] *= 0.1
     made["integral"][100, 3] = value  # the row of 5 s
     return made
 
@@ -195,7 +191,7 @@ def test_the_verdict_counts_what_the_runs_show():
     logs = logs_of([0.009, -0.009, 0.011, -0.5], [failed(0.2), failed(0.3), log()], [log(), failed(1.0)])
     text = verdict(numbers, logs)
     assert text.startswith("Holds in part: without gravity the integral states are below 0.01 at 5 s for 2 of 4 pairs")
-    assert "shrinks from the first to the last period for 4 of the 4 that complete" in text
+    assert "shrinks from the first to the second half for 4 of the 4 that complete" in text
     assert "0.50 to 0.50" in text
     assert "(34) alone 2 of 3 runs end early" in text
     assert "compensated 1 of 2 complete" in text
@@ -214,7 +210,8 @@ def test_the_verdict_of_the_opposite_runs_says_the_opposite():
     text = verdict({"controllers": 5}, logs)
     assert text.startswith("Does not hold: ")
     assert "below 0.01 at 5 s for 0 of 2 pairs" in text
-    assert "for 0 of the 1 that complete (by factors of 3.00 to 3.00)" in text
+    assert "for 0 of the 1 that complete (" in text
+    assert "3.00 to 3.00)" in text
     assert "0 of 1 runs end early" in text
     assert "compensated 0 of 1 complete" in text
 
@@ -276,7 +273,7 @@ def test_the_section_covers_every_pair_gravity_and_feedforward(tmp_path, asked, 
     assert shares[-1] == pytest.approx(1.0)
     assert Section.from_json(section.to_json()).verdict == section.verdict
     # Five seconds and one period are within every run that the claim is about.
-    assert all(s.duration >= 5.0 for s in asked[0] if s.gravity == 0.0)
+    assert all(s.duration >= 5.0 for s in asked[0] if s.gravity == 0.0 and s.controller.feedforward == "none")
     assert all(s.duration >= np.pi for group in asked for s in group)
     # Without gravity its feedforward is the run that is there already.
     keys = [

@@ -360,6 +360,22 @@ def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_traceba
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_workers_do_not_outlive_a_caller_that_is_killed(tmp_path):
+    process = start(tmp_path, 'if __name__ == "__main__":', 2000.0)
+    deadline = time.monotonic() + 60.0
+    while len(alive(process.pid)) < 4 and time.monotonic() < deadline:  # the caller, a tracker, two workers
+        time.sleep(0.1)
+    assert len(alive(process.pid)) == 4
+    time.sleep(3.0)
+    process.kill()
+    process.communicate(timeout=60)
+    while alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert alive(process.pid) == []
+
+
+@pytest.mark.slow
 def test_a_script_without_its_guard_is_told_of_it(tmp_path):
     process = start(tmp_path, "if True:", 0.02)
     _, err = process.communicate(timeout=120)

@@ -66,7 +66,7 @@ DEPARTURES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         "(7)-(18), what is left out",
         "Gravity, masses of rods and cranks, gyroscopic terms are missing from the model.",
         "They act as the disturbance d of (19); `feedforward: gravity` removes the largest of them.",
-        ("nine_experiments", "sensitivity"),
+        ("nine_experiments",),
     ),
     (
         "(20)",

@@ -160,10 +160,10 @@ def _overview(section: Section, study: Study, responses: Sequence[Response]) -> 
         f"(37), (38) for {duration:g} s, errors over the second half; pose RMSE as in the section on the tuner in the "
         "loop, torque RMS over all motors and the same time. One thing is changed at a time. Masses, inertias (of all "
         "moving bodies) and rods are those of the simulated robot; the controller, its feedforward included, goes on "
-        "believing in the nominal ones. The window counts ticks, so another sample time is another window in seconds; "
-        "the network is not trained again for either. For the network, omega_Q and omega_R are changed at its output. "
-        "Whether the controller knows gravity cannot be said in a scenario; that it must is shown by the nine "
-        "experiments."
+        "believing in the nominal ones. The window m of (35), (36) counts ticks, so another sample time is another "
+        "window in seconds; the network is not trained again for either. For the network, omega_Q and omega_R are "
+        "changed at its output. Whether the controller knows gravity cannot be said in a scenario; that it must is "
+        "shown by the nine experiments."
     )
     every = {(e.factor, e.label): None for r in responses for e in r.effects}
     rows: list[tuple[object, ...]] = [("unchanged", "", *(c for r in responses for c in _cells(r, r.unchanged)))]

@@ -149,8 +149,8 @@ def _add_scores(
                 (kind, split, side, *(v for name in _TARGETS[:2] for v in (scores[name], bound[name])), scores["ratio"])
             )
     section.table(
-        "R^2 of log10 of the weights; split by random samples as in the paper, and by whole runs. The bound is that of "
-        "an estimator that knows the ratio of each of these samples",
+        "R^2 of log10 of the weights from the densities (35), (36); split by random samples as in the paper, and by "
+        "whole runs. The bound is that of an estimator that knows the ratio of each of these samples",
         ("density", "split", "side", "omega_Q", "bound", "omega_R", "bound", "ratio"),
         rows,
     )
@@ -162,10 +162,10 @@ def _add_limits(section: Section, study: Study, own: DensityKind) -> None:
     runs, apart = n["labels_apart"]
     section.text(
         "### What cannot be learnt\n\n"
-        "Only the ratio of the weights acts on the robot, so pairs with one ratio leave the same data under different "
-        f"labels: here the densities of such runs differ by {n['equal_ratio_spread']:.1e} at most. Over the nine pairs "
-        f"even an estimator that knew the ratio exactly could reach no more than R^2 = {best['omega_Q']:.2f} for "
-        f"omega_Q and {best['omega_R']:.2f} for omega_R; only the ratio has a bound of {best['ratio']:.2g}. A random "
+        "Only the ratio of the weights (27) acts on the robot, so pairs with one ratio leave the same data under "
+        f"different labels: here the densities of such runs differ by {n['equal_ratio_spread']:.1e} at most. Over the "
+        "nine pairs even an estimator that knew the ratio exactly could reach no more than "
+        f"R^2 = {best['omega_Q']:.2f} for omega_Q and {best['omega_R']:.2f} for omega_R; only the ratio has a bound of {best['ratio']:.2g}. A random "
         f"split puts neighbours in time, {1e3 * study.base.controller.period:g} ms apart, on both sides; a split by "
         f"whole runs does not, but {apart} of its {runs} validation runs have data that training saw under other "
         "labels alone. With the tuner's own densities the ratio's validation R^2 is "
