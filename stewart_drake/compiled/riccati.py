@@ -1,0 +1,91 @@
+"""The six 3-state Riccati equations of `riccati.split_gain`, each solved through its spectral polynomial."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+ITERATIONS = 60
+"""Of each iteration at most; about ten do."""
+
+
+@njit(cache=True, error_model="numpy")
+def chain_gain(
+    s: float, period: float, q_e: float, q_v: float, q_z: float, r: float, exact: bool, gain: np.ndarray
+) -> bool:
+    """Gain u = -(k_e e + k_v v + k_z z) of one chain z' = e, e' = v, v' = s u, sampled; reference `riccati.chain_gains`.
+
+    On the unit circle let x = (z - 1)(1/z - 1). The return difference times x^3 is a cubic in x; each of its roots
+    gives one stable pole z = 1 + d by d^2 + x d + x = 0, and the gains follow from the closed loop's polynomial in d.
+
+    Args:
+        s: Singular value of the scaled M^-1 tau, > 0.
+        period: [s].
+        q_e: Weight of e. q_v: of v. q_z: of z. r: of u. All > 0.
+        exact: Zero-order hold; else Euler.
+        gain: (3,) out: k_e, k_v, k_z.
+
+    Returns:
+        False where the iteration did not converge or left floating point.
+    """
+    t, g = period, s * s / r
+    a0 = g * q_z * t**6
+    if exact:
+        a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
+        a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
+    else:
+        a1, a2 = g * q_e * t**4, g * q_v * t**2
+    # Aberth's iteration from points on circles that the Newton polygon suggests: sizes may lie 20 decades apart.
+    x = np.empty(3, np.complex128)
+    _starts(a2, a1, a0, x)
+    for step in range(ITERATIONS):
+        moved = 0.0
+        for i in range(3):
+            z = x[i]
+            value = ((z + a2) * z + a1) * z + a0
+            slope = (3.0 * z + 2.0 * a2) * z + a1
+            if value == 0.0:
+                continue
+            newton = value / slope
+            pull = 0.0 + 0.0j
+            for j in range(3):
+                if j != i:
+                    pull += 1.0 / (z - x[j])
+            move = newton / (1.0 - newton * pull)
+            x[i] = z - move
+            moved = max(moved, abs(move) / abs(x[i]))
+        if not moved < np.inf:
+            return False
+        if moved < 1e-15:
+            break
+    # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1; the stable one has |1 + d| < 1.
+    d = np.empty(3, np.complex128)
+    for i in range(3):
+        root = np.sqrt(x[i] * x[i] - 4.0 * x[i])
+        large = -0.5 * (x[i] + root) if (x[i].conjugate() * root).real >= 0.0 else -0.5 * (x[i] - root)
+        small = x[i] / large
+        d[i] = large if abs(1.0 + large) < abs(1.0 + small) else small
+    c2 = -(d[0] + d[1] + d[2]).real
+    c1 = (d[0] * d[1] + d[0] * d[2] + d[1] * d[2]).real
+    c0 = -(d[0] * d[1] * d[2]).real
+    gain[0] = (c1 - c0) / (s * t * t) if exact else c1 / (s * t * t)
+    gain[1] = (c2 - 0.5 * (c1 - c0) - c0 / 6.0) / (s * t) if exact else c2 / (s * t)
+    gain[2] = c0 / (s * t**3)
+    return np.isfinite(gain[0]) and np.isfinite(gain[1]) and np.isfinite(gain[2])
+
+
+@njit(cache=True, error_model="numpy")
+def _starts(a2: float, a1: float, a0: float, x: np.ndarray) -> None:
+    """First guesses on the circles of the Newton polygon of x^3 + a2 x^2 + a1 x + a0; a0 > 0."""
+    size = np.array([abs(a0), abs(a1), abs(a2), 1.0])
+    low = 0
+    while low < 3:
+        best, to = np.inf, 3
+        for k in range(low + 1, 4):
+            if size[k] > 0.0:
+                radius = (size[low] / size[k]) ** (1.0 / (k - low))
+                if radius <= best:
+                    best, to = radius, k
+        for k in range(low, to):
+            x[k] = best * np.exp(1j * (2.0 * np.pi * (k - low) / (to - low) + 2.3 + 0.7 * k))
+        low = to
