@@ -33,7 +33,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.limits import Limits
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
-from stewart_drake.references import HoldReference, SineBurstsReference, SineReference
+from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import steps_per
@@ -42,7 +42,7 @@ from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
 
 MAX_SCENARIO_BYTES = 1_000_000
 
-AnyReference = Annotated[HoldReference | SineReference | SineBurstsReference, Field(discriminator="kind")]
+_FILE_KEYS = ("weights_file", "motion_file")
 
 
 class _Section(BaseModel):
@@ -255,23 +255,24 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     """Reads a scenario file.
 
     Args:
-        path: YAML file; `weights_file` in it is relative to its folder. A bare name such as `paper_fig7` is looked up
-            among the scenarios of the package.
-        overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` among them is relative to the
-            current folder. Another `kind` of reference or tuner drops the keys that only the old kind has.
+        path: YAML file; `weights_file` and `motion_file` in it are relative to its folder. A bare name such as
+            `paper_fig7` is looked up among the scenarios of the package.
+        overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` or `motion_file` among them is
+            relative to the current folder. Another `kind` of reference or tuner drops the keys that only the old kind
+            has.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_scenario(path)
     data = _read_yaml(path)
-    _anchor_weights_file(data, path.parent)
+    _anchor_files(data, path.parent)
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
         _assign(data, key.strip(), _parse_yaml(value, f"--set {shown(key.strip())}"))
-    _anchor_weights_file(data, Path())
+    _anchor_files(data, Path())
     # The name of a file may hold what the name of a scenario may not.
     data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:100])
     return Scenario.from_dict(data)
@@ -345,11 +346,23 @@ def _parse_yaml(text: str, key: str) -> Any:
         raise ConfigurationError(key, f"{type(error).__name__}: {text}", "well-formed YAML without tags") from None
 
 
-def _anchor_weights_file(data: dict[str, Any], folder: Path) -> None:
-    """Makes a relative path of a weights file absolute, from `folder`."""
-    tuner = data.get("tuner")
-    if isinstance(tuner, dict) and isinstance(tuner.get("weights_file"), str):
-        tuner["weights_file"] = str((folder / tuner["weights_file"]).absolute())
+def _anchor_files(data: Any, folder: Path) -> None:
+    """Makes relative paths of weights and motion files absolute, from `folder`, however deep they are."""
+    waiting, seen = [data], set()
+    while waiting:
+        section = waiting.pop()
+        # By way of an alias a YAML section can hold itself.
+        if id(section) in seen:
+            continue
+        seen.add(id(section))
+        if isinstance(section, list):
+            waiting.extend(section)
+        if not isinstance(section, dict):
+            continue
+        waiting.extend(section.values())
+        for key in _FILE_KEYS:
+            if isinstance(section.get(key), str):
+                section[key] = str((folder / section[key]).absolute())
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:

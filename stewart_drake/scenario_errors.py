@@ -168,7 +168,7 @@ def _noun(annotation: Any) -> str:
         count = "" if Ellipsis in rest else f"{len(rest) + 1} "
         plural = _noun(first).replace("list of", "lists of") if get_origin(first) is tuple else f"{_noun(first)}s"
         return f"list of {count}{plural}"
-    return _NOUNS.get(annotation, "value of another type")
+    return "section" if keys_of(_members(annotation)[0]) else _NOUNS.get(annotation, "value of another type")
 
 
 def _known_keys(section: Any, given: str) -> str:

@@ -200,7 +200,7 @@ BAD = [
     (["run", "paper_fig7", "--set", "plant.time_step=0"], ["plant.time_step", "0.0", "1e-06 to 0.1 s"]),
     (["run", "paper_fig7", "--set", "plant.time_step=0.003"], ["controller.period", "0.005", "multiple", "0.003"]),
     (["run", "paper_fig7", "--set", "log_period=0.0005"], ["log_period", "0.0005", "multiple"]),
-    (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine or sine_bursts"]),
+    (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine, sine_bursts"]),
     (["run", "paper_fig7", "--set", "reference.center=[0, 0, 0.3]"], ["reference.center", "a list of 6 numbers"]),
     (["run", "paper_fig7", "--set", "name=../../etc"], ["name", "'../../etc'", "letters"]),
     (["run", "paper_fig7", "--set", "reference.center=[0,0,0,0,0,0.6]"], ["reach", "t = 0.000 s", "leg 0", "0.98"]),

@@ -1,32 +1,16 @@
-"""Reference motions q(t) with exact first and second derivatives; poses are [roll, pitch, yaw, X, Y, Z] of P in B."""
+"""A pose held, sines, and bursts of sines."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.references.base import HOME, ZERO, check_vectors, is_six, smoothstep
 from stewart_drake.scalars import SECTION, Real, Vector6
-
-_HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
-_ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-class Reference(Protocol):
-    """Anything that tells where the platform should be."""
-
-    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose, rate and acceleration.
-
-        Args:
-            time: (...) [s].
-
-        Returns:
-            pose (..., 6) [rad, m], rate (..., 6) [rad/s, m/s], acceleration (..., 6) [rad/s^2, m/s^2].
-        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +20,11 @@ class HoldReference:
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["hold"] = "hold"
-    pose: Vector6 = _HOME
+    pose: Vector6 = HOME
     """[rad, m]"""
 
     def __post_init__(self) -> None:
-        _check_vectors(self, "pose")
+        check_vectors(self, "pose")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -58,17 +42,17 @@ class SineReference:
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["sine"] = "sine"
-    center: Vector6 = _HOME
+    center: Vector6 = HOME
     """[rad, m]"""
     amplitude: Vector6 = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     """[rad, m]"""
     angular_frequency: Vector6 = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
     """[rad/s]"""
-    phase: Vector6 = _ZERO
+    phase: Vector6 = ZERO
     """[rad]"""
 
     def __post_init__(self) -> None:
-        _check_vectors(self, "center", "amplitude", "angular_frequency", "phase")
+        check_vectors(self, "center", "amplitude", "angular_frequency", "phase")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -93,9 +77,9 @@ class SineBurstsReference:
     """[Hz] one per burst."""
     amplitude: tuple[Vector6, ...]
     """[rad, m] one vector per burst."""
-    center: Vector6 = _HOME
+    center: Vector6 = HOME
     """[rad, m]"""
-    phase: Vector6 = _ZERO
+    phase: Vector6 = ZERO
     """[rad] per axis, the same in every burst."""
     burst_duration: Real = 1.6
     """[s]"""
@@ -103,7 +87,7 @@ class SineBurstsReference:
     """[s] at each end of a burst."""
 
     def __post_init__(self) -> None:
-        _check_vectors(self, "center", "phase")
+        check_vectors(self, "center", "phase")
         if not self.frequency or not all(math.isfinite(f) and f > 0.0 for f in self.frequency):
             raise ConfigurationError("reference.frequency", self.frequency, "positive numbers, at least one")
         if len(self.amplitude) != len(self.frequency):
@@ -111,7 +95,7 @@ class SineBurstsReference:
                 "reference.amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers"
             )
         for vector in self.amplitude:
-            if not _is_six(vector):
+            if not is_six(vector):
                 raise ConfigurationError("reference.amplitude", vector, "vectors of 6 finite numbers")
         if not (math.isfinite(self.fade) and self.fade > 0.0):
             raise ConfigurationError("reference.fade", self.fade, "a positive number")
@@ -135,31 +119,13 @@ class SineBurstsReference:
         return pose, rate, acceleration
 
     def _envelope(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Smoothstep 6 u^5 - 15 u^4 + 10 u^3 of the distance to the nearer end, and its derivatives."""
+        """`smoothstep` of the distance to the nearer end, and its derivatives."""
         rising = local < 0.5 * self.burst_duration
         distance = np.where(rising, local, self.burst_duration - local)
-        u = np.clip(distance / self.fade, 0.0, 1.0)
-        sign = np.where(rising, 1.0, -1.0)
-        value = u**3 * (u * (6.0 * u - 15.0) + 10.0)
-        rate = sign * 30.0 * u**2 * (1.0 - u) ** 2 / self.fade
-        acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / self.fade**2
-        return value, rate, acceleration
+        value, slope, curvature = smoothstep(distance / self.fade)
+        return value, np.where(rising, slope, -slope) / self.fade, curvature / self.fade**2
 
 
 def paper_reference() -> SineReference:
     """(37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero."""
     return SineReference()
-
-
-def _check_vectors(reference: object, *names: str) -> None:
-    for name in names:
-        if not _is_six(getattr(reference, name)):
-            raise ConfigurationError(f"reference.{name}", getattr(reference, name), "6 finite numbers")
-
-
-def _is_six(value: Any) -> bool:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        return False
-    return array.shape == (6,) and bool(np.isfinite(array).all())

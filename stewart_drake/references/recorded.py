@@ -1,0 +1,150 @@
+"""A motion recorded in a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, Literal
+
+import numpy as np
+from pydantic import StrictStr
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.references.base import check_positive
+from stewart_drake.scalars import SECTION, Real
+
+COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
+"""[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""
+MAX_RECORDING_BYTES = 100_000_000
+MAX_RECORDING_ROWS = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedReference:
+    """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
+
+    The file has a header with the columns `time` [s], `roll`, `pitch`, `yaw` [rad], `x`, `y`, `z` [m]; times ascend,
+    evenly spaced or not. The spline (not-a-knot) goes through every row, its acceleration through the noise of the rows
+    as well, so filter a recording first. A run starts with the recording's own velocity; after the last row
+    the motion coasts to rest, acceleration being continuous.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["recorded"] = "recorded"
+    motion_file: StrictStr
+    """Path of a .csv or .parquet file, relative to the scenario file."""
+    time_scale: Real = 1.0
+    """[s] that one unit of the file's time lasts: 0.001 for a file in milliseconds, 2 for half the speed."""
+    settle: Real = 0.25
+    """[s] from the last row to rest."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.motion_file, str):
+            raise ConfigurationError("reference.motion_file", self.motion_file, "a text")
+        check_positive(self, "time_scale", "settle")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`.
+
+        Raises:
+            ConfigurationError: The file cannot be read or used; it is read at the first call.
+        """
+        time = np.asarray(time, dtype=float)
+        end, splines = self._motion
+        pose, rate, acceleration = (spline(np.clip(time, 0.0, end)) for spline in splines)
+        started = (time >= 0.0)[..., None]
+        rate, acceleration = np.where(started, rate, 0.0), np.where(started, acceleration, 0.0)
+        # The rate goes on as a cubic of s, with the recording's last value and slope at s = 0 and neither at s = 1.
+        s = np.clip((time - end) / self.settle, 0.0, 1.0)[..., None]
+        t = self.settle
+        pose = (
+            pose + rate * t * (s - s**3 + 0.5 * s**4) + acceleration * t**2 * s**2 * (0.5 - 2.0 / 3.0 * s + 0.25 * s**2)
+        )
+        slowed = rate * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + acceleration * t * s * (1.0 - s) ** 2
+        return pose, slowed, rate / t * 6.0 * s * (s - 1.0) + acceleration * (1.0 - s) * (1.0 - 3.0 * s)
+
+    @cached_property
+    def _motion(self) -> tuple[float, tuple[Any, Any, Any]]:
+        """Time of the last row [s] and the splines of pose, rate and acceleration."""
+        from scipy.interpolate import CubicSpline
+
+        key = f"recorded motion {self.motion_file}"
+        data = load_recording(self.motion_file)
+        time = (data[:, 0] - data[0, 0]) * self.time_scale
+        with np.errstate(all="ignore"):
+            try:
+                spline = CubicSpline(time, data[:, 1:], axis=0)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                text = " ".join(str(error).split())
+                raise ConfigurationError(key, text, "times and poses that a spline can join") from None
+            if not np.isfinite(spline.c).all():
+                raise ConfigurationError(key, "infinite accelerations", "times and poses that a spline can join")
+        return float(time[-1]), (spline, spline.derivative(1), spline.derivative(2))
+
+
+def load_recording(path: str | Path) -> np.ndarray:
+    """Reads a recorded motion.
+
+    Args:
+        path: .csv or .parquet file with the columns `COLUMNS`.
+
+    Returns:
+        (n, 7) [s, rad, rad, rad, m, m, m] time ascending, roll, pitch, yaw, X, Y, Z.
+
+    Raises:
+        ConfigurationError: Not readable, of another kind, too large, a column missing, fewer than 4 rows, a cell that
+            is not a finite number, times that do not ascend.
+    """
+    path = Path(path)
+    key = f"recorded motion {path}"
+    import pyarrow as pa
+
+    try:
+        if path.suffix.lower() not in (".csv", ".parquet"):
+            raise ConfigurationError(key, path.suffix, "a file that ends in .csv or .parquet")
+        with path.open("rb") as stream:
+            size = path.stat().st_size
+            if size > MAX_RECORDING_BYTES:
+                raise ConfigurationError(key, f"{size} bytes", f"at most {MAX_RECORDING_BYTES} bytes")
+            names, table = _read(stream, path.suffix.lower() == ".csv", key)
+        missing = [name for name in COLUMNS if names.count(name) != 1]
+        if missing:
+            found = f"{names.count(missing[0])} columns {missing[0]} among {', '.join(names)}"
+            raise ConfigurationError(key, found, f"one column each of {', '.join(COLUMNS)}")
+        columns = [table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS]
+    except (OSError, ValueError, pa.ArrowException) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise ConfigurationError(key, error.strerror, "a readable file") from None
+        raise ConfigurationError(key, " ".join(str(error).split()), "a table of numbers with a header") from None
+    data = np.stack(columns, axis=-1)
+    if len(data) < 4:
+        raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
+    for name, column in zip(COLUMNS, columns, strict=True):
+        if not np.isfinite(column).all():
+            row = int(np.argmin(np.isfinite(column)))
+            raise ConfigurationError(f"{key}: {name}", f"{column[row]} in row {row + 1}", "finite numbers")
+    back = np.diff(data[:, 0]) <= 0.0
+    if back.any():
+        row = int(back.argmax())
+        got = f"{data[row + 1, 0]:g} after {data[row, 0]:g} in row {row + 2}"
+        raise ConfigurationError(f"{key}: time", got, "ascending times")
+    return data
+
+
+def _read(stream: BinaryIO, csv: bool, key: str) -> tuple[list[str], Any]:
+    """Names of all columns and the table."""
+    import pyarrow.csv as pc
+    import pyarrow.parquet as pq
+
+    if csv:
+        table = pc.read_csv(stream)
+        rows, names = table.num_rows, table.column_names
+    else:
+        file = pq.ParquetFile(stream)
+        rows, names = file.metadata.num_rows, file.schema_arrow.names
+    # Before a Parquet file is unpacked: a few kilobytes can hold billions of equal rows.
+    if rows > MAX_RECORDING_ROWS:
+        raise ConfigurationError(key, f"{rows} rows", f"at most {MAX_RECORDING_ROWS} rows")
+    return names, table if csv else file.read(columns=list(dict.fromkeys(n for n in names if n in COLUMNS)))

@@ -1,0 +1,258 @@
+"""Motions of a patient and of a surgeon's hand: breathing, heartbeat, tremor."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.references.base import HOME, check_numbers, check_positive, check_vectors, check_whole, smoothstep
+from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
+
+MAX_SEED = 2**63 - 1
+_SLOW_BAND = (0.04, 0.15)
+"""[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""
+_SLOW_SINES = 3
+_TREMOR_SINES = 24
+"""Enough that the sum looks like noise: it repeats after minutes, and its peaks are near-normal. Assumed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BreathingReference:
+    """center + excursion cos^(2 order)(pi frequency t - phase) on each axis: long at end-exhale, short at end-inhale.
+
+    The waveform is z0 - b cos^(2n)(pi t / tau - phi) of A. E. Lujan et al., Med. Phys. 26 (1999) 715, with center = z0,
+    excursion = -b, order = n, 1 / frequency = tau. The default size is that of lower lung lobes, 12 mm cranio-caudal
+    and 2 mm across (Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822). 0.2-0.3 Hz is usual for
+    breathing at rest; 0.25 Hz, order 2 and which axis takes which size are assumed.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["breathing"] = "breathing"
+    center: Vector6 = HOME
+    """[rad, m] pose at end-exhale, where breathing rests longest."""
+    excursion: Vector6 = (0.0, 0.0, 0.0, 0.002, 0.002, 0.012)
+    """[rad, m] from end-exhale to end-inhale, peak to peak; its sign is the direction."""
+    frequency: Real = 0.25
+    """[Hz] breaths per second, above 0."""
+    order: Count = 2
+    """n of the waveform, 1 to 3: the larger, the longer the stay at end-exhale."""
+    phase: Real = math.pi / 2.0
+    """[rad] phi of the waveform; pi/2 starts at end-exhale, at rest."""
+
+    def __post_init__(self) -> None:
+        check_vectors(self, "center", "excursion")
+        check_positive(self, "frequency")
+        check_whole(self, 1, 3, "order")
+        check_numbers(self, -math.inf, math.inf, "a finite number", "phase")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        omega, power = math.pi * self.frequency, 2 * self.order
+        angle = omega * np.asarray(time, dtype=float)[..., None] - self.phase
+        cosine, sine, size = np.cos(angle), np.sin(angle), np.array(self.excursion)
+        pose = np.array(self.center) + size * cosine**power
+        rate = -size * omega * power * cosine ** (power - 1) * sine
+        bend = (power - 1) * cosine ** (power - 2) * sine**2 - cosine**power
+        return pose, rate, size * omega**2 * power * bend
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeartbeatReference:
+    """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
+
+    On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end.
+    A Fourier series at the heart's rate is how R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67, and O. Bebek, M. C.
+    Cavusoglu, IEEE Trans. Robot. 23 (2007) 468, describe the motion of a beating heart's surface. The default
+    harmonics, sizes (several millimetres) and phases of the axes are assumed.
+
+    The rate is rate (1 + respiratory_variation sin(2 pi respiratory_frequency t) + slow part), the slow part a seeded
+    sum of sines in the low-frequency band 0.04-0.15 Hz. Its sizes give the model of P. E. McSharry et al., IEEE Trans.
+    Biomed. Eng. 50 (2003) 289: 1/min of 60/min standard deviation at a ratio of 0.5 of low- to high-frequency power.
+
+    A premature beat k begins `prematurity` of a beat early and the next one on time, the full compensatory pause of a
+    ventricular extrasystole; 0.4 is K.-M. Park et al., Korean Circ. J. 45 (2015) 294: intervals of 49 to 60 % of the
+    sinus cycle. The count of beats stays twice continuously differentiable.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["heartbeat"] = "heartbeat"
+    center: Vector6 = HOME
+    """[rad, m] mean of the wave."""
+    excursion: Vector6 = (0.0, 0.0, 0.0, 0.003, 0.002, 0.006)
+    """[rad, m] peak to peak; its sign is the direction."""
+    rate: Real = 1.25
+    """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
+    phase: Vector6 = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
+    """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
+    harmonics: tuple[Real, ...] = (1.0, 0.6, 0.35, 0.15, 0.05)
+    """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""
+    harmonic_phase: tuple[Real, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
+    """[rad] p_k, one per harmonic."""
+    respiratory_variation: Real = 0.02
+    """[-] amplitude of the rate's swing with breathing (respiratory sinus arrhythmia), as a part of the rate."""
+    respiratory_frequency: Real = 0.25
+    """[Hz] of that swing. With a `breathing` motion of this frequency the rate is highest while it breathes in."""
+    slow_variation: Real = 0.015
+    """[-] largest slow departure of the rate, as a part of it; together with respiratory_variation below 1."""
+    seed: Count = 0
+    """Of the slow variation."""
+    premature_beats: tuple[Count, ...] = ()
+    """Numbers of the beats that come early, ascending, at least 2 apart; beat 0 begins at t = 0."""
+    prematurity: Real = 0.4
+    """[-] by which part of a beat they come early, 0 to 0.7."""
+
+    def __post_init__(self) -> None:
+        check_vectors(self, "center", "excursion", "phase")
+        check_positive(self, "rate", "respiratory_frequency")
+        for name in ("harmonics", "harmonic_phase"):
+            values = getattr(self, name)
+            if not (1 <= len(values) <= 20 and all(map(is_finite, values))):
+                raise ConfigurationError(f"reference.{name}", values, "1 to 20 finite numbers")
+        if not any(self.harmonics):
+            raise ConfigurationError("reference.harmonics", self.harmonics, "numbers, not all of them zero")
+        if len(self.harmonic_phase) != len(self.harmonics):
+            allowed = f"{len(self.harmonics)} numbers, one per harmonic"
+            raise ConfigurationError("reference.harmonic_phase", self.harmonic_phase, allowed)
+        check_numbers(self, 0.0, 1.0, "a number from 0 to 1", "respiratory_variation", "slow_variation")
+        if self.respiratory_variation + self.slow_variation >= 1.0:
+            allowed = "below 1 together with respiratory_variation: a heart does not beat backwards"
+            raise ConfigurationError("reference.slow_variation", self.slow_variation, allowed)
+        check_whole(self, 0, MAX_SEED, "seed")
+        beats = self.premature_beats
+        if not all(type(beat) is int and 1 <= beat <= 10**6 for beat in beats):
+            raise ConfigurationError("reference.premature_beats", beats, "whole numbers from 1 to 1000000")
+        if any(later - beat < 2 for beat, later in itertools.pairwise(beats)):
+            raise ConfigurationError("reference.premature_beats", beats, "ascending numbers, at least 2 apart")
+        check_numbers(self, 0.0, 0.7, "a number from 0 to 0.7", "prematurity")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        beats, speed, change = (2.0 * math.pi * values[..., None] for values in self.beats(time))
+        order, lag = np.arange(1, len(self.harmonics) + 1), np.array(self.harmonic_phase)
+        angle = order * (beats - np.array(self.phase))[..., None] - lag
+        cosine, sine = np.cos(angle), np.sin(angle)
+        wave, slope, curvature = (
+            cosine @ self._weights,
+            -sine @ (order * self._weights),
+            -cosine @ (order**2 * self._weights),
+        )
+        size = np.array(self.excursion)
+        return np.array(self.center) + size * wave, size * slope * speed, size * (curvature * speed**2 + slope * change)
+
+    def beats(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Beats so far, at whole numbers a beat begins, and the first and second derivative of that count.
+
+        Args:
+            time: (...) [s].
+
+        Returns:
+            (...) [-], [1/s], [1/s^2].
+        """
+        t = np.asarray(time, dtype=float)
+        omega, share, start = self._variation
+        angle = omega * t[..., None] + start
+        count = self.rate * (t + (np.cos(start) - np.cos(angle)) @ (share / omega))
+        speed = self.rate * (1.0 + np.sin(angle) @ share)
+        change = self.rate * (np.cos(angle) @ (share * omega))
+        early, slope, curvature = self._early(count)
+        return count + early, (1.0 + slope) * speed, curvature * speed**2 + (1.0 + slope) * change
+
+    @cached_property
+    def _variation(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angular frequency [rad/s], share of the rate [-] and phase [rad] of each sine in the heart's rate."""
+        frequency, phase = _random_sines(self.seed, _SLOW_BAND, 1, _SLOW_SINES)
+        omega = 2.0 * math.pi * np.append(self.respiratory_frequency, frequency[0])
+        share = np.append(self.respiratory_variation, np.full(_SLOW_SINES, self.slow_variation / _SLOW_SINES))
+        return omega, share, np.append(0.0, phase[0])
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        """Harmonics (k,), scaled so that the wave measures 1 from end to end.
+
+        On z = exp(i x) the wave's slope is a polynomial over z^k, so that its roots hold every place of an extremum.
+        """
+        weights = np.array(self.harmonics) / np.abs(self.harmonics).max()
+        order, lag = np.arange(1, len(weights) + 1), np.array(self.harmonic_phase)
+        half = 1j * order * weights * np.exp(-1j * lag)
+        places = np.angle(np.roots(np.concatenate([half[::-1], [0.0], half.conj()])))
+        wave = np.cos(order * places[:, None] - lag) @ weights
+        return weights / (wave.max() - wave.min())
+
+    def _early(self, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By how much premature beats are ahead of the regular `count`, and its derivatives by that count.
+
+        It grows smoothly from the beat before to the premature one, which so begins at count = k - prematurity, and
+        falls to zero until the next.
+        """
+        if not self.premature_beats:
+            return np.zeros_like(count), np.zeros_like(count), np.zeros_like(count)
+        beats = np.array(self.premature_beats, dtype=float)
+        # The hump of beat k lies between k - 1 and k + 1.
+        beat = beats[np.minimum(np.searchsorted(beats + 1.0, count), len(beats) - 1)]
+        rising = count < beat - self.prematurity
+        width = np.where(rising, 1.0 - self.prematurity, 1.0 + self.prematurity)
+        value, slope, curvature = smoothstep(np.where(rising, count - (beat - 1.0), beat + 1.0 - count) / width)
+        slope = np.where(rising, slope, -slope)
+        return self.prematurity * value, self.prematurity * slope / width, self.prematurity * curvature / width**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class TremorReference:
+    """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
+
+    T. S. Wells et al., Comparison of baseline tremor under various microsurgical conditions, IEEE SMC (2013), saw a
+    peak at 6-12 Hz and errors of 0.14 to 0.29 mm RMS over three axes; the default is 0.1 mm on each, 0.17 mm in all.
+    C. N. Riviere et al., IEEE Trans. Rehabil. Eng. 6 (1998) 31 (Adaptive cancelling of physiological tremor), model it as a
+    modulated sine. That the axes are independent, and the spectrum flat within the band, is assumed.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["tremor"] = "tremor"
+    center: Vector6 = HOME
+    """[rad, m]"""
+    rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
+    """[rad, m] root mean square over a long time; peaks are some three times as large."""
+    low: Real = 6.0
+    """[Hz] lower end of the band, above 0."""
+    high: Real = 12.0
+    """[Hz] upper end of the band, above its lower end."""
+    seed: Count = 0
+    """Of frequencies and phases."""
+
+    def __post_init__(self) -> None:
+        check_vectors(self, "center", "rms")
+        check_positive(self, "low", "high")
+        if self.high <= self.low:
+            raise ConfigurationError("reference.high", self.high, f"above reference.low, {self.low:g} Hz")
+        check_whole(self, 0, MAX_SEED, "seed")
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Reference.evaluate`."""
+        frequency, phase = self._sines
+        omega, size = 2.0 * math.pi * frequency, np.array(self.rms) * math.sqrt(2.0 / _TREMOR_SINES)
+        angle = omega * np.asarray(time, dtype=float)[..., None, None] + phase
+        sine = np.sin(angle)
+        pose = np.array(self.center) + size * sine.sum(axis=-1)
+        rate = size * (omega * np.cos(angle)).sum(axis=-1)
+        return pose, rate, -size * (omega**2 * sine).sum(axis=-1)
+
+    @cached_property
+    def _sines(self) -> tuple[np.ndarray, np.ndarray]:
+        return _random_sines(self.seed, (self.low, self.high), 6, _TREMOR_SINES)
+
+
+def _random_sines(seed: int, band: tuple[float, float], rows: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] and phases [rad], (rows, count) each; one frequency in each of `count` equal parts of a band."""
+    rng = np.random.default_rng(seed)
+    low, high = band
+    frequency = low + (high - low) * (np.arange(count) + rng.uniform(size=(rows, count))) / count
+    return frequency, rng.uniform(0.0, 2.0 * math.pi, (rows, count))
