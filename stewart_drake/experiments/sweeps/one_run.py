@@ -1,0 +1,157 @@
+"""What a worker does: one run in, one row out, whatever happens in it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from stewart_drake import versions
+from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
+
+if TYPE_CHECKING:
+    from stewart_drake.log import SimulationLog
+    from stewart_drake.scenario import Scenario
+
+MAX_MESSAGE = 500
+
+Row = dict[str, Any]
+
+
+class RunFunction(Protocol):
+    """Simulates a scenario; a function of a module that the workers can import."""
+
+    def __call__(self, scenario: Scenario, /) -> SimulationLog:
+        """See `simulation.run`."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run, in plain values that travel to any worker.
+
+    Attributes:
+        index: Number of the run.
+        seed: Of the run.
+        base: The scenario before the draws, as `Scenario.to_dict` gives it.
+        changes: Scenario key -> value, see `Sweep.changes`.
+        drawn: See `Sweep.draw`; goes into the row.
+        source: Digest of the package's source that the worker must have.
+    """
+
+    index: int
+    seed: int
+    base: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    drawn: Mapping[str, Any]
+    source: str
+
+
+def simulate(scenario: Scenario) -> SimulationLog:
+    """What a sweep runs by default: `simulation.run`, the check of the reference included."""
+    from stewart_drake.simulation import run
+
+    return run(scenario)
+
+
+def warm_up(source: str) -> None:
+    """Loads what a run needs, so that no run pays for it.
+
+    Raises:
+        StewartDrakeError: This worker's copy of the package is another one.
+    """
+    import stewart_drake.experiments.sweeps.spec
+    import stewart_drake.simulation  # noqa: F401
+
+    if _own_source() != source:
+        raise StewartDrakeError(
+            "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
+            "its files alone while a sweep runs"
+        )
+
+
+def execute(function: RunFunction, task: Task) -> Row:
+    """Runs `task` and turns whatever comes of it into a row; what ends the process is beyond it.
+
+    Args:
+        function: Simulates the scenario.
+        task: What to run.
+
+    Returns:
+        index, seed, values (`task.drawn`) and `outcome`'s.
+
+    Raises:
+        StewartDrakeError: The worker's copy of the package is another one.
+        KeyboardInterrupt: The run was interrupted; it is no row.
+    """
+    warm_up(task.source)
+    start = time.perf_counter()
+    row = _outcome(function, task)
+    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
+
+
+def empty_row(task: Task, status: str, reason: str | None, message: str | None) -> Row:
+    """A row of a run of which nothing else is known."""
+    return {
+        "index": task.index,
+        "seed": task.seed,
+        "values": dict(task.drawn),
+        "status": status,
+        "reason": reason,
+        "message": None if message is None else " ".join(message.split())[:MAX_MESSAGE],
+    }
+
+
+def measure(log: SimulationLog) -> dict[str, Any]:
+    """Figures of a run, flat; see `table.COLUMNS` for what each is."""
+    from stewart_drake.metrics import run_metrics, second_half, tracking_error
+
+    metrics = run_metrics(log)
+    row: dict[str, Any] = {"end_time": log.end_time, "leg": log.leg, "simulation_s": log.wall_time}
+    for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "omega_ratio"):
+        row[name] = metrics[name]
+    row["finite"] = bool(all(np.isfinite(signal).all() for signal in log.signals.values()))
+    error = tracking_error(log)[second_half(log)]
+    for unit, axes, scale, part in (
+        ("deg", ("roll", "pitch", "yaw"), np.degrees(1.0), error[:, :3]),
+        ("mm", ("x", "y", "z"), 1e3, error[:, 3:]),
+    ):
+        for figure in ("rmse", "peak"):
+            values = metrics[f"{figure}_{unit}"] or (None, None, None)
+            row |= {f"{figure}_{axis}_{unit}": value for axis, value in zip(axes, values, strict=True)}
+        norm = scale * np.linalg.norm(part, axis=1)
+        row[f"rmse_{unit}"] = float(np.sqrt(np.mean(norm**2))) if len(norm) else None
+        row[f"peak_{unit}"] = float(norm.max()) if len(norm) else None
+    return row
+
+
+def _outcome(function: RunFunction, task: Task) -> Row:
+    from stewart_drake.experiments.sweeps.spec import vary
+    from stewart_drake.scenario import Scenario
+
+    try:
+        log = function(vary(Scenario.from_dict(task.base), task.changes))
+        if log.status == "interrupted":
+            raise KeyboardInterrupt
+        # A finite blow-up overflows in the squares; its row says inf.
+        with np.errstate(all="ignore"):
+            return {**empty_row(task, log.status, log.reason, log.message), **measure(log)}
+    except KeyboardInterrupt:
+        raise
+    except ConfigurationError as error:
+        return empty_row(task, "rejected", error.reason, str(error))
+    except RunFailure as error:
+        return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
+        return empty_row(task, "raised", type(error).__name__, str(error) or type(error).__name__)
+
+
+@lru_cache(maxsize=1)
+def _own_source() -> str:
+    # Once a process: what is loaded does not change.
+    return versions.source_digest()
