@@ -44,7 +44,7 @@ class TaskDynamics:
 def task_dynamics(stewart: StewartPlant, context: Context) -> TaskDynamics:
     """Dynamics of the closed chain at the state in a Context.
 
-    All bodies act, a rod's spin about its own axis too. Universal joints determine that spin; the closed form of
+    All bodies act, a rod's spin about its own axis included. Universal joints determine that spin; the closed form of
     `rigid_body_model` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it
     has. Contact and dry friction of the motors are not in it: `T` is what reaches the cranks.
 
@@ -85,8 +85,8 @@ def task_dynamics(stewart: StewartPlant, context: Context) -> TaskDynamics:
 def _loop_rows(stewart: StewartPlant, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Rows J (18 or 24, nv) of what a closed robot's velocities obey, and dJ/dt v: platform's joints less rods' ends.
 
-    With ball joints the last six rows are the rods' spins, by which a motion of the platform turns no rod. Their dJ/dt v
-    is left at zero: it would add spin alone, and that has no inertia in common with such a motion.
+    With ball joints the last six rows are the rods' spins: a motion of the platform brings none. Their dJ/dt v is left
+    at zero, because it would add spin alone, which has no inertia in common with such a motion.
     """
     plant, robot = stewart.plant, stewart.robot
     platform, rods = plant.GetFrameByName("platform"), [plant.GetFrameByName(f"rod_{leg}") for leg in range(LEGS)]
