@@ -173,6 +173,7 @@ def to_html(markdown: str, title: str, folder: Path) -> str:
 
     body = re.sub(r'src="(figures/[^"]+)"', inline, body)
     body = re.sub(r"<h2>(.*?)</h2>", heading, body)
+    body = re.sub(r"<t([hd])>(.*?)</t\1>", _unbroken, body)
     body = body.replace("<table>", '<div class="wide"><table>').replace("</table>", "</table></div>")
     head, foot = _PAGE.split("{body}")
     return head.replace("{title}", html.escape(title)) + body + foot
@@ -203,12 +204,22 @@ def _item_lines(item: Item) -> list[str]:
 
 def _in_row(text: str) -> str:
     """Text as it must stand in a row of a table: one line, its pipes no borders."""
-    return " ".join(text.split()).replace("|", "\\|")
+    # Not split(): that would break unbreakable spaces too.
+    return re.sub(r"[ \t\r\n]+", " ", text).strip().replace("|", "\\|")
+
+
+def _unbroken(cell: re.Match[str]) -> str:
+    """A cell of the page whose numbers and units do not part at the end of a line."""
+    text = re.sub(r"\[[^\]<]*\]", lambda unit: unit[0].replace(" ", "\u00a0"), cell[2])
+    text = re.sub(rf"(?<=\d) (?=(?:{_UNITS})(?![\w/]))", "\u00a0", text)
+    return f"<t{cell[1]}>{text}</t{cell[1]}>"
 
 
 def _anchor(title: str) -> str:
     return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
+
+_UNITS = "%|deg|mm|m|s|ms|Hz|L|N m|rad/s|deg/s|mm/s"
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">

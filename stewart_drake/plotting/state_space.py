@@ -23,7 +23,7 @@ _STYLES = ("-", (0, (6, 2)), (0, (2, 1)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)))
 def plot_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Figure:
     """A (18, 18), B (18, 6) and C (6, 18) of (25), entry by entry; empty cells are zero."""
     figure, axes = panels(2, 2, 9.0, width_ratios=(18, 11), height_ratios=(18, 6))
-    motors = [f"$T_{i}$" for i in range(1, 7)]
+    motors = [f"$T_{i}$" for i in range(6)]
     outputs = [f"$y_{i}$" for i in range(1, 7)]
     _entries(axes[0, 0], a, STATE_NAMES, STATE_NAMES, "A, 18 by 18")
     _entries(axes[0, 1], b, STATE_NAMES, motors, "B, 18 by 6, at home, $M^{-1}\\tau$")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from stewart_drake.log import AXES
 from stewart_drake.network import TunerNetwork
+from stewart_drake.plotting.panels import label, legend, panels
 from stewart_drake.training.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -26,9 +27,9 @@ def plot_densities(dataset: Dataset) -> Figure:
     """Median and 5 to 95 % band of each of the twelve densities, by ratio omega_Q / omega_R."""
     ratio = np.round(np.log10(dataset.outputs[:, 0] / dataset.outputs[:, 1])).astype(int)
     values = np.unique(ratio)
-    names = [f"error {a}" for a in AXES] + [f"torque {i}" for i in range(6)]
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    axes = figure.add_subplot()
+    names = [f"error {a if i < 3 else a.upper()}" for i, a in enumerate(AXES)] + [f"torque {i}" for i in range(6)]
+    figure, grid = panels(1, 1, 4.2)
+    axes = grid[0, 0]
     width = 0.8 / len(values)
     for index, value in enumerate(values):
         low, middle, high = np.quantile(dataset.inputs[ratio == value], (0.05, 0.5, 0.95), axis=0)
@@ -39,18 +40,24 @@ def plot_densities(dataset: Dataset) -> Figure:
     axes.axvline(5.5, color=_INK, linewidth=0.6)
     axes.axhline(1.0, color=_INK, linewidth=0.6, linestyle=":")
     axes.set_xticks(range(12), names, rotation=35, ha="right")
-    axes.set_ylabel("density [-]")
-    figure.legend(title="ratio of weights", ncols=len(values), frameon=False, loc="outside upper right")
-    _tidy(axes)
+    axes.grid(visible=False, axis="x")
+    label(axes, "", "", "density [-]")
+    figure.legend(
+        title="ratio of weights",
+        ncols=len(values),
+        frameon=False,
+        loc="outside upper right",
+        fontsize=9,
+        title_fontsize=9,
+    )
     return figure
 
 
 def plot_learning_curves(results: Mapping[tuple[DensityKind, Split], TrainingResult]) -> Figure:
     """Training and validation loss by epoch, one panel per kind of density."""
     kinds = list(dict.fromkeys(kind for kind, _ in results))
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(kinds), sharey=True))
-    for axes, kind in zip(panels, kinds, strict=True):
+    figure, grid = panels(1, len(kinds), 3.6, sharey=True)
+    for axes, kind in zip(grid[0], kinds, strict=True):
         for (k, split), result in results.items():
             if k != kind:
                 continue
@@ -61,11 +68,9 @@ def plot_learning_curves(results: Mapping[tuple[DensityKind, Split], TrainingRes
                 epochs, result.validation_loss, color=color, linestyle="--", label=f"split by {split}: validation"
             )
         axes.set_xscale("log")
-        axes.set_title(f"{kind} densities", loc="left")
-        axes.set_xlabel("epoch")
-        _tidy(axes)
-    panels[0].set_ylabel("mean squared error of log10 weights")
-    panels[-1].legend(frameon=False, fontsize="small")
+        label(axes, f"{kind} densities", "epoch", "")
+    grid[0, 0].set_ylabel("mean squared error of log10 weights", fontsize=10)
+    legend(grid[0, -1])
     return figure
 
 
@@ -73,8 +78,8 @@ def plot_predictions(network: TunerNetwork, dataset: Dataset) -> Figure:
     """Predicted omega_Q, omega_R and ratio against their labels, one mark per experiment."""
     predicted, target = network.log_weights(dataset.inputs), np.log10(dataset.outputs)
     mixes = (("omega_Q", (1.0, 0.0)), ("omega_R", (0.0, 1.0)), ("omega_Q / omega_R", (1.0, -1.0)))
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    for axes, (name, mix) in zip(figure.subplots(1, 3), mixes, strict=True):
+    figure, grid = panels(1, 3, 3.4)
+    for axes, (name, mix) in zip(grid[0], mixes, strict=True):
         labels, answers = target @ mix, predicted @ mix
         for run in np.unique(dataset.run):
             rows = dataset.run == run
@@ -85,14 +90,6 @@ def plot_predictions(network: TunerNetwork, dataset: Dataset) -> Figure:
             axes.plot(at, middle, "o", color=_RATIO_COLORS[0], markersize=4.0)
         reach = float(np.abs(labels).max()) * 1.25
         axes.plot([-reach, reach], [-reach, reach], color=_INK, linewidth=0.8, linestyle=":")
-        axes.set_title(name, loc="left")
-        axes.set_xlabel("log10 of the label")
-        _tidy(axes)
-    figure.axes[0].set_ylabel("log10 of the network's answer")
+        label(axes, name, "log10 of the label", "")
+    grid[0, 0].set_ylabel("log10 of the network's answer", fontsize=10)
     return figure
-
-
-def _tidy(axes) -> None:  # type: ignore[no-untyped-def]
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="y", color="#e4e8ed", linewidth=0.7)
-    axes.set_axisbelow(True)

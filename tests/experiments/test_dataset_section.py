@@ -195,8 +195,8 @@ def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, as
     section = make(Study(tmp_path, quick=True, base=BASE, progress=shares.append))
     assert len(asked) == 1
     n = section.numbers
-    assert section.files == ["dataset.parquet"]
-    data = load_dataset(tmp_path / "dataset.parquet")
+    assert section.files == ["dataset-quick.parquet"]
+    data = load_dataset(tmp_path / "dataset-quick.parquet")
     assert data.digest() == n["sha256"]
     assert n["samples"] == len(data.run) == 9 * 640
     assert data.metadata["density"] == BASE.tuner.density
@@ -256,7 +256,7 @@ def test_the_figure_shows_each_density_by_ratio_with_labelled_axes():
     (axes,) = plot_densities(data).axes
     assert axes.get_ylabel() == "density [-]"
     names = [label.get_text() for label in axes.get_xticklabels()]
-    assert names == [f"error {a}" for a in ("roll", "pitch", "yaw", "x", "y", "z")] + [f"torque {i}" for i in range(6)]
+    assert names == [f"error {a}" for a in ("roll", "pitch", "yaw", "X", "Y", "Z")] + [f"torque {i}" for i in range(6)]
     medians = {line.get_label(): line.get_ydata() for line in axes.lines if not line.get_label().startswith("_")}
     assert list(medians) == ["0.01", "0.1", "1", "10", "100"]
     one = np.isclose(data.outputs[:, 0], data.outputs[:, 1])

@@ -164,15 +164,20 @@ def said(*comparisons):
 
 def test_the_verdict_on_a_tuner_that_loses():
     words = said(compared("(37), (38)", tuner=8.0), compared(tuner=8.0))
-    assert "On (37), (38) the tuner's pose RMSE is 8 mm: 100 % above that of 1/1 held fixed, 700 % above" in words
+    assert (
+        "Does not hold: on (37), (38) the tuner's pose RMSE is 8 mm: 100 % above that of 1/1 held fixed, 700 % above"
+        in words
+    )
     assert "best fixed pair (ratio 100)" in words
     assert "45 % on average is reached against ratio 0.01." in words
     worse = said(compared(tuner=12.0))
-    assert "45 % on average is reached against no baseline (the most is 40 %, against ratio 0.01)." in worse
+    nearest = "(the most is 40 %, against ratio 0.01, or 40 % by geometric mean)"
+    assert f"45 % on average is reached against no baseline {nearest}." in worse
 
 
 def test_the_verdict_on_a_tuner_that_wins():
     words = said(compared(tuner=0.5), compared(tuner=0.5))
+    assert words.startswith("Holds: ")
     assert "88 % below that of 1/1 held fixed, 50 % below that of the best of the nine" in words
     names = [f"ratio {r:g}" for r in RATIOS] + [BEST_FIXED, MEAN_OF_NINE, ORACLE]
     assert f"45 % on average is reached against {', '.join(names)}." in words
@@ -180,7 +185,7 @@ def test_the_verdict_on_a_tuner_that_wins():
 
 def test_the_verdict_on_runs_that_end_early():
     words = said(compared("(37), (38)", tuner=None, r1=None))
-    assert words.startswith("On (37), (38) the run under the tuner ends early.")
+    assert words.startswith("Does not hold: on (37), (38) the run under the tuner ends early.")
     assert "not comparable with the mean of the nine" in words
     assert "no baseline." in words
 
@@ -273,6 +278,15 @@ def test_the_tuner_is_the_reports_own_where_it_has_one(tmp_path):
     assert (tuner.density, tuner.window, tuner.omega_q, tuner.omega_r) == ("signed", 7, 1.0, 1.0)
 
 
+def test_a_quick_report_and_a_whole_one_in_one_folder_have_their_own_tuners(tmp_path):
+    whole, quick = Study(tmp_path), Study(tmp_path, quick=True)
+    load_network(default_network_path()).save(tmp_path / quick.name("tuner", ".json"))
+    assert whole.tuner_file == default_network_path()
+    assert quick.tuner_file == tmp_path / "tuner-quick.json"
+    assert quick.save_figure(plot_answers(RATIOS, {"a": [0.0] * 5}), "answers") == "answers-quick.png"
+    assert (tmp_path / "figures" / "answers-quick.png").is_file()
+
+
 def test_a_trajectory_takes_the_place_of_the_reference_alone():
     trajectory = Trajectory("x", "x", SineReference(amplitude=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)), 3.0)
     moved = on_trajectory(Scenario(), trajectory)
@@ -350,7 +364,7 @@ def test_a_trajectory_beyond_the_limits_is_a_row_with_its_reason(tmp_path, made_
     monkeypatch.setattr(in_the_loop, "unseen_trajectories", lambda: (far,))
     section = make(Study(tmp_path))
     assert list(section.numbers["pose_rmse_mm"]) == ["(37), (38)"]
-    ((name, weights, reason),) = section.numbers["incomplete"]
+    ((name, weights, reason),) = (row.values() for row in section.numbers["incomplete"])
     assert (name, weights) == ("far", "all")
     assert reason.startswith("not run: reference: breaks the limit")
     assert len(made_runs) == 8

@@ -117,7 +117,7 @@ def test_the_verdict_follows_from_the_numbers():
     assert text.startswith(
         "Holds: the plant converges to rigid-body mechanics, with order 1.00 in the step; at 1 ms it is 0.2 mm"
     )
-    assert "open by 1e-06 m" in text
+    assert "open by 0.001 mm" in text
     assert "at 0.5 ms it is 0.1 mm" in verdict(NUMBERS, 1e-4)
     for broken in ({"orders": [1.0, 0.1]}, {"orders": [-1.0, -1.0]}, {"position_error": [1e-4, 2e-4, 4e-4]}):
         assert verdict(NUMBERS | broken, 1e-3).startswith(
@@ -129,10 +129,10 @@ def test_the_figure_has_labelled_logarithmic_axes():
     steps = np.array(NUMBERS["step"])
     figure = plot_convergence(steps, np.array(NUMBERS["position_error"]), np.array(NUMBERS["loop_gap"]))
     (axes,) = figure.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("step [ms]", "[m]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("step [ms]", "error, gap [m]")
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0, 0.5])
     np.testing.assert_allclose(axes.lines[0].get_ydata(), NUMBERS["position_error"])
-    # The guides run through the last point with the slope that their label names.
-    np.testing.assert_allclose(axes.lines[1].get_ydata(), [4e-4, 2e-4, 1e-4])
-    np.testing.assert_allclose(axes.lines[3].get_ydata(), [4e-6, 1e-6, 2.5e-7])
+    # The guides run beside the points, not on them, with the slope that their label names.
+    np.testing.assert_allclose(axes.lines[1].get_ydata(), [2e-4, 1e-4, 5e-5])
+    np.testing.assert_allclose(axes.lines[3].get_ydata(), [2e-6, 5e-7, 1.25e-7])

@@ -252,3 +252,13 @@ def test_a_missing_picture_is_named_and_the_earlier_report_stays(tmp_path):
 def test_a_report_into_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="writable folder"):
         write_report(tmp_path / "no", "A report", "", [section()])
+
+
+def test_numbers_and_their_units_stay_on_one_line(tmp_path):
+    made = Section("k", "K", "c", "v")
+    made.table(
+        "Unbroken", ("torque [N m]", "at"), [("0.3 (-0.5 %)", "12.5 mm, 3 legs"), ("a\u00a0b", "2.5 s, 3 sides")]
+    )
+    page = to_html(to_markdown("t", "p", [made]), "t", tmp_path)
+    for text in ("torque [N\u00a0m]", "0.3 (-0.5\u00a0%)", "12.5\u00a0mm, 3 legs", "a\u00a0b", "2.5\u00a0s, 3 sides"):
+        assert f">{text}</t" in page

@@ -94,6 +94,7 @@ def test_a_report_holds_every_section_and_its_numbers(tmp_path, made):
             assert f"Claim of {key}." in text
             assert text.count(f"Verdict of {key}.") == 2
         assert "quick version" not in text
+        assert "marks a departure from the print" in text
     assert made == [(key, False) for key in KEYS]
 
 
@@ -106,6 +107,15 @@ def test_progress_rises_from_zero_to_one_and_names_the_section(tmp_path, made):
     assert calls[1] == ("first", pytest.approx(1 / 6))
     assert [key for key, _ in calls] == [key for key in KEYS for _ in range(3)]
     assert len(made) == 3
+
+
+def test_each_section_is_handed_on_as_soon_as_it_is_there(tmp_path, made):
+    seen = []
+    sections = reproduce(tmp_path, base=BASE, finished=lambda section: seen.append((section, len(made))))
+    assert seen == list(zip(sections, (1, 2, 3), strict=True))
+    again = []
+    reproduce(tmp_path, base=BASE, finished=again.append)
+    assert again == sections
 
 
 def test_the_default_base_is_the_default_scenario(tmp_path, made):

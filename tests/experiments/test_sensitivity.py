@@ -155,15 +155,15 @@ def test_swings_are_the_largest_change_of_a_factor_the_largest_first():
 
 def test_the_verdict_counts_what_breaks_and_names_what_matters_most():
     words = verdict([response(effect("a", "+", 9.0), effect("b", "+", None), effect("c", "+", 5.0))])
-    assert words.startswith("Of 3 changed runs 1 ends early, and 1 of the others has more than 2 times")
-    assert "tuner (4 mm) is most sensitive to b (ends early), a (125 %), c (25 %)." in words
+    assert words.startswith("Does not hold: of 3 changed runs 1 ends early, and 1 of the others has more than 2 times")
+    assert "Tuner (4 mm unchanged) is most sensitive to b (ends early), a (125 %), c (25 %)." in words
 
 
 def test_the_verdict_on_a_robust_controller():
     words = verdict([response(effect("a", "+", 4.1)), response(name="other", unchanged=None)])
-    assert words.startswith("Of 1 changed runs none end early, and none of the others have more than")
-    assert "tuner (4 mm) is most sensitive to a (2 %)." in words
-    assert "other: even the unchanged run ends early." in words
+    assert words.startswith("Holds in part: of 1 changed runs none end early, and none of the others have more than")
+    assert "Tuner (4 mm unchanged) is most sensitive to a (2 %)." in words
+    assert "Other: even the unchanged run ends early." in words
 
 
 # --- figures -------------------------------------------------------------------------------------------------------

@@ -248,7 +248,7 @@ def test_the_verdict_follows_the_numbers(section):
 
 def test_figures_have_labelled_axes():
     matrices = plot_matrices(state_matrix(), input_matrix(AT_HOME), output_matrix())
-    assert matrices.axes[1].get_xticklabels()[0].get_text() == "$T_1$"
+    assert matrices.axes[1].get_xticklabels()[0].get_text() == "$T_0$"
     assert len(matrices.axes[0].get_yticklabels()) == 18
     x = np.array([1.0, 0.1])
     singular = plot_singular({"Serial|mm": (x, {"conditioning": x}), "Parallel|deg": (x, {"conditioning": x})})

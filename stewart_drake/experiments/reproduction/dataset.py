@@ -103,8 +103,9 @@ def make(study: Study) -> Section:
     binding = binding_limits(base, largest)
     scenarios, logs = run_experiments(study)
     data = dataset_of(study, scenarios, logs, base.tuner.density)
-    data.save(study.folder / "dataset.parquet")
-    section.files.append("dataset.parquet")
+    file = study.name("dataset", ".parquet")
+    data.save(study.folder / file)
+    section.files.append(file)
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)
     fraction = float(np.mean(largest >= np.array(PAPER_AMPLITUDE)))
@@ -122,7 +123,7 @@ def make(study: Study) -> Section:
         "sha256": data.digest(),
     }
     _add_amplitudes(section, base)
-    _add_samples(section, base, len(scenarios))
+    _add_samples(section, base, len(scenarios), file)
     section.figure(
         "Densities (35), (36) of the nine experiments by ratio of weights: medians and 5 to 95 % bands",
         study.save_figure(plot_densities(data), "densities"),
@@ -135,13 +136,15 @@ def _add_amplitudes(section: Section, base: Scenario) -> None:
     n = section.numbers
     rows: list[tuple[str, ...]] = []
     for f, frequency in enumerate(FREQUENCIES):
-        alone = [f"{_amplitude(a, n['largest_amplitude'][f][a])} ({n['binding_limit'][f][a]})" for a in range(6)]
+        alone = [
+            f"{_amplitude(a, n['largest_amplitude'][f][a])} ({_words(n['binding_limit'][f][a])})" for a in range(6)
+        ]
         rows.append((f"{frequency:g} Hz, each axis alone", *alone))
         if f < n["bursts"]:
             rows.append((f"{frequency:g} Hz, as run", *(_amplitude(a, n["amplitude"][f][a]) for a in range(6))))
     rows.append(("paper, 1 to 5 Hz", *(_amplitude(a, PAPER_AMPLITUDE[a]) for a in range(6))))
     peak = (2.0 * np.pi * FREQUENCIES[-1]) ** 2 * PAPER_AMPLITUDE[-1]
-    limits = ", ".join(name.replace("_", " ") for name in limit_bounds(base.robot, base.limits))
+    limits = ", ".join(_words(name) for name in limit_bounds(base.robot, base.limits))
     section.text(
         "### Amplitudes\n\n"
         f"{PAPER_AMPLITUDE[-1]:g} m at {FREQUENCIES[-1]:g} Hz alone is {peak:.0f} m/s^2. The table has the largest "
@@ -150,16 +153,18 @@ def _add_amplitudes(section: Section, base: Scenario) -> None:
         "these amplitudes that is feasible; the rest is left for the overshoot of the weaker pairs. "
         f"The runs of this report have the bursts of {FREQUENCIES[0]:g} to {FREQUENCIES[n['bursts'] - 1]:g} Hz."
     )
-    section.table("Amplitude by axis", ("motion", *AXES), rows)
+    section.table(
+        "Amplitude by axis", ("motion", *(axis if i < 3 else axis.upper() for i, axis in enumerate(AXES))), rows
+    )
 
 
-def _add_samples(section: Section, base: Scenario, runs: int) -> None:
+def _add_samples(section: Section, base: Scenario, runs: int, file: str) -> None:
     n = section.numbers
     section.text(
         "### Samples\n\n"
         f"{n['samples']} samples: {runs} runs of {n['samples'] // runs} ticks of {1e3 * base.controller.period:g} ms, "
         f"window m = {base.tuner.window}, gravity {base.gravity:g} m/s^2, feedforward "
-        f"`{base.controller.feedforward}`. The file (`dataset.parquet`) carries sample time, window, amplitudes, "
+        f"`{base.controller.feedforward}`. The file (`{file}`) carries sample time, window, amplitudes, "
         "phases and the whole scenario in its metadata. Densities of runs whose weights have one ratio differ by "
         f"{n['equal_ratio_spread']:.1e} at most, of other runs by {n['next_ratio_spread']:.1e} at least."
     )
@@ -175,6 +180,10 @@ def verdict(numbers: dict[str, Any], runs: int) -> str:
         f"{feasible} of {cells} combinations of axis and frequency, each axis alone; we use the largest feasible ones. "
         f"The {runs} runs hold {numbers['distinct']} distinct sets of data."
     )
+
+
+def _words(limit: str) -> str:
+    return "pitch of the Euler angles" if limit == "euler_pitch" else limit.replace("_", " ")
 
 
 def _amplitude(axis: int, value: float) -> str:

@@ -21,6 +21,12 @@ DEPARTURES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         ("robot.py", "sdf/README.md", "workspace"),
     ),
     (
+        "Limits of joints and links",
+        "Not given. (37), (38) turns the universal joint of leg 2 by 63.1 deg on our layout.",
+        "Assumed, each a parameter: swing of every joint up to 65 deg; 60 deg would refuse the paper's own motion.",
+        ("limits.py", "sdf/README.md", "tests/test_feasibility.py", "workspace"),
+    ),
+    (
         "Balls at both ends of a rod",
         "Each rod is then free to spin about itself: six modes that nothing controls.",
         "Universal joint at the crank, ball at the platform; `plant.rod_joint: ball` gives the literal joints.",
@@ -114,7 +120,8 @@ DEPARTURES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     (
         "III.D, title",
         "Announces an ANFIS; the text describes an ANN.",
-        "The ANN: 12-10-2. Its answers are log10 of the weights, so that none comes out negative.",
+        "The ANN: 12-10-2. Its answers are log10 of the weights, so that none comes out negative, and are held "
+        "within the range of the labels, 0.1 to 10.",
         ("network.py", "training"),
     ),
     (
@@ -136,9 +143,9 @@ DEPARTURES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         ("nine_experiments",),
     ),
     (
-        "IV, sample time",
+        "IV, sample time and start",
         "Not given.",
-        "5 ms control on a 1 ms plant; other periods are reported.",
+        "5 ms control on a 1 ms plant, started on the reference's pose and velocity; other periods are reported.",
         ("nine_experiments", "sensitivity"),
     ),
     (
@@ -164,5 +171,19 @@ def make(study: Study) -> Section:
     return section
 
 
+TITLES = {
+    "kinematics": "Kinematics",
+    "force_map": "Force map",
+    "state_space": "State space and LQI",
+    "nine_experiments": "The nine experiments",
+    "dataset": "The data",
+    "training": "The network",
+    "in_the_loop": "The tuner in the loop",
+    "sensitivity": "Sensitivity and robustness",
+    "workspace": "Workspace",
+}
+"""First words of the sections' titles, by which a reader finds them."""
+
+
 def _place(name: str) -> str:
-    return f"`{name}`" if "." in name else f"section {name.replace('_', ' ')}"
+    return f"`{name}`" if "." in name else f"section *{TITLES[name]}*"

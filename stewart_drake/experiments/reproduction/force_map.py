@@ -96,7 +96,8 @@ def verdict(numbers: dict[str, Any]) -> str:
     return (
         f"{first}. The letter of (9) to (18) is off by {massless['printed, p_i unrotated'][1]:.0%} in the acceleration "
         f"without leg masses and by {table['printed, p_i unrotated'][1]:.0%} with those of Table I (medians); with "
-        f"statics by {massless['statics'][1]:.0%} and {table['statics'][1]:.0%}."
+        f"statics by {massless['statics'][1]:.0%} and {table['statics'][1]:.0%}; with all of it mended by "
+        f"{massless['massless legs'][1]:.2%} and {table['massless legs'][1]:.0%}: the rest is the mass of the legs."
     )
 
 
@@ -173,8 +174,8 @@ def _where(section: Section, study: Study, robot: RobotParameters, rng: np.rando
     ]
     section.figure(
         "The part of the true rod force that (15) sees: over the legs of random poses, and its worst leg over slices "
-        "through home. Grey is out of reach. A controller that trusts (15) asks for the inverse of this too much "
-        "torque.",
+        "through home. Grey is out of reach. A controller that trusts (15) asks for the needed torque divided by "
+        "this part.",
         study.save_figure(plot_ratio({k: v.ravel() for k, v in ratios.items()}, slices), "force_map_ratio"),
     )
 

@@ -182,9 +182,9 @@ def _ranking(
         "the motions but the first is the paper's; none is in the training data."
     )
     section.table(
-        "Pose RMSE [mm] over the second half: the tuner, each of the five controllers (their pairs), and what the nine "
-        "make together",
-        ("trajectory", "motion", "tuner", *(_heading(r, best) for r in RATIOS), MEAN_OF_NINE, ORACLE, "its ratio"),
+        "Pose RMSE [mm] over the second half: the tuner, each of the five controllers, and mean and best of the "
+        "nine pairs",
+        ("trajectory", "motion", "tuner", *(_heading(r, best) for r in RATIOS), MEAN_OF_NINE, ORACLE, "oracle's ratio"),
         [
             (c.name, t.text, c.tuner, *c.fixed.values(), c.mean_of_nine, c.oracle, c.oracle_ratio)
             for c, t in zip(comparisons, trajectories, strict=True)
@@ -306,15 +306,16 @@ def _why(section: Section, study: Study, comparisons: Sequence[Comparison], runs
 
 def _incomplete(section: Section, runs: Runs, refused: Mapping[str, str]) -> None:
     """Rows with a reason for what could not be run, or ended early."""
+    columns = ("trajectory", "weights", "reason")
     rows = [(name, "all", f"not run: {reason}") for name, reason in refused.items()]
     rows += [
         (name, "tuner" if ratio is None else f"ratio {ratio:g}", outcome(log))
         for (name, ratio), log in runs.items()
         if log.status != "completed"
     ]
-    section.numbers["incomplete"] = [list(row) for row in rows]
+    section.numbers["incomplete"] = [dict(zip(columns, row, strict=True)) for row in rows]
     if rows:
-        section.table("Not completed", ("trajectory", "weights", "reason"), rows)
+        section.table("Not completed", columns, rows)
     else:
         section.text(f"All {len(runs)} runs of the comparison completed.")
 

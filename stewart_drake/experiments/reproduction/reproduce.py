@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stewart_drake.experiments.report import Figure, Section, write_report
+from stewart_drake.experiments.reproduction.region import NEAR
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.runs import weights_text
 from stewart_drake.files import write_atomically
@@ -46,6 +47,7 @@ def reproduce(
     quick: bool = False,
     base: Scenario | None = None,
     progress: Callable[[str, float], None] | None = None,
+    finished: Callable[[Section], None] | None = None,
 ) -> list[Section]:
     """Makes the report in `folder`: report.html, report.md, report.json, figures/.
 
@@ -55,6 +57,7 @@ def reproduce(
         quick: Smaller sizes.
         base: Scenario to vary; None takes the defaults.
         progress: Called with the section at hand and the share of the whole that is done, 0 to 1.
+        finished: Called with each section as soon as it is done, or found as a finished part.
 
     Returns:
         The sections.
@@ -83,6 +86,8 @@ def reproduce(
             made = import_module(f"{__package__}.{key}").make(replace(study, progress=advance))
             section = _keep(made, path, folder)
         sections.append(section)
+        if finished is not None:
+            finished(section)
         advance(1.0)
     write_report(folder, TITLE, _preface(quick, versions), sections)
     numbers = {section.key: section.numbers for section in sections}
@@ -144,5 +149,9 @@ def _preface(quick: bool, versions: dict[str, str | None]) -> str:
     return (
         "Every number, table and figure below was computed by `stewart-drake reproduce`. Each section says what the "
         "paper claims and what came of it, and then shows the evidence. "
-        f"{size}Versions: {named}; revision {versions['git_revision'] or 'unknown'}."
+        f"{size}Versions: {named}; revision {versions['git_revision'] or 'unknown'}.\n\n"
+        "Numbers in brackets are the paper's equations. **D** marks a departure from the print; the last section lists "
+        "all. *Ratio* means omega_Q / omega_R. `printed` is the rod force (15) as it stands, `statics` the one that "
+        "balances the crank. The *near box* holds the poses around home where the controlled motions are: "
+        f"{NEAR.words}. Legs and motors are counted from 0."
     )

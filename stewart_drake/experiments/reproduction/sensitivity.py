@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.report import Section, holds
 from stewart_drake.experiments.reproduction.in_the_loop import under_tuner
 from stewart_drake.experiments.reproduction.nine_experiments import outcome, pair_of, paper_scenario
 from stewart_drake.experiments.reproduction.sensitivity_changes import Change, changes, feedforward_share, longer
@@ -114,7 +114,7 @@ def controllers(study: Study) -> dict[str, Scenario]:
 
 
 def _run(study: Study) -> list[Response]:
-    wanted = [c for c in changes(study.folder / "scaled_tuners") if c.quick or not study.quick]
+    wanted = [c for c in changes(study.folder / study.name("scaled_tuners")) if c.quick or not study.quick]
     refusals: dict[RobotParameters, str | None] = {study.base.robot: None}
     plans: list[tuple[str, Change | None, Scenario | str]] = []
     for name, base in controllers(study).items():
@@ -162,8 +162,7 @@ def _overview(section: Section, study: Study, responses: Sequence[Response]) -> 
         "moving bodies) and rods are those of the simulated robot; the controller, its feedforward included, goes on "
         "believing in the nominal ones. The window m of (35), (36) counts ticks, so another sample time is another "
         "window in seconds; the network is not trained again for either. For the network, omega_Q and omega_R are "
-        "changed at its output. Whether the controller knows gravity cannot be said in a scenario; that it must is "
-        "shown by the nine experiments."
+        "changed at its output. What comes of a controller that leaves gravity out is in the nine experiments."
     )
     every = {(e.factor, e.label): None for r in responses for e in r.effects}
     rows: list[tuple[object, ...]] = [("unchanged", "", *(c for r in responses for c in _cells(r, r.unchanged)))]
@@ -232,9 +231,9 @@ def _findings(section: Section, study: Study, responses: Sequence[Response]) -> 
         swings = response.swings("pose_mm")
         strong = [_named(factor, swing) for factor, swing in swings.items() if swing >= MATTERS]
         weak = [factor for factor, swing in swings.items() if swing <= HARDLY]
+        rest = f"; by {HARDLY:g} % at most with {', '.join(weak)}" if weak else ""
         lines.append(
-            f"- {response.name}: pose RMSE moves by {MATTERS:g} % or more with {', '.join(strong) or 'nothing'}; by "
-            f"{HARDLY:g} % at most with {', '.join(weak) or 'nothing'}."
+            f"- {response.name}: pose RMSE moves by {MATTERS:g} % or more with {', '.join(strong) or 'nothing'}{rest}."
         )
     section.text("\n".join(lines))
     base = study.base
@@ -265,18 +264,24 @@ def verdict(responses: Sequence[Response]) -> str:
     effects = [(r, e) for r in responses for e in r.effects]
     early = sum(e.score is None for _, e in effects)
     blown = sum((r.shift(e, "pose_mm") or 0.0) > 100.0 * (BLOWN_UP - 1.0) for r, e in effects)
+    steady = [r.unchanged is not None and all(e.score is not None for e in r.effects) for r in responses]
     parts = [
-        f"Of {len(effects)} changed runs {early or 'none'} {'ends' if early == 1 else 'end'} early, and "
-        f"{blown or 'none'} of the others {'has' if blown == 1 else 'have'} more than {BLOWN_UP:g} times the unchanged "
-        "error."
+        f"{holds(steady)}: of {len(effects)} changed runs {early or 'none'} {'ends' if early == 1 else 'end'} early, "
+        f"and {blown or 'none'} of the others {'has' if blown == 1 else 'have'} more than {BLOWN_UP:g} times the "
+        "unchanged error."
     ]
     for response in responses:
         if response.unchanged is None:
-            parts.append(f"{response.name}: even the unchanged run ends early.")
+            parts.append(f"{_sentence(response.name)}: even the unchanged run ends early.")
             continue
         most = [_named(factor, swing) for factor, swing in response.swings("pose_mm").items()][:3]
-        parts.append(f"{response.name} ({response.unchanged.pose_mm:.3g} mm) is most sensitive to {', '.join(most)}.")
+        what = f"{_sentence(response.name)} ({response.unchanged.pose_mm:.3g} mm unchanged)"
+        parts.append(f"{what} is most sensitive to {', '.join(most)}.")
     return " ".join(parts)
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
 
 
 def _named(factor: str, swing: float) -> str:

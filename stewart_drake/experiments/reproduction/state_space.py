@@ -119,7 +119,7 @@ def _matrices(section: Section, study: Study, robot: RobotParameters, at_home: n
     tau = force_map(robot, robot.home_pose)
     section.table(
         "The rows of B at home: tau as (22) prints, and M⁻¹ tau.",
-        ("row", *(f"tau T{i}" for i in range(1, 7)), *(f"M⁻¹ tau T{i}" for i in range(1, 7))),
+        ("row", *(f"tau T{i}" for i in range(6)), *(f"M⁻¹ tau T{i}" for i in range(6))),
         [(f"{name}''", *(f"{v:.3g}" for v in tau[i] + 0.0), *(f"{v:.3g}" for v in at_home[i] + 0.0))
          for i, name in enumerate(AXIS_NAMES)],
     )  # fmt: skip
@@ -179,7 +179,7 @@ def _hautus(section: Section, study: Study, robot: RobotParameters) -> None:
     )
     section.table(
         "First singular pose along each axis. Ranks of (28); a dash where the map is infinite.",
-        ("axis", "at", "kind", "least transmission", "conditioning", "rank printed", "rank statics",
+        ("axis", "offset from home", "kind", "least transmission", "conditioning", "rank printed", "rank statics",
          "columns of printed B not zero"),
         [
             (row["axis"], row["at"], row["kind"], f"{row['transmission']:.2g}", f"{row['conditioning']:.2g}",

@@ -42,8 +42,12 @@ class Study:
     @property
     def tuner_file(self) -> Path:
         """Weights of the tuner: those that this report's own training has left, else those of the package."""
-        own = self.folder / "tuner.json"
+        own = self.folder / self.name("tuner", ".json")
         return own if own.is_file() else default_network_path()
+
+    def name(self, stem: str, ending: str = "") -> str:
+        """Name of a file: a quick and a whole report in one folder do not overwrite each other's."""
+        return f"{stem}{'-quick' if self.quick else ''}{ending}"
 
     def pick(self, full: Any, quick: Any) -> Any:
         """One of two sizes."""
@@ -54,5 +58,6 @@ class Study:
         from stewart_drake.plotting import save_figure
 
         (self.folder / "figures").mkdir(parents=True, exist_ok=True)
-        save_figure(figure, self.folder / "figures" / f"{name}.png")
-        return f"{name}.png"
+        file = self.name(name, ".png")
+        save_figure(figure, self.folder / "figures" / file)
+        return file

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.density import DensityKind
-from stewart_drake.experiments.report import Section, cell, holds
+from stewart_drake.experiments.report import Section, holds
 from stewart_drake.experiments.reproduction.dataset import dataset_of, label_spread, run_experiments
 from stewart_drake.experiments.reproduction.study import SEED, Study
 from stewart_drake.network import TunerNetwork
@@ -103,8 +103,9 @@ def make(study: Study) -> Section:
         study.progress(0.2 + 0.6 * (index + 1) / len(cells))
     own = study.base.tuner.density
     network = results[own, "samples"].network
-    network.save(study.folder / "tuner.json")
-    section.files.append("tuner.json")
+    file = study.name("tuner", ".json")
+    network.save(study.folder / file)
+    section.files.append(file)
 
     twice = [train_network(data[own], replace(options, epochs=50)).network.to_bytes() for _ in range(2)]
     by_runs = split_samples(data[own], replace(options, split="runs"))
@@ -123,9 +124,13 @@ def make(study: Study) -> Section:
     }
     _add_scores(section, results, data, options)
     _add_limits(section, study, own)
-    section.figure("Learning curves", study.save_figure(plot_learning_curves(results), "learning_curves"))
     section.figure(
-        "What the network answers for the data of each experiment (points: medians, bars: 5 to 95 %) against the label",
+        "Learning curves: loss of each epoch, by kind of density and split",
+        study.save_figure(plot_learning_curves(results), "learning_curves"),
+    )
+    section.figure(
+        "What the network answers for the data of each experiment (points: medians, bars: 5 to 95 %) against the "
+        "label. Experiments of one label stand side by side; on the dotted line the answer would be right.",
         study.save_figure(plot_predictions(network, data[own]), "predictions"),
     )
     _add_repeatability(section, options)
@@ -169,8 +174,8 @@ def _add_limits(section: Section, study: Study, own: DensityKind) -> None:
         f"{best['ratio']:.2g}. A random split puts neighbours in time, {1e3 * study.base.controller.period:g} ms "
         f"apart, on both sides; a split by whole runs does not, but {apart} of its {runs} validation runs have data "
         "that training saw under other labels alone. With the tuner's own densities the ratio's validation R^2 is "
-        f"{cell(scores[f'{own} samples']['validation']['ratio'])} by samples and "
-        f"{cell(scores[f'{own} runs']['validation']['ratio'])} by runs."
+        f"{_short(scores[f'{own} samples']['validation']['ratio'])} by samples and "
+        f"{_short(scores[f'{own} runs']['validation']['ratio'])} by runs."
     )
 
 
@@ -193,7 +198,12 @@ def verdict(numbers: dict[str, Any]) -> str:
     learnt = [name for name in _TARGETS if scores[name] is not None and scores[name] >= LEARNT]
     return (
         f"{holds(name in learnt for name in _TARGETS[:2])}: on the validation samples R^2 is "
-        f"{cell(scores['omega_Q'])} for omega_Q, {cell(scores['omega_R'])} for omega_R and {cell(scores['ratio'])} for "
-        f"their ratio, of at most {cell(best['omega_Q'])}, {cell(best['omega_R'])} and {cell(best['ratio'])}. Learnt "
-        f"(R^2 of {LEARNT:g} or more): {' and '.join(learnt) if learnt else 'nothing'}."
+        f"{_short(scores['omega_Q'])} for omega_Q, {_short(scores['omega_R'])} for omega_R and "
+        f"{_short(scores['ratio'])} for their ratio, of at most {_short(best['omega_Q'])}, {_short(best['omega_R'])} "
+        f"and {_short(best['ratio'])}. Learnt (R^2 of {LEARNT:g} or more): "
+        f"{' and '.join(learnt) if learnt else 'nothing'}."
     )
+
+
+def _short(score: float | None) -> str:
+    return "-" if score is None else f"{score:.2g}"

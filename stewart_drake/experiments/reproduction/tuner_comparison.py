@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stewart_drake.experiments.report import holds
 from stewart_drake.experiments.reproduction.nine_experiments import PAIRS, RATIOS
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import second_half
@@ -243,21 +244,27 @@ def verdict(comparisons: Sequence[Comparison], gains: Mapping[str, Improvement])
     best = best_fixed_ratio(comparisons)
     start, oracle = gains["ratio 1"].each[0], gains[ORACLE].each[0]
     if first.tuner is None:
-        opening = f"On {first.name} the run under the tuner ends early."
+        opening = f"on {first.name} the run under the tuner ends early."
     else:
         opening = (
-            f"On {first.name} the tuner's pose RMSE is {first.tuner:.3g} mm: {_against(start)} that of 1/1 held fixed, "
+            f"on {first.name} the tuner's pose RMSE is {first.tuner:.3g} mm: {_against(start)} that of 1/1 held fixed, "
             f"{_against(oracle)} that of the best of the nine."
         )
     known = {name: gain.mean for name, gain in gains.items() if gain.mean is not None}
     reached = [name for name, mean in known.items() if mean >= CLAIMED]
     most = max(known, key=known.__getitem__, default=None)
-    nearest = "" if most is None else f" (the most is {known[most]:.0f} %, against {most})"
+    nearest = ""
+    if most is not None:
+        typical = gains[most].typical
+        by_factor = "" if typical is None else f", or {typical:.0f} % by geometric mean"
+        nearest = f" (the most is {known[most]:.0f} %, against {most}{by_factor})"
     named = BEST_FIXED if best is None else f"{BEST_FIXED} (ratio {best:g})"
+    better = [name for name in (BEST_FIXED, MEAN_OF_NINE, "ratio 1") if known.get(name, -1.0) > 0.0]
     return (
-        f"{opening} Over {len(comparisons)} trajectories its error is on average {_against(gains[MEAN_OF_NINE].mean)} "
-        f"the mean of the nine and {_against(gains[BEST_FIXED].mean)} that of the {named}. {CLAIMED:.0f} % on average "
-        f"is reached against {', '.join(reached) if reached else f'no baseline{nearest}'}."
+        f"{holds((len(better) == 3, bool(better)))}: {opening} Over {len(comparisons)} trajectories its error is on "
+        f"average {_against(gains[MEAN_OF_NINE].mean)} the mean of the nine and {_against(gains[BEST_FIXED].mean)} "
+        f"that of the {named}. {CLAIMED:.0f} % on average is reached against "
+        f"{', '.join(reached) if reached else f'no baseline{nearest}'}."
     )
 
 

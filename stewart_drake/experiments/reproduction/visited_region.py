@@ -169,7 +169,7 @@ def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
     )
     outside = [region.name for region in done if region.worst[0] > 1.0]
     if outside:
-        own += f" Poses beyond a limit were visited by: {', '.join(outside)}."
+        own += f" Poses beyond a limit were visited by: {'; '.join(outside)}."
     range_ = f"from {min(peaks):.2f} to {max(peaks):.2f} N m"
     if max(peaks) <= LARGE_SPREAD * min(peaks):
         holds = "Holds" if len(done) == runs else "Holds in part"

@@ -24,6 +24,7 @@ from stewart_drake.experiments.reproduction.visited_region import (
     region_verdict,
     visited_region,
 )
+from stewart_drake.limits import RULES, limit_bounds
 from stewart_drake.motion_envelope import envelope_of_all
 from stewart_drake.workspace_boundary import Boundary
 from stewart_drake.workspace_region import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
@@ -100,9 +101,9 @@ def _write_poses(section: Section, study: Study, poses: PoseStudy) -> None:
     section.text(
         "### What the poses allow\n\n"
         "Positions at the orientation of the centre, orientations at its position; the centre is "
-        f"{_pose_text(poses.center)}. {count:,} poses were measured at {poses.rate:,.0f} poses a second. Limits take "
-        "their parts of what the mechanism alone could reach: all that can be joined to the centre without passing a "
-        "singularity. The limits are our assumptions, because the paper gives none.\n\n"
+        f"{_pose_text(poses.center)}. {count:,} poses were measured at {poses.rate:,.0f} poses a second. What the "
+        "mechanism alone can reach is all that can be joined to the centre without passing a singularity; the limits "
+        f"take their parts of that. They are our assumptions, because the paper gives none: {_limits_words(study)}.\n\n"
         "Two kinds of singularity must be told apart. At a **serial** one a crank stands at its dead centre, "
         "e_l . e_N = 0: its motor turns without moving the platform, and no force along that rod reaches the motor. "
         "The edge of reach is made of these. At a **parallel** one the six rods' lines lose rank, sigma_min of tau_1 "
@@ -284,6 +285,20 @@ def _size_row(name: str, kind: Kind, found: Survey | None) -> tuple[str, ...]:
 
 def _end_cells(poses: PoseStudy, end: int, coordinate: int) -> tuple[str, str]:
     return f"{_SCALES[coordinate] * poses.ranges[end, coordinate]:.1f}", _limit_words(poses.cuts[end, coordinate])
+
+
+def _limits_words(study: Study) -> str:
+    """Each limit on a pose with its value; those on speeds do not act at rest."""
+    bounds = limit_bounds(study.base.robot, study.base.limits)
+    words = []
+    for name, bound in bounds.items():
+        if name == "crank_speed":
+            continue
+        if RULES[name][0] == "rad":
+            words.append(RULES[name][1].replace("{:.4g} rad", "{:.4g} deg").format(np.degrees(bound)))
+        else:
+            words.append(RULES[name][1].format(bound))
+    return "; ".join(words)
 
 
 def _limit_name(index: int) -> str | None:
