@@ -202,8 +202,8 @@ class _Job:
         return Task(index, self._sweep.run_seed(index), self._base, changes, drawn, self._source)
 
     def _crashed(self, index: int) -> Row:
-        text = f"its worker process died {ATTEMPTS} times while it ran alone: killed, out of memory, or a crash in code"
-        return empty_row(self._task(index), "crashed", "worker_died", f"{text} below Python")
+        text = "its worker process dies in it, alone too: killed, out of memory, or a crash in code below Python"
+        return empty_row(self._task(index), "crashed", "worker_died", text)
 
     def _wait(self, futures: set[Future[Any]]) -> set[Future[Any]]:
         """Those of `futures` that are done, at least one."""

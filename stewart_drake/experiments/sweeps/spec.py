@@ -88,7 +88,9 @@ class Sweep:
         data = self.base.to_dict()
         paths = [_split(key) for key in self.distributions]
         for key, path in zip(self.distributions, paths, strict=True):
-            over = next((k for k, p in zip(self.distributions, paths, strict=True) if p != path[: len(p)] == p), None)
+            over = next(
+                (k for k, p in zip(self.distributions, paths, strict=True) if p != path and path[: len(p)] == p), None
+            )
             if over is not None:
                 raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
             self._check(key, _current(data, key, "distributions."))
