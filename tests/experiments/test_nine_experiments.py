@@ -222,6 +222,17 @@ def test_a_verdict_on_runs_that_all_do_as_the_paper_says():
     assert text.endswith("The nine pairs are 9 controllers.")
 
 
+@pytest.mark.parametrize(("at_1_1", "word"), [(0.001, "Holds in part"), (0.02, "Does not hold")])
+def test_the_pair_that_section_iv_starts_from_decides_on_the_integral_states(at_1_1, word):
+    logs = {(0.0, "none", pair): with_integral(0.5) for pair in PAIRS}
+    for pair in PAIRS:
+        logs[0.0, "none", pair]["pose"][:] = with_error(0.1, 0.3)["pose"]
+    logs[0.0, "none", (1.0, 1.0)]["integral"][100, 3] = at_1_1
+    text = verdict({"controllers": 5}, logs)
+    assert text.startswith(f"{word}: ")
+    assert f"1/1 of section IV {'' if at_1_1 < 0.01 else 'not '}among them" in text
+
+
 def test_a_verdict_where_no_run_completes_has_no_factor():
     text = verdict({"controllers": 5}, {(0.0, "none", PAIRS[0]): failed(1.0)})
     assert "for 0 of the 0 that complete. With" in text
@@ -264,9 +275,10 @@ def test_the_section_covers_every_pair_gravity_and_feedforward(tmp_path, asked, 
     conditions = section.numbers["conditions"]
     assert set(conditions) == {f"gravity {g}, {f}" for g in ("0", "9.81") for f in ("none", "gravity", "platform")}
     names = [f"{q:g} / {r:g}" for q, r in PAIRS]
-    assert [row[0] for row in conditions["gravity 0, none"]] == names
+    assert [row["omega_Q / omega_R"] for row in conditions["gravity 0, none"]] == names
     for rows in conditions.values():
-        assert {row[0] for row in rows} <= set(names)
+        assert {row["omega_Q / omega_R"] for row in rows} <= set(names)
+        assert all(row["torque peak [N m]"] is not None and row["ended"] for row in rows)
         assert len(rows) == 9 or quick
         assert len(rows) >= 3
     assert shares == sorted(shares)
@@ -309,7 +321,9 @@ def test_the_time_to_failure_is_listed_by_ratio_for_each_map_and_period(tmp_path
     section = make(Study(tmp_path, False, BASE))
     times = section.numbers["time_to_failure"]
     assert set(times) == {"0.005 statics", "0.005 printed", "0.001 statics", "0.001 printed"}
-    assert times["0.001 printed"] == [0.01, 0.1, 1.0, None, None]
+    assert times["0.001 printed"] == dict(
+        zip((f"ratio {r}" for r in ("0.01", "0.1", "1", "10", "100")), (0.01, 0.1, 1.0, None, None), strict=True)
+    )
     assert section.numbers["largest_drop_mm"] == pytest.approx([1.0, 1000.0])
     words = next(i.markdown for i in section.items if isinstance(i, Text) and "Gravity and (34)" in i.markdown)
     assert "by 1.0 to 1000.0 mm below" in words
