@@ -76,4 +76,8 @@ def sweep(
 def _workplace(workers: int | None, scheduler: str | None) -> Workplace:
     from stewart_drake.experiments.sweeps.executors import DaskCluster, LocalProcesses
 
-    return LocalProcesses(workers) if scheduler is None else DaskCluster(scheduler)
+    if scheduler is None:
+        return LocalProcesses(workers)
+    cluster = DaskCluster(scheduler)
+    cluster.connect()
+    return cluster

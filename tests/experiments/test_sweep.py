@@ -420,9 +420,11 @@ def test_a_folder_that_is_a_file_is_found_before_any_run(tmp_path):
 @pytest.fixture
 def cluster():
     distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
-    # Dask itself tries a task again that lost its worker, three times if left alone; once makes the tests shorter.
+    # Dask itself tries a task again that lost its worker, three times if left alone; once makes the tests shorter. And
+    # on a busy machine a worker may take its time to come back.
+    patient = {"distributed.scheduler.allowed-failures": 1, "distributed.deploy.lost-worker-timeout": "120s"}
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        dask.config.set(patient),
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
     ):
         yield cluster

@@ -49,6 +49,9 @@ class Workplace(Protocol):
     def close(self, executor: Executor, abort: bool) -> None:
         """Ends an executor of `open`; `abort` does not wait for what it is running."""
 
+    def leave(self) -> None:
+        """Called at the end of a sweep, whatever happened before."""
+
 
 class LocalProcesses:
     """A pool of fresh processes on this machine.
@@ -75,6 +78,9 @@ class LocalProcesses:
             executor.kill()
         executor.shutdown(wait=True, cancel_futures=True)
 
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+
 
 class DaskCluster:
     """Workers of a Dask cluster; they need this package, the same version. One thread a worker serves best.
@@ -97,25 +103,36 @@ class DaskCluster:
         self._client: Any = None
         self._empty_since: float | None = None
 
-    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
-        """See `Workplace.open`."""
+    def connect(self) -> None:
+        """Connects to the scheduler, where that is not done yet.
+
+        Raises:
+            ConfigurationError: It does not answer, or has no workers.
+        """
         import distributed
 
-        connect: Any = distributed.Client  # untyped in parts
+        if self._client is not None:
+            return
+        client: Any = distributed.Client  # untyped in parts
+        try:
+            self._client = client(self.address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            why = " ".join(str(error).split())
+            allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
+            raise ConfigurationError("--scheduler", self.address, allowed) from None
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
+        except TimeoutError:
+            self.leave()
+            raise ConfigurationError("--scheduler", self.address, "a Dask cluster with workers") from None
 
-        if self._client is None:
-            try:
-                client = connect(self.address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-            except (OSError, ValueError, TypeError) as error:
-                why = " ".join(str(error).split())
-                allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
-                raise ConfigurationError("--scheduler", self.address, allowed) from None
-            try:
-                client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
-            except TimeoutError:
-                client.close()
-                raise ConfigurationError("--scheduler", self.address, "a Dask cluster with workers") from None
-            self._client = client
+    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
+        """See `Workplace.open`."""
+        self.connect()
+        try:
+            self._client.wait_for_workers(1, timeout=NO_WORKERS_TIMEOUT)
+        except TimeoutError:
+            raise self._deserted() from None
         self.workers = max(1, sum(self._client.nthreads().values()))
         # A lost worker must show, not be made good in silence beyond what the scheduler does by itself.
         return self._client.get_executor(pure=False, retries=0)
@@ -132,14 +149,23 @@ class DaskCluster:
         elif self._empty_since is None:
             self._empty_since = now
         elif now - self._empty_since > NO_WORKERS_TIMEOUT:
-            raise StewartDrakeError(f"the Dask cluster {self.address} has been without workers for too long")
+            raise self._deserted()
 
     def close(self, executor: Executor, abort: bool) -> None:
         """See `Workplace.close`."""
         executor.shutdown(wait=not abort)
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _deserted(self) -> StewartDrakeError:
+        return StewartDrakeError(
+            f"the Dask cluster {self.address} has been without workers for {NO_WORKERS_TIMEOUT:g} s; rows done are "
+            "kept. Workers started under a nanny come back by themselves"
+        )
 
 
 class Given:
@@ -168,6 +194,9 @@ class Given:
         """See `Workplace.close`."""
         self._broken = bool(getattr(executor, "_broken", False))
 
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+
 
 class SerialExecutor(Executor):
     """Runs at once, in the calling thread."""
@@ -182,10 +211,16 @@ class SerialExecutor(Executor):
         return future
 
 
-def worker_died(error: BaseException) -> bool:
-    """Whether an executor says by `error` that a worker ended in the midst of its work."""
-    # By its name: a sweep without Dask does without importing it.
-    return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
+ATTEMPTS = 2
+"""Times that a run, alone, may take its worker with it before that is its row: once could be somebody else's kill."""
+
+
+def worker_deaths(error: BaseException) -> int:
+    """How often a worker ended in the midst of its work, by what an executor says; 0 for any other failure."""
+    if isinstance(error, BrokenExecutor):
+        return 1
+    # By its name: a sweep without Dask does without importing it. The scheduler has tried several workers by itself.
+    return ATTEMPTS if type(error).__name__ == "KilledWorker" else 0
 
 
 class _Pool(ProcessPoolExecutor):

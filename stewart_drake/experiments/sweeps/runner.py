@@ -6,6 +6,7 @@ import hashlib
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.experiments.runs import weights_text
 from stewart_drake.experiments.sweeps.distributions import Choice
-from stewart_drake.experiments.sweeps.executors import Given, LocalProcesses, Workplace, worker_died
+from stewart_drake.experiments.sweeps.executors import ATTEMPTS, Given, LocalProcesses, Workplace, worker_deaths
 from stewart_drake.experiments.sweeps.one_run import Row, RunFunction, Task, empty_row, execute, simulate, warm_up
 from stewart_drake.experiments.sweeps.spec import Sweep, vary
 from stewart_drake.experiments.sweeps.store import TABLE, RowStore
@@ -25,8 +26,6 @@ from stewart_drake.versions import collect_versions
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ATTEMPTS = 2
-"""Times that a run, alone, may take its worker with it before that is its row: once could be somebody else's kill."""
 CHECK_PERIOD = 2.0
 """[s] between looks at whether workers are left."""
 
@@ -111,10 +110,13 @@ class _Job:
 
     def run(self) -> None:
         self._tell()
-        while self._waiting:
-            self._with_workers(self._together)
-        while self._suspects:
-            self._with_workers(self._alone, 1)
+        try:
+            while self._waiting:
+                self._with_workers(self._together)
+            while self._suspects:
+                self._with_workers(self._alone, 1)
+        finally:
+            self._place.leave()
 
     def _with_workers(self, work: Callable[[Executor], None], workers: int | None = None) -> None:
         executor = self._place.open(workers)
@@ -127,7 +129,8 @@ class _Job:
             # Ctrl-C can fall between the end of a run and its row.
             for future in self._under_way:
                 if future.done() and not future.cancelled() and future.exception() is None:
-                    self._keep(future.result(), tell=False)
+                    with suppress(KeyboardInterrupt):  # of `progress`
+                        self._keep(future.result())
                 future.cancel()
             raise
         finally:
@@ -143,7 +146,7 @@ class _Job:
             except (StewartDrakeError, KeyboardInterrupt):
                 raise
             except BaseException as error:
-                if worker_died(error):
+                if worker_deaths(error):
                     raise StewartDrakeError(
                         "a worker process cannot start: it was killed, or ran out of memory, or could not import the "
                         'script that called, which must be a file with the call under `if __name__ == "__main__":`'
@@ -160,7 +163,7 @@ class _Job:
                     future = self._submit(executor, self._waiting[0])
                     self._under_way[future] = self._waiting.popleft()
             except BaseException as error:
-                if not worker_died(error):
+                if not worker_deaths(error):
                     raise
                 died = True
             if not self._under_way:
@@ -168,7 +171,10 @@ class _Job:
             for future in self._wait(set(self._under_way)):
                 row = self._result(future)
                 if row is None:
-                    self._suspects.append(self._under_way[future])
+                    # In company it is not known who did it.
+                    index = self._under_way[future]
+                    self._suspects.append(index)
+                    self._deaths[index] = 0
                     died = True
                 else:
                     self._keep(row)
@@ -182,11 +188,9 @@ class _Job:
             self._under_way[future] = index
             self._wait({future})
             row = self._result(future)
-            if row is None:
-                self._deaths[index] += 1
-                if self._deaths[index] < ATTEMPTS:
-                    return
             died = row is None
+            if died and self._deaths[index] < ATTEMPTS:
+                return
             self._keep(row or self._crashed(index))
             del self._under_way[future]
             self._suspects.popleft()
@@ -220,16 +224,17 @@ class _Job:
         except (StewartDrakeError, KeyboardInterrupt):
             raise
         except BaseException as error:
-            if worker_died(error):
+            deaths = worker_deaths(error)
+            if deaths:
+                self._deaths[self._under_way[future]] += deaths
                 return None
             raise _broken(error) from error
 
-    def _keep(self, row: Row, tell: bool = True) -> None:
+    def _keep(self, row: Row) -> None:
         if row["index"] not in self._rows:
             self._store.add(row)
             self._rows[row["index"]] = row
-        if tell:
-            self._tell()
+        self._tell()
 
     def _tell(self) -> None:
         if self._progress is not None:
