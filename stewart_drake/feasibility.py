@@ -106,6 +106,10 @@ def check_motion(
 ) -> FeasibilityReport:
     """Margins to all limits along a sampled motion.
 
+    That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
+    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`, which a
+    change of the determinant's sign breaks.
+
     A pose out of reach does not raise: it is a violation of `reach`, and the samples after it are judged all the same.
 
     Args:
@@ -168,7 +172,7 @@ def check_reference(
         reference: The motion.
         duration: [s] > 0.
         gravity: [m/s^2] along -z of B.
-        samples_per_second: [1/s] at least; a peak of a 5 Hz signal is met to 5e-4 at the default.
+        samples_per_second: [1/s] at least; at the default a peak of a 5 Hz signal is met to 5e-4, of 12 Hz to 3e-3.
 
     Raises:
         ConfigurationError: A duration or rate that is not positive; as in `check_motion`.
@@ -253,7 +257,7 @@ def largest_amplitude(
     most = math.pi if axis < 3 else span + shafts + float(np.linalg.norm(middle[3:]))
     if not feasible(0.0):
         return 0.0
-    return most if feasible(most) else _bisect(feasible, 0.0, most)
+    return most if feasible(most) else bisect(feasible, 0.0, most)
 
 
 def amplitude_table(
@@ -317,12 +321,12 @@ def largest_scale(
         return low
     for high in np.linspace(0.0, 1.0, _SCALE_STEPS + 1)[1:].tolist():
         if not feasible(high):
-            return _bisect(feasible, low, high)
+            return bisect(feasible, low, high)
         low = high
     return low
 
 
-def _bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
+def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
     """The last feasible value met on the way to the boundary between `low`, feasible, and `high`, not feasible."""
     smallest = SEARCH_RTOL**2 * high
     while high - low > SEARCH_RTOL * high and high > smallest:

@@ -13,8 +13,8 @@ from pydrake.systems.framework import Context
 from stewart_drake.control_law import checked_legs
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError, RunFailure, drake_guard
-from stewart_drake.feasibility import check_reference
 from stewart_drake.log import SimulationLog, Status
+from stewart_drake.motion_fit import motion_report
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.versions import collect_versions
@@ -97,16 +97,11 @@ def check_scenario(scenario: Scenario) -> None:
 
     Raises:
         InfeasibleReferenceError: Names limit, time, leg and margin.
-        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers.
+        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers; a
+            recording cannot be read.
     """
-    reference = scenario.reference
-    # Where numbers overflow a limit is broken, or the check below names the signal; warnings would only add noise.
+    motion_report(scenario).raise_if_infeasible()
     with np.errstate(all="ignore"):
-        try:
-            report = check_reference(scenario.robot, scenario.limits, reference, scenario.duration, scenario.gravity)
-        except ConfigurationError as error:
-            raise ConfigurationError("reference", reference, f"a motion whose {error.key} stays finite") from None
-        report.raise_if_infeasible()
         try:
             checked_legs(scenario.robot, scenario.controller, scenario.start()[0])
         except RunFailure as failure:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stewart_drake.feasibility import FeasibilityReport
     from stewart_drake.log import SimulationLog
 
 
@@ -57,6 +58,21 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     table.add_column(justify="right", overflow="fold")
     for name, value in rows:
         table.add_row(name, escape(value))
+    console().print(table)
+
+
+def print_margins(title: str, report: FeasibilityReport) -> None:
+    """The smallest margin of a motion to each of its limits, with its time and place, on standard output."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left")
+    for name in ("limit", "allowed", "smallest margin", "at", "where"):
+        table.add_column(name, justify="left" if name in ("limit", "where") else "right")
+    for name, worst in report.smallest.items():
+        allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
+        margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
+        table.add_row(*map(escape, (name, allowed, margin, f"{worst.time:.3f} s", worst.where)))
     console().print(table)
 
 

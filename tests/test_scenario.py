@@ -28,12 +28,26 @@ from stewart_drake.scenario import (
     scenario_schema,
 )
 
-SHIPPED = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
+PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
+SHIPPED = (*PAPER, "breathing", "heart", "tool_path")
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
 WHOLE = [
     Scenario(),
     Scenario.from_dict({"reference": {"kind": "hold"}, "tuner": {"kind": "fixed"}, "model_robot": {}, "log_period": 1}),
     Scenario.from_dict({"reference": BURSTS}),
+    *[
+        Scenario.from_dict({"reference": reference})
+        for reference in (
+            {"kind": "breathing"},
+            {"kind": "heartbeat", "premature_beats": [3]},
+            {"kind": "tremor"},
+            {"kind": "minimum_jerk", "poses": [[0.0] * 6, [0.0] * 6], "durations": [1.0], "dwell": [0.0]},
+            {"kind": "spline", "poses": [[0.0] * 6, [0.0] * 6], "times": [0.0, 1.0]},
+            {"kind": "recorded", "motion_file": "/motion.csv"},
+            {"kind": "sum", "parts": [{"kind": "breathing"}, {"kind": "heartbeat"}], "center": [0.0] * 6},
+            {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor"}]}, "center": [0.0] * 6},
+        )
+    ],
 ]
 """Scenarios that have, between them, every key."""
 
@@ -209,6 +223,28 @@ WRONG = [
     ("reference.amplitude", {"reference": BURSTS | {"amplitude": 3}}, "a list of lists of 6 numbers"),
     ("reference.fade", {"reference": BURSTS | {"fade": 0}}, "positive"),
     ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
+    ("reference.parts", {"reference": {"kind": "sum", "parts": []}}, "at least one motion"),
+    ("reference.parts", {"reference": {"kind": "sum", "parts": 3}}, "a list of sections"),
+    ("reference.parts.0", {"reference": {"kind": "sum", "parts": [3]}}, "a section, with kind: hold, sine"),
+    ("reference.parts.0.kind", {"reference": {"kind": "sum", "parts": [{"kind": "sum", "parts": []}]}}, "recorded"),
+    (
+        "reference.parts.1.frequency",
+        {"reference": {"kind": "sum", "parts": [{"kind": "hold"}, {"kind": "breathing", "frequency": -1}]}},
+        "a positive number",
+    ),
+    (
+        "reference.motion.parts.0.hgh",
+        {"reference": {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", "hgh": 1}]}}},
+        "did you mean high?",
+    ),
+    (
+        "reference.motion.parts.0.high",
+        {"reference": {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", "high": 1}]}}},
+        "above reference.low, 6 Hz",
+    ),
+    ("reference.motion", {"reference": {"kind": "adjusted"}}, "this key is required"),
+    ("reference.premature_beats.0", {"reference": {"kind": "heartbeat", "premature_beats": [1.5]}}, "a whole number"),
+    ("reference.motion_file", {"reference": {"kind": "recorded"}}, "a text; this key is required"),
     ("duration", {"duration": "10"}, "a number (without quotes)"),
     ("duration", {"duration": "long"}, "got 'long'; allowed: a number"),
     ("duration", {"duration": 0}, "a number above 0"),
@@ -278,7 +314,7 @@ def test_a_bad_value_is_named_with_its_key_and_what_is_allowed(key, data, words)
     ids=repr,
 )
 def test_no_key_takes_a_value_that_means_nothing_there(whole, junk):
-    text = {"name", "weights_file"}
+    text = {"name", "weights_file", "motion_file"}
     for path, value in leaves(whole.to_dict()):
         fits = (isinstance(junk, str) and path[-1] in text) or (junk is True and isinstance(value, bool))
         section = path[-1] == "model_robot" and junk == {}
@@ -555,6 +591,30 @@ def test_a_weights_file_of_the_command_line_is_relative_to_where_the_command_is_
     assert scenario.tuner.weights_file == str(tmp_path / "runs" / "own.json")
 
 
+@pytest.mark.parametrize(
+    ("reference", "path"),
+    [
+        ("{kind: recorded, motion_file: own.csv}", ()),
+        ("{kind: sum, parts: [{kind: breathing}, {kind: recorded, motion_file: own.csv}]}", ("parts", 1)),
+        ("{kind: adjusted, motion: {kind: recorded, motion_file: own.csv}}", ("motion",)),
+    ],
+)
+def test_so_is_a_motion_file_however_deep_it_is(tmp_path, reference, path):
+    data = load_scenario(write(tmp_path, f"reference: {reference}\n")).to_dict()["reference"]
+    for part in path:
+        data = data[part]
+    assert data["motion_file"] == str(tmp_path / "own.csv")
+
+
+@pytest.mark.parametrize(
+    "text", ["reference: &a {kind: sum, parts: [*a]}", "reference: &a [*a]", "reference: &a {b: *a}"]
+)
+def test_a_section_that_holds_itself_is_refused(tmp_path, text):
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario(write(tmp_path, text))
+    assert one_line(caught.value).key.startswith("reference")
+
+
 def test_an_absolute_weights_file_stays(tmp_path):
     path = write(tmp_path, "tuner: {kind: ann, weights_file: /somewhere/own.json}\n")
     assert load_scenario(path).tuner.weights_file == "/somewhere/own.json"
@@ -685,7 +745,7 @@ def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(n
     for path in ("durration", "plant.time_stp", "reference.centre", "controller.perid", "tuner.omega"):
         *section, key = path.split(".")
         wrong = json.loads(json.dumps(data))
-        (wrong[section[0]] if section else wrong)[key] = 1
+        (wrong.setdefault(section[0], {}) if section else wrong)[key] = 1
         with pytest.raises(jsonschema.ValidationError):
             validator.validate(wrong)
 

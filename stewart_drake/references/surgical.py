@@ -181,7 +181,9 @@ class HeartbeatReference:
         """
         weights = np.array(self.harmonics) / np.abs(self.harmonics).max()
         order, lag = np.arange(1, len(weights) + 1), np.array(self.harmonic_phase)
-        half = 1j * order * weights * np.exp(-1j * lag)
+        # Next to the rest of the wave what is smaller would only overflow.
+        heard = np.where(np.abs(weights) > 1e-12, weights, 0.0)
+        half = 1j * order * heard * np.exp(-1j * lag)
         places = np.angle(np.roots(np.concatenate([half[::-1], [0.0], half.conj()])))
         wave = np.cos(order * places[:, None] - lag) @ weights
         return weights / (wave.max() - wave.min())
@@ -210,8 +212,8 @@ class TremorReference:
 
     T. S. Wells et al., Comparison of baseline tremor under various microsurgical conditions, IEEE SMC (2013), saw a
     peak at 6-12 Hz and errors of 0.14 to 0.29 mm RMS over three axes; the default is 0.1 mm on each, 0.17 mm in all.
-    C. N. Riviere et al., IEEE Trans. Rehabil. Eng. 6 (1998) 31 (Adaptive cancelling of physiological tremor), model it as a
-    modulated sine. That the axes are independent, and the spectrum flat within the band, is assumed.
+    C. N. Riviere, R. S. Rader, N. V. Thakor, IEEE Trans. Biomed. Eng. 45 (1998) 839, model it as a modulated sine. That
+    the axes are independent, and the spectrum flat within the band, is assumed.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION

@@ -1,0 +1,59 @@
+"""The command `check`: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from stewart_drake.errors import InfeasibleReferenceError
+from stewart_drake.terminal import print_margins
+
+
+@click.command()
+@click.argument("scenario")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. --set duration=2.")
+@click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
+@click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Write the scenario with the motion so made feasible; with one of --scale, --retime.",
+)
+def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
+    """Check the motion of SCENARIO against its limits, over the whole run, without running it.
+
+    Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
+    """
+    from stewart_drake.files import write_atomically
+    from stewart_drake.motion_fit import fit_amplitude, fit_speed, motion_report
+    from stewart_drake.scenario import load_scenario
+
+    if out is not None and scale == retime:
+        raise click.UsageError("--out needs one of --scale and --retime")
+    loaded = load_scenario(scenario, overrides)
+    report = motion_report(loaded)
+    print_margins(f"{loaded.name}, {loaded.duration:g} s", report)
+    motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
+    changes: dict[str, Any] = {}
+    if scale:
+        try:
+            changes["reference"], factor = fit_amplitude(*motion)
+            click.echo(f"feasible at {factor:.4f} of its size")
+        except InfeasibleReferenceError as error:
+            click.echo(f"feasible at no size; resting in its centre, {error}")
+    if retime:
+        try:
+            changes["reference"], factor = fit_speed(*motion)
+            changes["duration"] = factor * loaded.duration
+            click.echo(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
+        except InfeasibleReferenceError as error:
+            click.echo(f"feasible at no speed; standing still, {error}")
+    if out is not None and changes:
+        write_atomically(out, loaded.replace(changes).to_yaml().encode())
+        click.echo(f"scenario in {out}")
+
+    from stewart_drake.simulation import check_scenario
+
+    check_scenario(loaded)

@@ -1,0 +1,153 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from references.laws import check_derivatives, check_means, check_shapes, check_smooth
+from strategies import vectors
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.references import MinimumJerkReference, SplineReference
+
+six = vectors(6).map(tuple)
+lasts = st.floats(0.3, 3.0)
+
+
+@st.composite
+def moves(draw):
+    poses = draw(st.lists(six, min_size=2, max_size=5))
+    durations = tuple(draw(lasts) for _ in poses[1:])
+    dwell = draw(
+        st.just(()) | st.lists(st.floats(0.0, 1.0), min_size=len(durations), max_size=len(durations)).map(tuple)
+    )
+    return MinimumJerkReference(poses=tuple(poses), durations=durations, dwell=dwell)
+
+
+@st.composite
+def splines(draw):
+    poses = draw(st.lists(six, min_size=2, max_size=6))
+    times = draw(st.floats(0.0, 1.0)) + np.cumsum([0.0, *(draw(lasts) for _ in poses[1:])])
+    return SplineReference(times=tuple(times.tolist()), poses=tuple(poses))
+
+
+def ends(reference):
+    """Times at which pieces of the motion end."""
+    if isinstance(reference, SplineReference):
+        return np.array(reference.times)
+    dwell = reference.dwell or (0.0,) * len(reference.durations)
+    return np.cumsum(np.ravel([dwell, reference.durations], order="F"))
+
+
+@given(moves() | splines(), st.floats(-0.5, 12.0))
+def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time):
+    check_means(reference, time)
+    assume(np.abs(ends(reference) - time).min() > 3e-4)
+    check_derivatives(reference, time)
+
+
+@given(moves() | splines())
+@settings(max_examples=50)
+def test_pose_rate_and_acceleration_are_continuous_where_pieces_end(reference):
+    # 60 / T^3 times the largest step for a move; a spline through random poses may be some times as jerky.
+    jerk = 2.0 * 60.0 / 0.3**3
+    check_smooth(reference, ends(reference), jerk if isinstance(reference, MinimumJerkReference) else 20.0 * jerk)
+
+
+@given(moves() | splines(), st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
+@settings(max_examples=50)
+def test_shapes(reference, times):
+    check_shapes(reference, times)
+
+
+@given(moves() | splines(), st.floats(0.0, 1e6))
+@settings(max_examples=50)
+def test_it_rests_at_the_first_pose_before_and_at_the_last_after(reference, away):
+    first = 0.0 if isinstance(reference, MinimumJerkReference) else reference.times[0]
+    for time, pose in ((first - away, reference.poses[0]), (ends(reference)[-1] + away, reference.poses[-1])):
+        here, rate, acceleration = reference.evaluate(time)
+        np.testing.assert_allclose(here, pose, atol=1e-9)
+        np.testing.assert_allclose(rate, 0.0, atol=1e-7)
+        np.testing.assert_allclose(acceleration, 0.0, atol=1e-5)
+
+
+@given(moves())
+@settings(max_examples=50)
+def test_moves_start_and_end_at_rest_in_their_poses_and_go_straight(reference):
+    times = ends(reference)
+    for index, last in enumerate(reference.durations):
+        end = times[2 * index + 1]
+        start = end - last
+        (begun, halfway, done), rates, _ = reference.evaluate(np.array([start, start + 0.5 * last, end]))
+        first, second = np.array(reference.poses[index]), np.array(reference.poses[index + 1])
+        np.testing.assert_allclose(begun, first, atol=1e-9)
+        np.testing.assert_allclose(halfway, 0.5 * (first + second), atol=1e-9)
+        np.testing.assert_allclose(done, second, atol=1e-9)
+        # The peak of a minimum-jerk speed is 15/8 of its mean.
+        np.testing.assert_allclose(rates[1], 1.875 * (second - first) / last, atol=1e-9)
+        np.testing.assert_allclose(rates[[0, 2]], 0.0, atol=1e-9)
+
+
+def test_dwell_is_the_rest_before_a_move():
+    poses = ((0.0,) * 6, (1.0,) * 6, (0.0,) * 6)
+    reference = MinimumJerkReference(poses=poses, durations=(1.0, 2.0), dwell=(0.5, 0.25))
+    moving = np.abs(reference.evaluate(np.array([0.2, 0.49, 1.0, 1.6, 2.0, 3.7, 3.8]))[1]).max(axis=-1) > 0.0
+    assert moving.tolist() == [False, False, True, False, True, True, False]
+
+
+@given(splines())
+@settings(max_examples=50)
+def test_a_spline_goes_through_its_poses(reference):
+    np.testing.assert_allclose(reference.evaluate(np.array(reference.times))[0], reference.poses, atol=1e-8)
+
+
+def test_a_spline_is_four_times_differentiable_at_inner_poses():
+    times, poses = (0.0, 1.0, 1.5, 3.0), ((0.0,) * 6, (1.0,) * 6, (-0.5,) * 6, (0.2,) * 6)
+    reference = SplineReference(times=times, poses=poses)
+    step = 1e-3
+    for inner in times[1:-1]:
+        one_sided = []
+        for side in (-1.0, 1.0):
+            # A cubic on each side is what the acceleration of a quintic spline is: four samples give its derivatives.
+            samples = inner + side * step * np.arange(4)
+            values = reference.evaluate(samples)[2][:, 0]
+            fit = np.polynomial.polynomial.polyfit(samples - inner, values, 3)
+            one_sided.append(fit[:3])
+        np.testing.assert_allclose(one_sided[0], one_sided[1], rtol=1e-5, atol=1e-4)
+
+
+def test_a_spline_of_two_poses_is_the_minimum_jerk_move():
+    poses = ((0.0,) * 6, (0.3, -0.2, 0.1, 0.05, 0.0, 0.31))
+    times = np.linspace(-0.5, 3.0, 60)
+    spline = SplineReference(times=(0.0, 2.0), poses=poses).evaluate(times)
+    move = MinimumJerkReference(poses=poses, durations=(2.0,)).evaluate(times)
+    for one, other in zip(spline, move, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+TWO = ((0.0,) * 6, (1.0,) * 6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "key"),
+    [
+        (MinimumJerkReference, {"poses": TWO[:1], "durations": ()}, "poses"),
+        (MinimumJerkReference, {"poses": ((0.0,) * 6, (1.0,) * 5), "durations": (1.0,)}, "poses"),
+        (MinimumJerkReference, {"poses": TWO, "durations": (1.0, 1.0)}, "durations"),
+        *[(MinimumJerkReference, {"poses": TWO, "durations": (b,)}, "durations") for b in (0.0, -1.0, math.inf, "1")],
+        *[
+            (MinimumJerkReference, {"poses": TWO, "durations": (1.0,), "dwell": bad}, "dwell")
+            for bad in ((1.0, 1.0), (-1.0,), (math.nan,), ("1",))
+        ],
+        (SplineReference, {"poses": TWO[:1], "times": (0.0,)}, "poses"),
+        (SplineReference, {"poses": ((0.0,) * 6, (math.nan,) * 6), "times": (0.0, 1.0)}, "poses"),
+        *[
+            (SplineReference, {"poses": TWO, "times": bad}, "times")
+            for bad in ((0.0,), (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, math.inf), (0.0, "1"), (0.0, 1.0, 2.0))
+        ],
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(kind, keys, key):
+    with pytest.raises(ConfigurationError) as caught:
+        kind(**keys)
+    assert caught.value.key == f"reference.{key}"

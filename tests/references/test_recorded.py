@@ -1,0 +1,189 @@
+import math
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+import pyarrow.parquet as pq
+import pytest
+from references.laws import check_derivatives, check_means, check_shapes, check_smooth
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.references import RecordedReference, SineReference, center_of, recorded
+from stewart_drake.references.recorded import COLUMNS, load_recording
+
+MOTION = SineReference()
+TIMES = np.linspace(0.0, 3.0, 151)
+
+
+def table(times=TIMES, offset=0.0, **changes):
+    values = np.column_stack([times + offset, MOTION.evaluate(times)[0]])
+    return pa.table(dict(zip(COLUMNS, values.T, strict=True)) | changes)
+
+
+def save(rows, path):
+    (pc.write_csv if path.suffix == ".csv" else pq.write_table)(rows, path)
+    return path
+
+
+def reference(path, **keys):
+    return RecordedReference(motion_file=str(path), **keys)
+
+
+@pytest.mark.parametrize("name", ["motion.csv", "motion.parquet", "MOTION.CSV"])
+def test_a_recording_comes_back_row_by_row_and_smoothly_between(tmp_path, name):
+    path = save(table(offset=17.0), tmp_path / "motion.csv" if "csv" in name.lower() else tmp_path / name)
+    path = path.rename(tmp_path / name)
+    motion = reference(path)
+    np.testing.assert_allclose(motion.evaluate(TIMES)[0], MOTION.evaluate(TIMES)[0], atol=1e-12)
+    between = np.linspace(0.1, 2.9, 777)
+    # A cubic spline of step h errs by h^4, h^3 and h^2: 0.02 s of a sine of 2 rad/s and 0.52 rad.
+    for values, true, atol in zip(motion.evaluate(between), MOTION.evaluate(between), (1e-7, 2e-5, 2e-3), strict=True):
+        np.testing.assert_allclose(values, true, atol=atol)
+    np.testing.assert_array_equal(center_of(motion), motion.evaluate(0.0)[0])
+
+
+def test_rates_and_accelerations_are_the_derivatives_of_the_pose_and_do_not_jump(tmp_path):
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.1, 0.4, 12))
+    motion = reference(save(table(times), tmp_path / "motion.parquet"), settle=0.5)
+    rows = times - times[0]
+    for time in rng.uniform(0.0, rows[-1] + 1.0, 60):
+        check_means(motion, time)
+        if np.abs(np.append(rows, rows[-1] + 0.5) - time).min() > 3e-4:
+            check_derivatives(motion, time)
+    check_smooth(motion, [*rows[1:], rows[-1] + 0.5], jerk=1000.0)
+    check_shapes(motion, [0.3, 1.2, rows[-1] + 0.2, -1.0])
+
+
+def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):
+    motion = reference(save(table(), tmp_path / "motion.csv"), settle=0.4)
+    start, rate, _ = motion.evaluate(0.0)
+    np.testing.assert_allclose(start, MOTION.evaluate(0.0)[0], atol=1e-12)
+    np.testing.assert_allclose(rate, MOTION.evaluate(0.0)[1], atol=1e-3)
+    last, there, later = (motion.evaluate(time) for time in (3.0, 3.4, 1e6))
+    for pose, one, two in zip(*(there, later, motion.evaluate(3.5)), strict=True):
+        np.testing.assert_allclose(pose, one, atol=1e-12)
+        np.testing.assert_allclose(pose, two, atol=1e-12)
+    assert not later[1].any()
+    assert not later[2].any()
+    # Half of the way that the last velocity would have gone, give or take what the last acceleration does.
+    coasted = last[1] * 0.4 / 2.0 + last[2] * 0.4**2 / 12.0
+    np.testing.assert_allclose(there[0] - last[0], coasted, atol=1e-12)
+
+
+def test_time_scale_slows_it_down(tmp_path):
+    path = save(table(), tmp_path / "motion.csv")
+    plain, slow = reference(path), reference(path, time_scale=2.0)
+    for power, (fast, values) in enumerate(zip(plain.evaluate(TIMES), slow.evaluate(2.0 * TIMES), strict=True)):
+        np.testing.assert_allclose(values, fast / 2.0**power, atol=1e-9)
+
+
+def test_whole_numbers_further_columns_and_any_order_will_do(tmp_path):
+    columns = {name: [0, 1, 2, 4] for name in (*COLUMNS[::-1], "pulse")}
+    path = save(pa.table(columns | {"note": ["a", "b", "c", "d"]}), tmp_path / "motion.csv")
+    np.testing.assert_array_equal(load_recording(path), np.tile([[0], [1], [2], [4]], 7))
+
+
+def test_windows_line_ends_and_a_byte_order_mark_will_do(tmp_path):
+    rows = [",".join(COLUMNS), *(f"{i},0,0,0,0,0,0.3" for i in range(4))]
+    (tmp_path / "motion.csv").write_bytes(b"\xef\xbb\xbf" + "\r\n".join(rows).encode() + b"\r\n")
+    assert load_recording(tmp_path / "motion.csv").shape == (4, 7)
+
+
+def changed(name, row, value):
+    column = table().column(name).to_pylist()
+    column[row] = value
+    return table(**{name: column})
+
+
+BAD = {
+    "missing column": (lambda: table().drop_columns(["yaw"]), "0 columns yaw among time, roll"),
+    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "0 columns z"),
+    "nan": (lambda: changed("x", 4, math.nan), "x: got 'nan in row 5'; allowed: finite numbers"),
+    "infinite": (lambda: changed("roll", 4, math.inf), "roll: got 'inf in row 5'"),
+    "empty cell": (lambda: changed("z", 0, None), "z: got 'nan in row 1'"),
+    "time stands": (lambda: changed("time", 3, 0.04), "time: got '0.04 after 0.04 in row 4'; allowed: ascending"),
+    "time goes back": (lambda: changed("time", 150, 0.0), "'0 after 2.98 in row 151'"),
+    "three rows": (lambda: table(TIMES[:3]), "got '3 rows'; allowed: at least 4 rows"),
+    "no rows": (lambda: table(TIMES[:0]), "got '0 rows'"),
+    "words": (lambda: table(pitch=["a"] * 151), "a table of numbers"),
+}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("rows", BAD, ids=str)
+def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, rows, suffix):
+    make, words = BAD[rows]
+    path = save(make(), tmp_path / f"motion{suffix}")
+    with pytest.raises(ConfigurationError) as caught:
+        reference(path).evaluate(0.0)
+    assert caught.value.key.startswith(f"recorded motion {path}")
+    assert words in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("motion.csv", None, "No such file"),
+        ("motion.csv", b"", "a table of numbers"),
+        ("motion.csv", b"\xff\xfe\x00", "allowed"),
+        ("motion.csv", b"time,roll\n1,2,3\n", "a table of numbers"),
+        ("motion.parquet", b"time,roll\n1,2\n", "a table of numbers"),
+        ("motion.parquet", b"", "a table of numbers"),
+        ("motion.txt", b"", "ends in .csv or .parquet"),
+        ("motion", b"", "ends in .csv or .parquet"),
+        ("motion\0.csv", None, "a table of numbers"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_one_clear_line(tmp_path, name, content, words):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigurationError) as caught:
+        load_recording(tmp_path / name)
+    assert words in str(caught.value)
+
+
+def test_a_folder_and_a_twofold_column_are_refused(tmp_path):
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(ConfigurationError, match="directory"):
+        load_recording(tmp_path / "folder.csv")
+    twice = ",".join((*COLUMNS, "x")) + "\n" + "0,0,0,0,0,0,0,0\n" * 5
+    (tmp_path / "twice.csv").write_text(twice)
+    with pytest.raises(ConfigurationError, match="2 columns x"):
+        load_recording(tmp_path / "twice.csv")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_huge_recording_is_refused_before_it_is_unpacked(tmp_path, monkeypatch, suffix):
+    path = save(table(), tmp_path / f"motion{suffix}")
+    monkeypatch.setattr(recorded, "MAX_RECORDING_ROWS", 150)
+    with pytest.raises(ConfigurationError, match="151 rows"):
+        load_recording(path)
+    monkeypatch.setattr(recorded, "MAX_RECORDING_BYTES", 1000)
+    with pytest.raises(ConfigurationError, match="at most 1000 bytes"):
+        load_recording(path)
+
+
+def test_times_too_close_for_numbers_are_refused(tmp_path):
+    times = [0.0, 5e-324, 1e-323, 1.0]
+    path = save(table(np.linspace(0.0, 3.0, 4), time=times), tmp_path / "motion.parquet")
+    with pytest.raises(ConfigurationError, match="a spline can join"):
+        reference(path).evaluate(0.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"motion_file": 3}, "motion_file"),
+        *[
+            ({"motion_file": "a.csv", name: bad}, name)
+            for name in ("time_scale", "settle")
+            for bad in (0.0, -1.0, math.nan)
+        ],
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(keys, key):
+    with pytest.raises(ConfigurationError) as caught:
+        RecordedReference(**keys)
+    assert caught.value.key == f"reference.{key}"

@@ -1,0 +1,271 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from references.laws import check_derivatives, check_means, check_shapes, check_smooth
+from strategies import vectors
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.references import BreathingReference, HeartbeatReference, TremorReference
+
+six = vectors(6).map(tuple)
+breathings = st.builds(
+    BreathingReference,
+    center=six,
+    excursion=six,
+    frequency=st.floats(0.1, 0.5),
+    order=st.integers(1, 3),
+    phase=st.floats(-4.0, 4.0),
+)
+
+
+@st.composite
+def heartbeats(draw, premature=None):
+    harmonics = draw(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=6).filter(lambda a: max(map(abs, a)) > 0.1))
+    first = draw(st.lists(st.integers(2, 4), max_size=3)) if premature is None else premature
+    return HeartbeatReference(
+        center=draw(six),
+        excursion=draw(six),
+        rate=draw(st.floats(0.8, 2.5)),
+        phase=draw(six),
+        harmonics=tuple(harmonics),
+        harmonic_phase=tuple(draw(st.floats(-4.0, 4.0)) for _ in harmonics),
+        respiratory_variation=draw(st.floats(0.0, 0.4)),
+        respiratory_frequency=draw(st.floats(0.1, 0.4)),
+        slow_variation=draw(st.floats(0.0, 0.4)),
+        seed=draw(st.integers(0, 100)),
+        premature_beats=tuple(np.cumsum(first).tolist()),
+        prematurity=draw(st.floats(0.0, 0.7)),
+    )
+
+
+tremors = st.builds(
+    TremorReference, center=six, rms=six, low=st.floats(1.0, 6.0), high=st.floats(7.0, 15.0), seed=st.integers(0, 100)
+)
+
+
+@given(breathings | heartbeats(premature=()) | tremors, st.floats(-1.0, 30.0))
+def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time):
+    check_derivatives(reference, time)
+
+
+@given(heartbeats(), st.floats(0.0, 12.0))
+def test_so_they_are_with_premature_beats(reference, time):
+    check_means(reference, time)
+
+
+@given(breathings | heartbeats() | tremors, st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
+@settings(max_examples=50)
+def test_shapes(reference, times):
+    check_shapes(reference, times)
+
+
+# --- breathing ----------------------------------------------------------------------------------------------------
+
+
+@given(breathings, st.floats(0.0, 20.0), st.integers(1, 20))
+def test_breathing_repeats_every_breath(reference, time, breaths):
+    later = reference.evaluate(time + breaths / reference.frequency)
+    for first, again in zip(reference.evaluate(time), later, strict=True):
+        np.testing.assert_allclose(again, first, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_breathing_is_the_waveform_of_lujan_from_end_exhale_to_end_inhale(order):
+    reference = BreathingReference(frequency=0.2, order=order, phase=0.3)
+    times = np.linspace(0.0, 5.0, 50)
+    pose, _, _ = reference.evaluate(times)
+    z0, b, tau = 0.3, -0.012, 5.0
+    np.testing.assert_allclose(pose[:, 5], z0 - b * np.cos(np.pi * times / tau - 0.3) ** (2 * order), atol=1e-15)
+    start = BreathingReference(order=order).evaluate(0.0)
+    np.testing.assert_allclose(start[0], BreathingReference().center, atol=1e-15)
+    np.testing.assert_allclose(start[1], 0.0, atol=1e-15)
+    inhaled = BreathingReference(order=order).evaluate(2.0)[0]
+    np.testing.assert_allclose(inhaled[3:], [0.002, 0.002, 0.312], atol=1e-15)
+
+
+def test_the_higher_the_order_the_longer_breathing_stays_near_end_exhale():
+    times = np.linspace(0.0, 4.0, 4001)
+    low = [np.mean(BreathingReference(order=n).evaluate(times)[0][:, 5] < 0.306) for n in (1, 2, 3)]
+    # cos^(2n) is below a half where |cos| < 2^(-1/2n).
+    expected = [1.0 - 2.0 / math.pi * math.acos(2.0 ** (-1.0 / (2.0 * n))) for n in (1, 2, 3)]
+    np.testing.assert_allclose(low, expected, atol=1e-3)
+    assert expected[0] == pytest.approx(0.5)
+    assert expected[2] > 0.69
+
+
+# --- heartbeat ----------------------------------------------------------------------------------------------------
+
+
+def steady(**keys):
+    return HeartbeatReference(**{"respiratory_variation": 0.0, "slow_variation": 0.0} | keys)
+
+
+def beat_times(reference, duration):
+    times = np.linspace(0.0, duration, 20_001)
+    count = reference.beats(times)[0]
+    return np.interp(np.arange(math.floor(count[-1]) + 1), count, times)
+
+
+@given(st.floats(0.8, 2.5), st.floats(0.0, 10.0), st.integers(1, 30))
+def test_a_steady_heart_repeats_every_beat(rate, time, beats):
+    reference = steady(rate=rate)
+    for first, again in zip(reference.evaluate(time), reference.evaluate(time + beats / rate), strict=True):
+        np.testing.assert_allclose(again, first, atol=1e-9)
+
+
+@given(heartbeats(premature=()))
+@settings(max_examples=50)
+def test_excursion_is_from_end_to_end(reference):
+    times = np.linspace(0.0, 12.0, 12_001)
+    swing = np.ptp(reference.evaluate(times)[0], axis=0)
+    np.testing.assert_allclose(swing, np.abs(reference.excursion), rtol=5e-3, atol=1e-12)
+
+
+def test_the_wave_has_the_harmonics_that_were_asked_for():
+    reference = steady(rate=1.0, harmonics=(1.0, 0.5, 0.25), harmonic_phase=(0.3, 0.6, -0.9), phase=(0.0,) * 6)
+    z = reference.evaluate(np.arange(1000) / 1000.0)[0][:, 5] - 0.3
+    spectrum = np.fft.rfft(z) / 500.0
+    np.testing.assert_allclose(np.abs(spectrum[1:4]) / np.abs(spectrum[1]), [1.0, 0.5, 0.25], rtol=1e-9)
+    np.testing.assert_allclose(-np.angle(spectrum[1:4]), [0.3, 0.6, -0.9], atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.delete(spectrum, [1, 2, 3])), 0.0, atol=1e-12)
+
+
+@given(heartbeats(premature=()))
+@settings(max_examples=50)
+def test_the_rate_stays_within_its_variation_and_keeps_its_mean(reference):
+    times = np.linspace(0.0, 400.0, 8001)
+    count, rate, _ = reference.beats(times)
+    spread = reference.rate * (reference.respiratory_variation + reference.slow_variation)
+    assert np.abs(rate - reference.rate).max() <= spread + 1e-12
+    assert rate.min() > 0.0
+    assert count[0] == 0.0
+    # A sine of the rate moves the count by at most 2 share / omega.
+    drift = reference.respiratory_variation / reference.respiratory_frequency + reference.slow_variation / 0.04
+    assert abs(count[-1] - 400.0 * reference.rate) <= reference.rate * drift / math.pi
+
+
+def test_respiratory_sinus_arrhythmia_speeds_the_heart_up_while_breathing_in():
+    heart = HeartbeatReference(respiratory_variation=0.1, slow_variation=0.0, respiratory_frequency=0.25)
+    breath = BreathingReference(frequency=0.25)
+    times = np.linspace(0.0, 4.0, 401)
+    inhaling = breath.evaluate(times)[1][:, 5] > 1e-9
+    rate = heart.beats(times)[1]
+    assert rate[inhaling].min() >= heart.rate
+    assert rate[~inhaling].max() <= heart.rate * (1.0 + 1e-9)
+    assert rate.max() == pytest.approx(1.1 * heart.rate)
+
+
+@given(st.floats(0.8, 2.5), st.integers(1, 6), st.floats(0.05, 0.7))
+@settings(max_examples=50)
+def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prematurity):
+    reference = steady(rate=rate, premature_beats=(beat,), prematurity=prematurity)
+    times = beat_times(reference, 9.0 / rate)
+    expected = np.arange(len(times)) / rate
+    expected[beat] -= prematurity / rate
+    np.testing.assert_allclose(times, expected, atol=1e-4)
+    # Full compensatory pause: the two intervals around it make two beats.
+    assert times[beat + 1] - times[beat - 1] == pytest.approx(2.0 / rate, abs=1e-4)
+
+
+@given(heartbeats())
+@settings(max_examples=50)
+def test_a_premature_beat_leaves_the_rest_of_the_motion_alone_and_never_turns_the_heart_back(reference):
+    regular = dataclasses.replace(reference, premature_beats=())
+    times = np.linspace(0.0, 12.0, 6001)
+    count = regular.beats(times)[0]
+    beats = np.array(reference.premature_beats)[:, None]
+    touched = (np.abs(count - beats) < 1.0).any(axis=0)
+    same, other = (motion.evaluate(times)[0] for motion in (regular, reference))
+    np.testing.assert_allclose(other[~touched], same[~touched], atol=1e-9)
+    assert reference.beats(times)[1].min() > 0.0
+
+
+@pytest.mark.parametrize("beats", [(3,), (2, 4), (1, 3, 5)])
+def test_pose_rate_and_acceleration_are_continuous_across_premature_beats(beats):
+    reference = HeartbeatReference(premature_beats=beats)
+    regular = dataclasses.replace(reference, premature_beats=())
+    times = np.linspace(0.0, 8.0, 800_001)
+    count = regular.beats(times)[0]
+    ends = sorted({end for beat in beats for end in (beat - 1.0, beat - reference.prematurity, beat + 1.0)})
+    # Jerk of a beat that runs 2.3 times as fast: excursion (2 pi 5 * 2.9 Hz)^3, as a generous bound.
+    check_smooth(reference, np.interp(ends, count, times), jerk=0.006 * 90.0**3)
+    check_smooth(reference, times[::8001], jerk=0.006 * 90.0**3)
+
+
+# --- tremor -------------------------------------------------------------------------------------------------------
+
+
+def test_tremor_has_its_size_and_stays_within_its_band():
+    reference = TremorReference(rms=(1e-3, 0.0, 0.0, 1e-4, 2e-4, 3e-4), low=6.0, high=12.0, seed=3)
+    rate, duration = 200.0, 400.0
+    pose = reference.evaluate(np.arange(0.0, duration, 1.0 / rate))[0] - np.array(reference.center)
+    np.testing.assert_allclose(np.sqrt(np.mean(pose**2, axis=0)), reference.rms, rtol=0.02, atol=1e-15)
+    power = np.abs(np.fft.rfft(pose * np.hanning(len(pose))[:, None], axis=0)) ** 2
+    frequency = np.fft.rfftfreq(len(pose), 1.0 / rate)
+    for axis in (0, 3, 4, 5):
+        inside = power[(frequency > 5.98) & (frequency < 12.02), axis].sum()
+        assert inside > (1.0 - 1e-6) * power[:, axis].sum()
+        # Every quarter of the band has its share.
+        for low in (6.0, 7.5, 9.0, 10.5):
+            assert 0.2 < power[(frequency >= low) & (frequency < low + 1.5), axis].sum() / inside < 0.3
+        assert np.abs(pose[:, axis]).max() < 5.0 * reference.rms[axis]
+
+
+def test_the_axes_of_tremor_are_independent():
+    pose = TremorReference(rms=(1.0,) * 6).evaluate(np.arange(0.0, 400.0, 0.01))[0]
+    correlation = np.corrcoef(pose.T)
+    assert np.abs(correlation - np.eye(6)).max() < 0.05
+
+
+@pytest.mark.parametrize("kind", [TremorReference, HeartbeatReference])
+def test_a_seed_gives_the_same_motion_again_and_another_seed_another(kind):
+    times = np.linspace(1.0, 5.0, 50)
+    first, again, other = (kind(seed=seed).evaluate(times)[0] for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 1e-5
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "key"),
+    [
+        *[(BreathingReference, {"frequency": bad}, "frequency") for bad in (0.0, -1.0, math.inf, math.nan, "1", None)],
+        *[(BreathingReference, {"order": bad}, "order") for bad in (0, 4, 2.0, True, None)],
+        *[(BreathingReference, {"phase": bad}, "phase") for bad in (math.inf, math.nan, "1")],
+        *[(BreathingReference, {name: (0.0,) * 5}, name) for name in ("center", "excursion")],
+        *[(HeartbeatReference, {name: (math.nan,) * 6}, name) for name in ("center", "excursion", "phase")],
+        *[(HeartbeatReference, {name: 0.0}, name) for name in ("rate", "respiratory_frequency")],
+        (HeartbeatReference, {"harmonics": ()}, "harmonics"),
+        (HeartbeatReference, {"harmonics": (0.0, 0.0)}, "harmonics"),
+        (HeartbeatReference, {"harmonics": (1.0,) * 21}, "harmonics"),
+        (HeartbeatReference, {"harmonics": (1.0, math.inf)}, "harmonics"),
+        (HeartbeatReference, {"harmonics": (1.0, 0.5)}, "harmonic_phase"),
+        (HeartbeatReference, {"harmonic_phase": (1.0, math.nan)}, "harmonic_phase"),
+        (HeartbeatReference, {"respiratory_variation": -0.1}, "respiratory_variation"),
+        (HeartbeatReference, {"slow_variation": 1.1}, "slow_variation"),
+        (HeartbeatReference, {"slow_variation": 0.5, "respiratory_variation": 0.5}, "slow_variation"),
+        *[(HeartbeatReference, {"premature_beats": bad}, "premature_beats") for bad in ((0,), (3, 4), (5, 3), (2.0,))],
+        *[(HeartbeatReference, {"prematurity": bad}, "prematurity") for bad in (-0.1, 0.71, math.nan)],
+        *[(kind, {"seed": bad}, "seed") for kind in (HeartbeatReference, TremorReference) for bad in (-1, 1.0, 2**63)],
+        *[(TremorReference, {name: (0.0,) * 7}, name) for name in ("center", "rms")],
+        *[(TremorReference, {"low": bad}, "low") for bad in (0.0, math.nan)],
+        *[(TremorReference, {"high": bad}, "high") for bad in (6.0, 1.0, math.inf)],
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(kind, changes, key):
+    with pytest.raises(ConfigurationError) as caught:
+        kind(**changes)
+    assert caught.value.key == f"reference.{key}"
+
+
+def test_one_harmonic_is_a_sine():
+    reference = steady(harmonics=(1.0,), harmonic_phase=(0.0,), phase=(0.0,) * 6)
+    times = np.linspace(0.0, 2.0, 50)
+    expected = 0.3 + 0.003 * np.cos(2.0 * math.pi * 1.25 * times)
+    np.testing.assert_allclose(reference.evaluate(times)[0][:, 5], expected, atol=1e-14)
