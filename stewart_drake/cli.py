@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from stewart_drake.cli_check import check
+from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.terminal import ProgressBar, print_run, print_table
@@ -176,6 +177,7 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
 
 
 cli.add_command(check)
+cli.add_command(sweep)
 cli.add_command(workspace)
 
 
