@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import socket
 import time
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -42,6 +44,7 @@ class Task:
         changes: Scenario key -> value, see `Sweep.changes`.
         drawn: See `Sweep.draw`; goes into the row.
         source: Digest of the package's source that the worker must have.
+        attempt: How often the run has been sent; an executor may take equal tasks for one.
     """
 
     index: int
@@ -50,6 +53,7 @@ class Task:
     changes: Mapping[str, Any]
     drawn: Mapping[str, Any]
     source: str
+    attempt: int = 1
 
 
 def simulate(scenario: Scenario) -> SimulationLog:
@@ -148,7 +152,15 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
-        return empty_row(task, "raised", type(error).__name__, str(error) or type(error).__name__)
+        return empty_row(task, "raised", type(error).__name__, f"{str(error) or type(error).__name__}{_where(error)}")
+
+
+def _where(error: BaseException) -> str:
+    """Where an exception came from; nothing where that depends on how deep the stack or how full the memory was."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames or isinstance(error, (RecursionError, MemoryError)):
+        return ""
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 @lru_cache(maxsize=1)

@@ -106,6 +106,7 @@ class _Job:
         self._waiting = deque(index for index in range(sweep.runs) if index not in rows)
         self._suspects: deque[int] = deque()
         self._deaths: Counter[int] = Counter()
+        self._attempts: Counter[int] = Counter()
         self._under_way: dict[Future[Row], int] = {}
 
     def run(self) -> None:
@@ -122,7 +123,7 @@ class _Job:
         executor = self._place.open(workers)
         abort = True
         try:
-            self._warm_up(executor, self._place.workers if workers is None else workers)
+            self._warm_up(executor, workers or max(1, min(self._place.workers, len(self._waiting))))
             work(executor)
             abort = False
         except BaseException:
@@ -198,12 +199,14 @@ class _Job:
                 return
 
     def _submit(self, executor: Executor, index: int) -> Future[Row]:
+        self._attempts[index] += 1
         return executor.submit(execute, self._function, self._task(index))
 
     def _task(self, index: int) -> Task:
         drawn = self._sweep.draw(index)
         changes = {"name": self._sweep.run_name(index), **self._sweep.changes(drawn)}
-        return Task(index, self._sweep.run_seed(index), self._base, changes, drawn, self._source)
+        seed, attempt = self._sweep.run_seed(index), self._attempts[index]
+        return Task(index, seed, self._base, changes, drawn, self._source, attempt)
 
     def _crashed(self, index: int) -> Row:
         text = "its worker process dies in it, alone too: killed, out of memory, or a crash in code below Python"
