@@ -13,9 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stewart_drake.control_law import ControlLaw as ControlLaw
-    from stewart_drake.control_law import LqiOptions as LqiOptions
-    from stewart_drake.control_law import Measurement as Measurement
-    from stewart_drake.control_law import Setpoint as Setpoint
     from stewart_drake.diagram import ClosedLoop as ClosedLoop
     from stewart_drake.diagram import build_diagram as build_diagram
     from stewart_drake.errors import ConfigurationError as ConfigurationError
@@ -27,6 +24,9 @@ if TYPE_CHECKING:
     from stewart_drake.limits import Limits as Limits
     from stewart_drake.log import SimulationLog as SimulationLog
     from stewart_drake.log import load_log as load_log
+    from stewart_drake.lqi import LqiOptions as LqiOptions
+    from stewart_drake.lqi import Measurement as Measurement
+    from stewart_drake.lqi import Setpoint as Setpoint
     from stewart_drake.metrics import run_metrics as run_metrics
     from stewart_drake.network import load_network as load_network
     from stewart_drake.plant import StewartPlant as StewartPlant
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 
 _HOME = {
     "ControlLaw": "control_law",
-    "LqiOptions": "control_law",
-    "Measurement": "control_law",
-    "Setpoint": "control_law",
+    "LqiOptions": "lqi",
+    "Measurement": "lqi",
+    "Setpoint": "lqi",
     "ClosedLoop": "diagram",
     "build_diagram": "diagram",
     "ConfigurationError": "errors",

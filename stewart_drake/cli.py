@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,6 +14,9 @@ from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.terminal import ProgressBar, print_run, print_table
+
+if TYPE_CHECKING:
+    from stewart_drake.experiments.report import Section
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 
@@ -141,8 +145,18 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
 
     check_base(base)
     prepare_folder(out)
+
+    def tell(section: Section) -> None:
+        # Where the bar cannot move, in a log file say, a line for each section.
+        if not quiet and not sys.stderr.isatty():
+            click.echo(f"done: {section.title}", err=True)
+
     with ProgressBar("reproduction", 100.0, quiet, unit="%") as advance:
-        sections = make_report(out, quick, base, lambda key, share: advance(100.0 * share, key.replace("_", " ")))
+
+        def show(key: str, share: float) -> None:
+            advance(100.0 * share, key.replace("_", " "))
+
+        sections = make_report(out, quick, base, show, tell)
     if not quiet:
         print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
 

@@ -6,17 +6,28 @@ import re
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, VectorLogSink
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Demultiplexer,
+    LogVectorOutput,
+    VectorLogSink,
+    ZeroOrderHold,
+)
 
 from stewart_drake.errors import drake_guard
+from stewart_drake.estimator import EncoderOptions
 from stewart_drake.plant import StewartPlant, add_plant
+from stewart_drake.rigid_body_model import static_torque
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.ann_tuner import AnnTuner
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.lqi_controller import LqiController
+from stewart_drake.systems.motor_encoders import MotorEncoders
+from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems.ticked import TickedSystem
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -28,8 +39,8 @@ _System = TypeVar("_System")
 class ClosedLoop(Diagram):
     """Plant, sensor, reference, LQI, density features and tuner of one scenario, wired and logged.
 
-    Output ports, each also a system's own port: plant_state (nq + nv,), measurement (12,), reference (18,), torque
-    (6,), error (6,), integral (6,), weights (2,), density (12,).
+    Output ports: plant_state (nq + nv,), measurement (12,), reference (18,), torque (6,), error (6,), integral (6,),
+    weights (2,) or (4,), density (12,); with a delay also torque_applied (6,), what reaches the motors.
 
     Args:
         scenario: The run to build.
@@ -65,38 +76,69 @@ class ClosedLoop(Diagram):
         def add(name: str, system: _System) -> _System:
             return cast(_System, builder.AddNamedSystem(name, system))
 
-        sensor = add("sensor", TaskSpaceSensor(self.plant))
-        reference = add("reference", ReferenceSource(scenario.reference))
-        self.controller = add(
-            "controller", LqiController(scenario.believed_robot, scenario.controller, scenario.gravity)
+        def parts(name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
+            """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
+            rest = system.result.size() - sum(sizes)
+            split = add(name, Demultiplexer(output_ports_sizes=[*sizes, rest]))
+            builder.Connect(system.result, split.get_input_port())
+            return [split.get_output_port(k) for k in range(len(sizes))]
+
+        options, believed = scenario.controller, scenario.believed_robot
+        if isinstance(scenario.sensors, EncoderOptions):
+            encoders = add("encoders", MotorEncoders(self.plant, scenario.sensors))
+            start = scenario.start()[0]
+            estimator = add(
+                "estimator", PoseEstimator(believed, scenario.sensors, period, start, compiled=options.compiled)
+            )
+            builder.Connect(self.plant.state_output_port, encoders.plant_state)
+            builder.Connect(encoders.angles, estimator.angles)
+            (measurement,) = parts("estimate", estimator, 12)
+        else:
+            sensor = add("sensor", TaskSpaceSensor(self.plant))
+            builder.Connect(self.plant.state_output_port, sensor.plant_state)
+            measurement = sensor.measurement
+        reference = add("reference", ReferenceSource(scenario.reference, scenario.plant.time_step))
+        initial = scenario.tuner.weights
+        self.controller = add("controller", LqiController(believed, options, scenario.gravity, weights=len(initial)))
+        torque, error, integral = parts("command", self.controller, 6, 6, 6)
+        features = add(
+            "density", DensityFeatures(scenario.tuner.window, period, scenario.tuner.density, options.compiled)
         )
-        density = add("density", DensityFeatures(scenario.tuner.window, period, scenario.tuner.density))
-        initial = (scenario.tuner.omega_q, scenario.tuner.omega_r)
+        (density,) = parts("densities", features, 12)
         if network is None:
             weights = add("tuner", ConstantVectorSource(initial)).get_output_port()
         else:
-            tuner = add("tuner", AnnTuner(network, period, initial))
-            builder.Connect(density.density, tuner.density)
+            tuner = add("tuner", AnnTuner(network, period, initial, options.compiled))
+            builder.Connect(density, tuner.density)
             weights = tuner.weights
 
-        builder.Connect(self.plant.state_output_port, sensor.plant_state)
-        builder.Connect(sensor.measurement, self.controller.measurement)
+        builder.Connect(measurement, self.controller.measurement)
         builder.Connect(reference.reference, self.controller.reference)
         builder.Connect(weights, self.controller.weights)
-        builder.Connect(self.controller.error, density.error)
-        builder.Connect(self.controller.torque, density.torque)
-        builder.Connect(self.controller.torque, self.plant.torque_input_port)
+        builder.Connect(error, features.error)
+        builder.Connect(torque, features.torque)
+        # A hold passes its input on at its next update, one period later.
+        applied = torque
+        self._delays = [
+            add(f"delay_{k}", ZeroOrderHold(self.controller.period, 6)) for k in range(scenario.command_delay)
+        ]
+        for hold in self._delays:
+            builder.Connect(applied, hold.get_input_port())
+            applied = hold.get_output_port()
+        builder.Connect(applied, self.plant.torque_input_port)
 
         ports: dict[str, OutputPort] = {
             "plant_state": self.plant.state_output_port,
-            "measurement": sensor.measurement,
+            "measurement": measurement,
             "reference": reference.reference,
-            "torque": self.controller.torque,
-            "error": self.controller.error,
-            "integral": self.controller.integral,
+            "torque": torque,
+            "error": error,
+            "integral": integral,
             "weights": weights,
-            "density": density.density,
+            "density": density,
         }
+        if self._delays:
+            ports["torque_applied"] = applied
         log_period = on_grid(scenario.effective_log_period)
         self.sinks: dict[str, VectorLogSink] = {}
         for name, port in ports.items():
@@ -116,7 +158,12 @@ class ClosedLoop(Diagram):
             UnreachablePoseError: The start pose cannot be assembled.
         """
         context = self.CreateDefaultContext()
-        self.plant.set_state(context, *self.scenario.start())
+        start, rate = self.scenario.start()
+        self.plant.set_state(context, start, rate)
+        if self._delays:
+            hold_still = static_torque(self.scenario.believed_robot, start, self.scenario.gravity)
+            for delay in self._delays:
+                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
         return context
 
     def graph(self) -> str:

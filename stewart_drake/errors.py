@@ -145,6 +145,38 @@ class ForwardKinematicsError(RunFailure):
         )
 
 
+class EncoderError(RunFailure):
+    """Readings of the motor encoders that cannot be believed.
+
+    Attributes:
+        angles: (6,) [rad] the readings.
+    """
+
+    reason = "encoder"
+
+    def __init__(self, what: str, angles: np.ndarray) -> None:
+        self.angles = angles
+        super().__init__(f"encoder readings {_format_pose(angles)}: {what}")
+
+
+class AssemblyModeError(RunFailure):
+    """Forward kinematics has found another assembly mode than the one that the robot stood in.
+
+    Attributes:
+        pose: (6,) [rad, m] found.
+        last: (6,) [rad, m] of the tick before.
+    """
+
+    reason = "assembly_mode"
+
+    def __init__(self, pose: np.ndarray, last: np.ndarray) -> None:
+        self.pose, self.last = pose, last
+        super().__init__(
+            f"forward kinematics went from pose {_format_pose(last)} to {_format_pose(pose)} in one tick: "
+            "another assembly mode, or a jump"
+        )
+
+
 class RiccatiError(RunFailure):
     """The discrete Riccati equation has no stabilising solution for these matrices."""
 

@@ -58,16 +58,25 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "error": _axes("rad", "m", "measured pose minus reference at the latest tick"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
     "torque": _legs("N m", "torque commanded by the controller"),
-    "torque_applied": _legs("N m", "torque within the motor's limit"),
+    "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit"),
     "crank_angle": _legs("rad", "theta, from the horizontal"),
     "weights": SignalSpec(("omega_q", "omega_r"), ("1", "1"), "", "weights in force"),
+    "block_weights": SignalSpec(
+        ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
+    ),
     "density": SignalSpec(
         (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEGS)), ("1",) * 12, "", "density features"
     ),
     "loop_gap": _legs("m", "distance from rod end to platform joint"),
+    "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),
+    "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
     "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
 }
-"""Every signal of a log. `plant_state` has one column per entry of the plant's state, named by Drake."""
+"""Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry of
+the plant's state, named by Drake."""
+
+OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate")
+"""block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders."""
 
 
 def _state_column(name: str) -> tuple[str, str, str]:

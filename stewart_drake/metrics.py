@@ -62,8 +62,12 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         applied = log["torque_applied"]
         metrics["torque_rms"] = float(np.sqrt(np.mean(applied**2)))
         metrics["torque_peak"] = float(np.abs(applied).max())
-        metrics["saturated_fraction"] = float(np.mean(np.abs(log["torque"]) > log.scenario.robot.effort_limit))
+        size, limit = np.abs(log["torque"]), log.scenario.robot.effort_limit
+        # A controller that limits the torque itself asks for the limit and no more.
+        at_limit = size > limit if log.scenario.controller.saturation == "none" else size >= limit
+        metrics["saturated_fraction"] = float(np.mean(at_limit))
         metrics["loop_gap_max_m"] = float(log["loop_gap"].max())
+    if len(log.time) and "weights" in log.signals:
         metrics["omega_q"], metrics["omega_r"] = log["weights"].mean(axis=0).tolist()
         metrics["omega_ratio"] = float(np.exp(np.mean(np.log(log["weights"][:, 0] / log["weights"][:, 1]))))
     metrics["integral_at_5s"] = integral_at(log, INTEGRAL_TIME)

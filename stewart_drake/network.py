@@ -7,6 +7,7 @@ pickle.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,23 @@ class TunerNetwork:
         limited = np.clip(densities, -_LARGEST_DENSITY, _LARGEST_DENSITY)
         log = np.clip(self.log_weights(limited), np.log10(self.omega_min), np.log10(self.omega_max))
         return np.clip(10.0**log, self.omega_min, self.omega_max)
+
+    def compiled_weights(self) -> Callable[[np.ndarray], np.ndarray]:
+        """`weights` of one vector (12,), compiled by numba."""
+        # numba takes half a second to import, and compiles on first use.
+        from stewart_drake.compiled.tuner import weights
+
+        hidden = np.ascontiguousarray(self.hidden_weights / self.input_scale)
+        hidden_bias = self.hidden_bias - hidden @ self.input_mean
+        out = np.ascontiguousarray(self.output_weights)
+
+        def answer(densities: np.ndarray) -> np.ndarray:
+            result = np.empty(OUTPUTS)
+            low, high = self.omega_min, self.omega_max
+            weights(densities, hidden, hidden_bias, out, self.output_bias, low, high, _LARGEST_DENSITY, result)
+            return result
+
+        return answer
 
     def to_bytes(self) -> bytes:
         """The network as JSON; the same network gives the same bytes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,10 @@ from stewart_drake.errors import RiccatiError, drake_guard
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE, STATES, Discretization
 
 RiccatiSolver = Literal["drake", "split"]
+
+SMALLEST_SINGULAR_VALUE = 1e-13
+"""Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
+_ITERATIONS = 60
 
 
 def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -48,78 +53,113 @@ def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> n
 def split_gain(
     acceleration_map: np.ndarray,
     period: float,
-    weights: tuple[float, float, float, float],
+    weights: Sequence[float],
     method: Discretization = "exact",
+    length: float = 1.0,
 ) -> np.ndarray:
     """LQI gain from six 3-state problems in the singular vectors of M^-1 tau; needs no Drake.
 
     With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
-    six problems differ in r / s_i^2 alone. They are solved together by the structure-preserving doubling algorithm.
+    six problems differ in s_i alone.
 
     Args:
         acceleration_map: (6, 6) M^-1 tau.
         period: [s] control period.
         weights: q_e, q_v, q_z, r, each > 0.
         method: As in `state_space.discretize`.
+        length: [m] rotations in Q are multiplied by this; 1 is the paper, which weighs radians like metres.
 
     Returns:
         K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
-        RiccatiError: The map is singular, not finite or not (6, 6), a weight is not positive and finite, or the
-            doubling does not converge.
+        RiccatiError: The map is singular, not finite or not (6, 6), a weight is not positive and finite, or the gains
+            leave floating point.
     """
     if acceleration_map.shape != (6, 6):
         raise RiccatiError(f"M^-1 tau has the shape {acceleration_map.shape}; expected (6, 6)")
     if not np.isfinite(acceleration_map).all() or min(weights) <= 0.0 or not np.isfinite(weights).all():
         raise RiccatiError(f"no gain for weights {weights}: they and M^-1 tau must be finite, the weights positive")
-    u, s, vt = np.linalg.svd(acceleration_map)
-    if s[-1] <= 1e-13 * s[0]:
+    scale = np.array([length] * 3 + [1.0] * 3)
+    u, s, vt = np.linalg.svd(scale[:, None] * acceleration_map)
+    if s[-1] <= SMALLEST_SINGULAR_VALUE * s[0]:
         raise RiccatiError(f"M^-1 tau is singular: singular values from {s[0]:.3g} down to {s[-1]:.3g}")
-    t, (q_e, q_v, q_z, r) = period, weights
-    if method == "exact":
-        a = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [t, t * t / 2.0, 1.0]])
-        b = np.array([t * t / 2.0, t, t**3 / 6.0])
-    else:
-        a = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [t, 0.0, 1.0]])
-        b = np.array([0.0, t, 0.0])
-    q = np.diag([q_e, q_v, q_z])
-    try:
-        p = _doubling(a, np.outer(b, b) * (s * s / r)[:, None, None], q)
-    except np.linalg.LinAlgError as error:
-        raise RiccatiError(f"no gain for weights {weights}: {error}") from error
-    pb = p @ b
-    # In split coordinates the input matrix is s_i b.
-    k = s[:, None] * (pb @ a) / (r + s * s * (pb @ b))[:, None]
+    chains = chain_gains(s, period, weights, method)
+    if not np.isfinite(chains).all():
+        raise RiccatiError(f"no finite gain for weights {weights} and singular values {s[0]:.3g} to {s[-1]:.3g}")
     gain = np.empty((6, STATES))
-    v = vt.T
     for column, states in enumerate((POSITION, RATE, INTEGRAL)):
-        gain[:, states] = (v * k[:, column]) @ u.T
+        gain[:, states] = (vt.T * chains[:, column]) @ (u.T * scale)
     return gain
 
 
-def _doubling(a: np.ndarray, g: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Stabilising solutions of P = A' P (I + G P)^-1 A + H for a stack of G; (n, 3, 3).
+def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: Discretization = "exact") -> np.ndarray:
+    """Optimal gains of chains of integrators z' = e, e' = v, v' = s u, sampled with period T.
 
-    Structure-preserving doubling, E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, Int. J. Control 77 (2004) 767: A_k
-    tends to zero quadratically, H_k to P.
+    On the unit circle let x = (z - 1)(1/z - 1). The return difference times x^3 is a cubic in x. Each of its roots
+    gives a stable pole z = 1 + d by d^2 + x d + x = 0, and the gains are read off the closed loop's polynomial in d
+    (spectral factorisation, as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
+    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
+
+    Args:
+        s: (n,) > 0.
+        period: [s].
+        weights: q_e, q_v, q_z, r, each > 0.
+        method: As in `state_space.discretize`.
+
+    Returns:
+        (n, 3) k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z); NaN where the numbers leave floating point.
     """
-    identity = np.eye(3)
-    a = np.broadcast_to(a, g.shape)
-    h = np.broadcast_to(h, g.shape)
-    for _ in range(60):
-        w = identity + g @ h
-        wa = np.linalg.solve(w, a)
-        wg = np.linalg.solve(w, g)
-        at = np.swapaxes(a, -1, -2)
-        step = at @ h @ wa
-        h = h + 0.5 * (step + np.swapaxes(step, -1, -2))
-        grow = a @ wg @ at
-        g = g + 0.5 * (grow + np.swapaxes(grow, -1, -2))
-        a = a @ wa
-        size = np.abs(h).max(axis=(-2, -1))
-        if not np.isfinite(size).all():
+    t, (q_e, q_v, q_z, r) = period, (float(w) for w in weights)
+    s = np.asarray(s, dtype=float)
+    with np.errstate(all="ignore"):
+        g = s * s / r
+        a0 = g * (q_z * t**6)
+        if method == "exact":
+            a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
+            a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
+        else:
+            a1, a2 = g * (q_e * t**4), g * (q_v * t**2)
+        x = np.stack([_cubic_roots(*abc) for abc in zip(a2, a1, a0, strict=True)])
+        # The roots of d^2 + x d + x are z - 1 and 1/z - 1; stable is the one with |1 + d| < 1.
+        root = np.sqrt(x * x - 4.0 * x)
+        large = -0.5 * np.where((x.conj() * root).real >= 0.0, x + root, x - root)
+        small = x / large
+        d = np.where(np.abs(1.0 + large) < np.abs(1.0 + small), large, small)
+        c2 = -d.sum(axis=1).real
+        c1 = (d[:, 0] * d[:, 1] + d[:, 0] * d[:, 2] + d[:, 1] * d[:, 2]).real
+        c0 = -d.prod(axis=1).real
+        if method == "exact":
+            c2, c1 = c2 - 0.5 * (c1 - c0) - c0 / 6.0, c1 - c0
+        return np.stack([c1 / (s * t * t), c2 / (s * t), c0 / (s * t**3)], axis=-1)
+
+
+def _cubic_roots(a2: float, a1: float, a0: float) -> np.ndarray:
+    """Roots of x^3 + a2 x^2 + a1 x + a0, a0 > 0, each to its own relative accuracy; (3,) complex.
+
+    O. Aberth's simultaneous iteration (Math. Comp. 27 (1973) 339) from circles that the Newton polygon suggests
+    (D. Bini, Numer. Algorithms 13 (1996) 179): the roots may lie twenty decades apart.
+    """
+    size, x, low = np.abs([a0, a1, a2, 1.0]), np.empty(3, complex), 0
+    if not np.isfinite(size).all() or size[0] == 0.0:
+        return np.full(3, np.nan, complex)
+    while low < 3:
+        radii = [(size[low] / size[k]) ** (1.0 / (k - low)) if size[k] > 0.0 else np.inf for k in range(low + 1, 4)]
+        radius = min(radii)
+        to = max(k for k, value in zip(range(low + 1, 4), radii, strict=True) if value == radius)
+        for k in range(low, to):
+            x[k] = radius * np.exp(1j * (2.0 * np.pi * (k - low) / (to - low) + 2.3 + 0.7 * k))
+        low = to
+    for _ in range(_ITERATIONS):
+        moved = 0.0
+        for i in range(3):
+            value = ((x[i] + a2) * x[i] + a1) * x[i] + a0
+            if value == 0.0:
+                continue
+            newton = value / ((3.0 * x[i] + 2.0 * a2) * x[i] + a1)
+            move = newton / (1.0 - newton * sum(1.0 / (x[i] - x[j]) for j in range(3) if j != i))
+            x[i] -= move
+            moved = max(moved, abs(move) / abs(x[i]))
+        if not moved > 1e-15:
             break
-        if (np.abs(step).max(axis=(-2, -1)) <= 1e-16 * size).all():
-            return h
-    raise RiccatiError("the doubling algorithm did not converge in 60 steps")
+    return x

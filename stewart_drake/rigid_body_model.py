@@ -17,6 +17,7 @@ from stewart_drake.kinematics import (
     pose_rate_to_twist,
     rod_lines,
     rotation_matrix,
+    twist_jacobian,
 )
 from stewart_drake.robot import RobotParameters
 
@@ -148,6 +149,25 @@ def task_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     inertia[..., :3, :3] += (rotation * np.array(robot.platform_inertia)) @ np.swapaxes(rotation, -1, -2)
     inertia[..., 3:, 3:] += robot.platform_mass * np.eye(3)
     return inertia
+
+
+def pose_acceleration_map(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+    """Second derivative of the pose per unit of motor torque, E^-1 M^-1 J'; the exact counterpart of M^-1 tau in (10).
+
+    Args:
+        robot: Geometry and masses.
+        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
+
+    Returns:
+        (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
+
+    Raises:
+        UnreachablePoseError: As in `inverse_kinematics`.
+    """
+    pose = np.asarray(pose, dtype=float)
+    result = np.linalg.solve(task_inertia(robot, pose), np.swapaxes(twist_jacobian(robot, pose), -1, -2))
+    result[..., :3, :] = np.linalg.solve(euler_rate_matrix(pose[..., :3]), result[..., :3, :])
+    return result
 
 
 def _task_wrench(

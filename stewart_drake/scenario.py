@@ -27,10 +27,12 @@ from pydantic import (
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
-from stewart_drake.control_law import ControlLaw, LqiOptions
+from stewart_drake.control_law import ControlLaw
 from stewart_drake.density import DensityKind
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.estimator import EncoderOptions
 from stewart_drake.limits import Limits
+from stewart_drake.lqi import LqiOptions
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
@@ -50,10 +52,6 @@ class _Section(BaseModel):
 
 
 class _Tuner(_Section):
-    omega_q: Annotated[Real, Field(gt=0.0)] = 1.0
-    """omega_Q of (27); for a network, its value before the first inference."""
-    omega_r: Annotated[Real, Field(gt=0.0)] = 1.0
-    """omega_R of (27); for a network, its value before the first inference."""
     density: DensityKind = "magnitude"
     """Kind of density (35), (36); for a network, the one that it was trained on."""
     window: Annotated[Count, Field(ge=1, le=100_000)] = 49
@@ -69,13 +67,50 @@ class _Tuner(_Section):
             raise explain(cls, error, data, "tuner") from None
 
 
-class FixedTuner(_Tuner):
+class _PairTuner(_Tuner):
+    omega_q: Annotated[Real, Field(gt=0.0)] = 1.0
+    """omega_Q of (27); for a network, its value before the first inference."""
+    omega_r: Annotated[Real, Field(gt=0.0)] = 1.0
+    """omega_R of (27); for a network, its value before the first inference."""
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights at the start, as the controller takes them."""
+        return self.omega_q, self.omega_r
+
+
+class FixedTuner(_PairTuner):
     """Weights that stay as given; densities are logged all the same."""
 
     kind: Literal["fixed"] = "fixed"
 
 
-class AnnTuner(_Tuner):
+class BlockTuner(_Tuner):
+    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`."""
+
+    kind: Literal["block"] = "block"
+    q_pose: Annotated[Real, Field(gt=0.0)]
+    """Weight of the pose's error."""
+    q_rate: Annotated[Real, Field(gt=0.0)]
+    """Weight of its rate."""
+    q_integral: Annotated[Real, Field(gt=0.0)]
+    """Weight of its integral."""
+    r: Annotated[Real, Field(gt=0.0)] = 1.0
+    """Weight of the torques."""
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights as the controller takes them."""
+        return self.q_pose, self.q_rate, self.q_integral, self.r
+
+
+class IdealSensors(_Section):
+    """Pose and rate of the platform, exact."""
+
+    kind: Literal["ideal"] = "ideal"
+
+
+class AnnTuner(_PairTuner):
     """Weights from the neural network of Fig. 5."""
 
     kind: Literal["ann"] = "ann"
@@ -111,8 +146,12 @@ class Scenario(_Section):
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
     controller: LqiOptions = Field(default_factory=LqiOptions)
     """The LQI."""
-    tuner: Annotated[FixedTuner | AnnTuner, Field(discriminator="kind")] = Field(default_factory=AnnTuner)
-    """Where omega_Q and omega_R come from."""
+    tuner: Annotated[FixedTuner | AnnTuner | BlockTuner, Field(discriminator="kind")] = Field(default_factory=AnnTuner)
+    """Where the weights come from."""
+    sensors: Annotated[IdealSensors | EncoderOptions, Field(discriminator="kind")] = Field(default_factory=IdealSensors)
+    """What the controller sees of the robot."""
+    command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
+    """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     limits: Limits = Field(default_factory=Limits)
     """What the reference must keep to; checked before the run."""
     log_period: Annotated[Real, Field(gt=0.0)] | None = None
@@ -130,7 +169,7 @@ class Scenario(_Section):
         scenario._check()
         return scenario
 
-    @field_validator("robot", "model_robot", "plant", "reference", "controller", "limits", mode="before")
+    @field_validator("robot", "model_robot", "plant", "reference", "controller", "limits", "sensors", mode="before")
     @classmethod
     def _unpack(cls, section: Any) -> Any:
         # A section made in Python is checked like one from a file; otherwise an array in it would only show at the end.
@@ -230,7 +269,7 @@ class Scenario(_Section):
             self.load_tuner_network(),
             self.tuner.density,
             self.tuner.window,
-            (self.tuner.omega_q, self.tuner.omega_r),
+            self.tuner.weights,
         )
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:

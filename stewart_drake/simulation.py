@@ -10,10 +10,11 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from stewart_drake.control_law import checked_legs
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError, RunFailure, drake_guard
+from stewart_drake.estimator import EncoderOptions
 from stewart_drake.log import SimulationLog, Status
+from stewart_drake.lqi import checked_legs
 from stewart_drake.motion_fit import motion_report
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
@@ -126,7 +127,8 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
     multiple = np.round(time_on_grid / scenario.plant.time_step)
     limit = scenario.robot.effort_limit
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])
-    return {
+    weights = "weights" if values["weights"].shape[1] == 2 else "block_weights"
+    signals = {
         "time": multiple * scenario.plant.time_step,
         "pose": pose,
         "pose_rate": pose_rate,
@@ -136,10 +138,14 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
         "error": values["error"],
         "integral": values["integral"],
         "torque": values["torque"],
-        "torque_applied": np.clip(values["torque"], -limit, limit),
+        "torque_applied": np.clip(values.get("torque_applied", values["torque"]), -limit, limit),
         "crank_angle": plant.crank_angles(values["plant_state"]),
-        "weights": values["weights"],
+        weights: values["weights"],
         "density": values["density"],
         "loop_gap": plant.loop_gap(values["plant_state"]),
         "plant_state": values["plant_state"],
     }
+    if isinstance(scenario.sensors, EncoderOptions):
+        signals["measured_pose"] = values["measurement"][:, :6]
+        signals["measured_pose_rate"] = values["measurement"][:, 6:]
+    return signals

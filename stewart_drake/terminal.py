@@ -95,9 +95,10 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         rows += [
             ("torque RMS, peak", f"{metrics['torque_rms']:.3f}, {metrics['torque_peak']:.3f} N m"),
             ("share of torques at the limit", f"{metrics['saturated_fraction']:.2%}"),
-            ("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"),
             ("largest loop gap", f"{metrics['loop_gap_max_m']:.2e} m"),
         ]
+    if metrics["omega_q"] is not None:
+        rows.append(("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"))
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
     print_table(log.scenario.name, rows)

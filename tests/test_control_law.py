@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.control_law import ControlLaw, LqiOptions, Measurement, Setpoint, checked_legs, lqi_tick
+from stewart_drake.control_law import ControlLaw
 from stewart_drake.density import density
 from stewart_drake.errors import (
     ConfigurationError,
@@ -21,6 +21,7 @@ from stewart_drake.errors import (
     UnreachablePoseError,
 )
 from stewart_drake.kinematics import conditioning, leg_geometry, pose_jacobian, reach_margin, twist_jacobian
+from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, checked_legs, initial_memory, lqi_tick
 from stewart_drake.rigid_body_model import static_torque
 
 GRAVITY = 9.81
@@ -35,7 +36,8 @@ few = settings(max_examples=30)
 def tick(pose=HOME, rate=REST, setpoint=None, weights=WEIGHTS, integral=REST, gravity=GRAVITY, robot=ROBOT, **options):
     setpoint = Setpoint(HOME, REST, REST) if setpoint is None else setpoint
     options = LqiOptions(**{"solver": "split", **options})
-    return lqi_tick(robot, options, gravity, Measurement(pose, rate), setpoint, np.asarray(weights), integral)
+    memory = initial_memory()._replace(integral=integral)
+    return lqi_tick(robot, options, gravity, Measurement(pose, rate), setpoint, np.asarray(weights), memory)
 
 
 def potential_energy(pose):
@@ -366,7 +368,8 @@ def test_the_law_runs_where_drake_is_not_installed(tmp_path, network):
         "import sys, json\n"
         "sys.modules.update(pydrake=None, torch=None, pyarrow=None, matplotlib=None)\n"
         "import numpy as np\n"
-        "from stewart_drake.control_law import ControlLaw, LqiOptions, Measurement, Setpoint\n"
+        "from stewart_drake.control_law import ControlLaw\n"
+        "from stewart_drake.lqi import LqiOptions, Measurement, Setpoint\n"
         "from stewart_drake.network import load_network\n"
         "from stewart_drake.robot import RobotParameters\n"
         "robot = RobotParameters()\n"

@@ -18,7 +18,7 @@ from stewart_drake.simulation import run
 DIAGRAMS = ROOT / "diagrams"
 SCRIPTS = ["open_loop", "fixed_weight_lqi", "ann_tuned_lqi"]
 PORTS = {"measurement": 12, "reference": 18, "torque": 6, "error": 6, "integral": 6, "weights": 2, "density": 12}
-SYSTEMS = {"plant", "sensor", "reference", "controller", "density", "tuner"}
+SYSTEMS = {"command", "densities", "plant", "sensor", "reference", "controller", "density", "tuner"}
 
 
 def scenario(**keys):

@@ -60,6 +60,18 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
         assert feasible(robot, adjusted(reference, slowdown=slower), slower * duration)
 
 
+def test_the_whole_motion_is_slowed_and_checked_to_its_end():
+    late = dataclasses.replace(BEATS, premature_beats=(4,))
+    worst = check_reference(WEAK, LIMITS, late, 2.1, GRAVITY).smallest["torque"]
+    _, slowdown = fit_speed(WEAK, LIMITS, late, 2.1, GRAVITY)
+    # Slowed, the worst of it comes after the motion as given would have ended.
+    assert slowdown * worst.time > 2.1
+    at_worst = slowdown * worst.time + np.linspace(-0.05, 0.05, 101)
+    slowed = adjusted(late, slowdown=slowdown)
+    margins = limit_margins(WEAK, LIMITS, *slowed.evaluate(at_worst), GRAVITY)["torque"]
+    assert 0.0 <= margins.min() < 1e-3
+
+
 def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)

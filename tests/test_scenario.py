@@ -9,9 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.control_law import ControlLaw, LqiOptions, Measurement, Setpoint
+from stewart_drake.control_law import ControlLaw
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.limits import Limits
+from stewart_drake.lqi import LqiOptions, Measurement, Setpoint
 from stewart_drake.network import default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineReference
@@ -29,7 +30,7 @@ from stewart_drake.scenario import (
 )
 
 PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
-SHIPPED = (*PAPER, "breathing", "heart", "tool_path")
+SHIPPED = (*PAPER, "breathing", "exact_fig7", "heart", "tool_path")
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
 WHOLE = [
     Scenario(),
@@ -198,9 +199,9 @@ WRONG = [
     ("robot", {"robot": 3}, "a section"),
     ("robot", {"robot": None}, "a section"),
     ("plant", {"plant": [1]}, "a section"),
-    ("tuner", {"tuner": "ann"}, "fixed or ann"),
-    ("tuner.kind", {"tuner": {}}, "fixed or ann; this key is required"),
-    ("tuner.kind", {"tuner": {"kind": "anm"}}, "fixed or ann"),
+    ("tuner", {"tuner": "ann"}, "fixed, ann or block"),
+    ("tuner.kind", {"tuner": {}}, "fixed, ann or block; this key is required"),
+    ("tuner.kind", {"tuner": {"kind": "anm"}}, "fixed, ann or block"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
     ("reference.kind", {"reference": {"center": []}}, "spline, recorded, sum or adjusted; this key is required"),
     ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine, sine_bursts, breathing"),
@@ -273,7 +274,7 @@ WRONG = [
     ("controller.period", {"plant": {"time_step": 0.01}}, "a whole multiple of the plant's time step 0.01 s"),
     ("controller.period", nested("controller.period", 0.005000001), "a whole multiple"),
     ("controller.force_map", nested("controller.force_map", "print"), "printed or statics"),
-    ("controller.feedforward", nested("controller.feedforward", True), "none, gravity or platform"),
+    ("controller.feedforward", nested("controller.feedforward", True), "none, gravity, platform or full"),
     ("controller.min_transmission", nested("controller.min_transmission", 1.0), "between 0 and 1"),
     ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
     ("limits.reach", nested("limits.reach", "x"), "a number, or null"),

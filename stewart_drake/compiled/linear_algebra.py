@@ -10,7 +10,7 @@ SWEEPS = 30
 
 
 @njit(cache=True, error_model="numpy")
-def solve(matrix: np.ndarray, right: np.ndarray) -> bool:
+def solve(matrix: np.ndarray, right: np.ndarray) -> float:
     """Gaussian elimination with partial pivoting, in place; reference `numpy.linalg.solve`.
 
     Args:
@@ -18,9 +18,10 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> bool:
         right: (n, k); becomes the solution.
 
     Returns:
-        False where a pivot is zero or not finite; `right` is then worthless.
+        Sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then worthless.
     """
     n, k = right.shape
+    sign = 1.0
     for i in range(n):
         best, row = -1.0, i
         for j in range(i, n):
@@ -28,12 +29,15 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> bool:
             if size > best:
                 best, row = size, j
         if not (best > 0.0 and best < np.inf):
-            return False
+            return 0.0
         if row != i:
+            sign = -sign
             for j in range(i, n):
                 matrix[i, j], matrix[row, j] = matrix[row, j], matrix[i, j]
             for j in range(k):
                 right[i, j], right[row, j] = right[row, j], right[i, j]
+        if matrix[i, i] < 0.0:
+            sign = -sign
         inverse = 1.0 / matrix[i, i]
         for j in range(i + 1, n):
             factor = matrix[j, i] * inverse
@@ -48,11 +52,11 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> bool:
             for j in range(i + 1, n):
                 value -= matrix[i, j] * right[j, m]
             right[i, m] = value / matrix[i, i]
-    return True
+    return sign
 
 
 @njit(cache=True, error_model="numpy")
-def singular_vectors(matrix: np.ndarray, s: np.ndarray, v: np.ndarray) -> None:
+def singular_vectors(matrix: np.ndarray, s: np.ndarray, v: np.ndarray, tolerance: float) -> None:
     """Singular values by one-sided Jacobi rotations (Hestenes), in place; reference `numpy.linalg.svd`.
 
     Small singular values keep their relative accuracy. Not sorted.
@@ -61,6 +65,7 @@ def singular_vectors(matrix: np.ndarray, s: np.ndarray, v: np.ndarray) -> None:
         matrix: (n, n), rows are the vectors that are rotated; row i becomes s_i times the left vector u_i.
         s: (n,) out.
         v: (n, n) out; row i is the right vector: matrix' = sum of s_i u_i v_i', for the transposed matrix given.
+        tolerance: Cosine between rows at which they count as orthogonal. The singular values' error is its square.
     """
     n = matrix.shape[0]
     for i in range(n):
@@ -76,7 +81,7 @@ def singular_vectors(matrix: np.ndarray, s: np.ndarray, v: np.ndarray) -> None:
                     aa += x * x
                     bb += y * y
                     ab += x * y
-                if abs(ab) <= 1e-15 * np.sqrt(aa * bb):
+                if ab * ab <= tolerance * tolerance * aa * bb:
                     continue
                 turned = True
                 zeta = (bb - aa) / (2.0 * ab)

@@ -13,15 +13,15 @@ ITERATIONS = 60
 def chain_gain(
     s: float, period: float, q_e: float, q_v: float, q_z: float, r: float, exact: bool, gain: np.ndarray
 ) -> bool:
-    """Gain u = -(k_e e + k_v v + k_z z) of one chain z' = e, e' = v, v' = s u, sampled; reference `riccati.chain_gains`.
-
-    On the unit circle let x = (z - 1)(1/z - 1). The return difference times x^3 is a cubic in x; each of its roots
-    gives one stable pole z = 1 + d by d^2 + x d + x = 0, and the gains follow from the closed loop's polynomial in d.
+    """Gain u = -(k_e e + k_v v + k_z z) of one chain of integrators; reference, with derivation: `riccati.chain_gains`.
 
     Args:
         s: Singular value of the scaled M^-1 tau, > 0.
         period: [s].
-        q_e: Weight of e. q_v: of v. q_z: of z. r: of u. All > 0.
+        q_e: Weight of e, > 0.
+        q_v: Weight of v, > 0.
+        q_z: Weight of z, > 0.
+        r: Weight of u, > 0.
         exact: Zero-order hold; else Euler.
         gain: (3,) out: k_e, k_v, k_z.
 
@@ -35,10 +35,9 @@ def chain_gain(
         a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
     else:
         a1, a2 = g * q_e * t**4, g * q_v * t**2
-    # Aberth's iteration from points on circles that the Newton polygon suggests: sizes may lie 20 decades apart.
     x = np.empty(3, np.complex128)
     _starts(a2, a1, a0, x)
-    for step in range(ITERATIONS):
+    for _ in range(ITERATIONS):
         moved = 0.0
         for i in range(3):
             z = x[i]
@@ -56,7 +55,8 @@ def chain_gain(
             moved = max(moved, abs(move) / abs(x[i]))
         if not moved < np.inf:
             return False
-        if moved < 1e-15:
+        # The iteration is of third order: this step's length is the cube root of what is left.
+        if moved < 1e-7:
             break
     # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1; the stable one has |1 + d| < 1.
     d = np.empty(3, np.complex128)

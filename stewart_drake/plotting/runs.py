@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
-from stewart_drake.log import SimulationLog
+from stewart_drake.log import SIGNALS, SimulationLog
 from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 
 DPI = 150
@@ -182,6 +182,9 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
 
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
     both, ratio = panels
+    if "weights" not in log.signals:
+        _plot_block_weights(panels, log)
+        return
     weights = log["weights"]
     # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
     for index, (color, width, label) in enumerate(
@@ -199,6 +202,19 @@ def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
         panel.yaxis.set_major_formatter("{x:g}")
         panel.yaxis.set_minor_formatter(NullFormatter())
         _widen(panel, 2.0)
+
+
+def _plot_block_weights(panels: np.ndarray, log: SimulationLog) -> None:
+    blocks = log["block_weights"]
+    for panel, columns, title in ((panels[0], range(3), "Weights of the states"), (panels[1], [3], "Of the torques")):
+        for index in columns:
+            name = SIGNALS["block_weights"].components[index]
+            _draw(panel, log.time, blocks[:, index], color=_AXIS_COLORS[index % 3], label=name, held=True)
+        _title(panel, title)
+        panel.set_ylabel("weight [-]")
+        panel.set_yscale("log")
+        _widen(panel, 2.0)
+        _legend(panel)
 
 
 def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.network import TunerNetwork
@@ -19,24 +20,35 @@ class AnnTuner(LeafSystem):
     weights. Until the first inference they are `initial`; they are never zero and never outside the range that the
     network was trained on.
 
+    Args:
+        network: Trained.
+        period: [s] tick period.
+        initial: omega_Q, omega_R before the first inference.
+        compiled: See `LqiOptions.compiled`.
+
     Ports:
         density: in (12,) [-].
         weights: out (2,), omega_Q, omega_R.
     """
 
-    def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
+    def __init__(
+        self,
+        network: TunerNetwork,
+        period: float,
+        initial: Sequence[float] = (1.0, 1.0),
+        compiled: bool = False,
+    ) -> None:
         super().__init__()
-        self._network = network
+        self._weights = network.compiled_weights() if compiled else network.weights
         self.density = self.DeclareVectorInputPort("density", 12)
         index = self.DeclareDiscreteState(np.clip(initial, network.omega_min, network.omega_max))
         self.weights = self.DeclareStateOutputPort("weights", index)
-        # Unrestricted, as in `TickedSystem`, so that every system of the loop updates from the same instant.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
+        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
 
-    def _update(self, context: Context, state: State) -> None:
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         features = self.density.Eval(context)
-        if not np.isfinite(features).all():
+        if not math.isfinite(np.add.reduce(features)):
             error = NotFiniteError("density", features)
             error.time = context.get_time()
             raise error
-        state.get_mutable_discrete_state().set_value(self._network.weights(features))
+        discrete_state.set_value(self._weights(features))

@@ -8,21 +8,43 @@ import numpy as np
 from pydrake.systems.framework import Context, LeafSystem
 
 from stewart_drake.references import Reference
+from stewart_drake.sampling import on_grid
+
+_ROWS = 256
 
 
 class ReferenceSource(LeafSystem):
     """A reference motion as a signal.
 
+    Args:
+        reference: The motion.
+        period: [s] at whose multiples the signal is mostly asked for; they are evaluated some hundred at a time, which
+            costs a tenth. Other times are answered too.
+
     Ports:
         reference: out (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
     """
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: Reference, period: float | None = None) -> None:
         super().__init__()
         self._reference = reference
+        self._period = None if period is None else on_grid(period)
+        # What was computed last, a memory of a pure function; two runs of one Diagram may share it.
+        self._table: tuple[int, np.ndarray, np.ndarray] = (-1, np.empty(0), np.empty(0))
         self.reference = self.DeclareVectorOutputPort(
             "reference", 18, self._calc, prerequisites_of_calc={self.time_ticket()}
         )
 
     def _calc(self, context: Context, output: Any) -> None:
-        output.SetFromVector(np.concatenate(self._reference.evaluate(context.get_time())))
+        time = context.get_time()
+        if self._period is None:
+            output.SetFromVector(np.concatenate(self._reference.evaluate(time)))
+            return
+        block, row = divmod(round(time / self._period), _ROWS)
+        if block != self._table[0]:
+            times = np.arange(block * _ROWS, (block + 1) * _ROWS) * self._period
+            self._table = block, times, np.concatenate(self._reference.evaluate(times), axis=-1)
+        if self._table[1][row] == time:
+            output.SetFromVector(self._table[2][row])
+        else:
+            output.SetFromVector(np.concatenate(self._reference.evaluate(time)))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
 
 from stewart_drake.errors import RunFailure
 from stewart_drake.sampling import on_grid
@@ -21,8 +21,11 @@ class TickedSystem(LeafSystem):
 
     A torque kept in discrete state would reach the plant one plant step late, because both update at once from what was
     there before. Here the result of a tick is computed on demand (and cached) as soon as an output is asked for at the
-    tick's time, and the update event then stores it; until the next tick outputs repeat it. State, in the Context: the
-    result vector, and the number of ticks done.
+    tick's time, and the discrete update then stores it; until the next tick outputs repeat it. State, in the Context:
+    the result vector, and last in it the number of ticks done.
+
+    The plant must step in a discrete update too, as `plant.add_plant` makes it: a `MultibodyPlant` with sampled outputs
+    (Drake's default) steps before all discrete updates of its instant, and what is stored would see it one step late.
 
     Args:
         period: [s] tick period; ticks at 0, period, 2 period, ...
@@ -30,53 +33,54 @@ class TickedSystem(LeafSystem):
 
     Attributes:
         period: [s] as Drake has it, see `sampling.on_grid`; the period for a log of every tick.
+        result: Port (n + 1,), all of the result and the number of ticks done. Each port that is a part of it costs a
+            call of Python where it is asked for; a Demultiplexer on this one does not.
     """
+
+    result: OutputPort
 
     def __init__(self, period: float, initial: np.ndarray) -> None:
         super().__init__()
         self.period = on_grid(period)
-        self._result_index = self.DeclareDiscreteState(np.asarray(initial, dtype=float))
-        self._ticks_index = self.DeclareDiscreteState([0.0])
-        # Drake takes unrestricted updates before discrete ones. So a tick is stored before the plant steps, whether
-        # that step is discrete (as `plant.add_plant` makes it) or unrestricted (Drake's default, with sampled outputs).
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
+        self._size = len(initial) + 1
+        self.DeclareDiscreteState(np.append(np.asarray(initial, dtype=float), 0.0))
+        self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def _declare_result(self) -> None:
-        """Declares the cached result; called once the input ports exist."""
-        self._result = self.DeclareCacheEntry(
-            description="result of the present tick",
-            value_producer=ValueProducer(allocate=lambda: AbstractValue.Make([None]), calc=self._calc),
+        """Declares the port `result`; called once the input ports exist."""
+        self.result = self.DeclareVectorOutputPort(
+            "result",
+            self._size,
+            self._calc,
             prerequisites_of_calc={self.time_ticket(), self.xd_ticket(), self.all_input_ports_ticket()},
         )
 
-    def _declare_output(self, name: str, start: int, size: int) -> Any:
+    def _declare_output(self, name: str, start: int, size: int) -> OutputPort:
         """A vector output that is a slice of the result."""
 
         def calc(context: Context, output: Any) -> None:
-            output.SetFromVector(self.result(context)[start : start + size])
+            output.SetFromVector(self.result.Eval(context)[start : start + size])
 
-        return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc={self._result.ticket()})
-
-    def result(self, context: Context) -> np.ndarray:
-        """(n,) result of the latest tick at or before the context's time."""
-        return self._result.Eval(context)[0]
+        ticket = self.get_output_port(self.result.get_index()).cache_entry().ticket()
+        return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc={ticket})
 
     @abstractmethod
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """The result (n,) of a tick from the inputs in `context` and the result of the tick before."""
 
-    def _calc(self, context: Context, cache: Any) -> None:
-        held = context.get_discrete_state(self._result_index).value()
-        if context.get_time() / self.period * _AHEAD + 1e-6 < context.get_discrete_state(self._ticks_index).value()[0]:
-            cache.set_value([held.copy()])
+    def _calc(self, context: Context, output: Any) -> None:
+        held = context.get_discrete_state(0).value()
+        now = context.get_time() / self.period
+        values = output.get_mutable_value()
+        if now * _AHEAD + 1e-6 < held[-1]:
+            values[:] = held
             return
         try:
-            cache.set_value([self.tick(context, held)])
+            values[:-1] = self.tick(context, held[:-1])
         except RunFailure as error:
             error.time = context.get_time()
             raise
+        values[-1] = math.floor(now + 1e-6) + 1.0
 
-    def _store(self, context: Context, state: State) -> None:
-        discrete_state = state.get_mutable_discrete_state()
-        discrete_state.set_value(self._result_index, self.result(context))
-        discrete_state.set_value(self._ticks_index, [np.floor(context.get_time() / self.period + 1e-6) + 1.0])
+    def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
+        discrete_state.set_value(0, self.result.Eval(context))

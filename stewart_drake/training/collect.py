@@ -17,7 +17,7 @@ from stewart_drake.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import Vector6
-from stewart_drake.scenario import FixedTuner, Scenario
+from stewart_drake.scenario import AnnTuner, Scenario
 from stewart_drake.training.dataset import Dataset
 
 OMEGAS = (0.1, 1.0, 10.0)
@@ -142,7 +142,7 @@ def dataset_from_logs(
 
 def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
     if log.status != "completed" or len(log.time) < samples:
-        omega_q, omega_r = log.scenario.tuner.omega_q, log.scenario.tuner.omega_r
+        omega_q, omega_r = log.scenario.tuner.weights
         raise RunFailure(
             f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "
             f"{log.message}"
@@ -187,8 +187,10 @@ def collect_dataset(
     from stewart_drake.simulation import run
 
     base = Scenario() if base is None else base
-    if isinstance(base.tuner, FixedTuner):
-        raise ConfigurationError("tuner.kind", "fixed", "ann: its density and window settings are those of the data")
+    if not isinstance(base.tuner, AnnTuner):
+        raise ConfigurationError(
+            "tuner.kind", base.tuner.kind, "ann: its density and window settings are those of the data"
+        )
     scenarios = experiment_scenarios(base, samples)
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)

@@ -5,8 +5,8 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import LqiOptions, RobotParameters, build_diagram, build_plant, load_scenario
-from stewart_drake.control_law import lqi_gain
 from stewart_drake.force_map import force_map
+from stewart_drake.lqi import lqi_gain
 from stewart_drake.state_space import mass_diagonal
 
 SECONDS = 0.5

@@ -328,6 +328,7 @@ def test_the_command_makes_the_report_and_prints_each_verdict(call, made):
         assert f"The {key}" in out
         assert f"Verdict of {key}." in out
     assert "100 / 100 %" in err
+    assert [line for line in err.splitlines() if line.startswith("done: ")] == [f"done: The {key}" for key in KEYS]
     assert "runs/reproduction/report.html" in out
     assert Path("runs/reproduction/report.html").is_file()
     assert made == [(key, True) for key in KEYS]

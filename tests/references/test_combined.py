@@ -45,6 +45,12 @@ def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time
     check_derivatives(reference, time)
 
 
+@given(sines | sums, st.floats(0.3, 2.0), st.floats(0.5, 2.0), st.floats(0.01, 0.99))
+def test_so_they_are_while_it_fades_in(motion, fade_in, slowdown, share):
+    reference = AdjustedReference(motion=motion, scale=0.7, fade_in=fade_in, slowdown=slowdown)
+    check_derivatives(reference, share * fade_in * slowdown)
+
+
 @given(sums | adjusted, st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
 @settings(max_examples=50)
 def test_shapes(reference, times):

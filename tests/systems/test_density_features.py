@@ -46,7 +46,7 @@ def test_ports():
     system = DensityFeatures(49, PERIOD)
     assert {p.get_name(): p.size() for p in (system.error, system.torque)} == {"error": 6, "torque": 6}
     assert (system.density.get_name(), system.density.size()) == ("density", 12)
-    assert (system.num_input_ports(), system.num_output_ports()) == (2, 1)
+    assert (system.num_input_ports(), system.num_output_ports()) == (2, 2)
 
 
 @pytest.mark.parametrize("kind", ["magnitude", "signed"])

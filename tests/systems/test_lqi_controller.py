@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.control_law import LqiOptions, Measurement, Setpoint, lqi_tick
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import NotFiniteError, SingularPoseError
+from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, initial_memory, lqi_tick
 from stewart_drake.plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
@@ -27,10 +27,10 @@ def fixed(system, measurement, reference, weights):
 def test_ports():
     system = LqiController(ROBOT, OPTIONS, GRAVITY)
     inputs = {system.get_input_port(i).get_name(): system.get_input_port(i).size() for i in range(3)}
-    outputs = {system.get_output_port(i).get_name(): system.get_output_port(i).size() for i in range(3)}
+    outputs = {system.get_output_port(i).get_name(): system.get_output_port(i).size() for i in range(4)}
     assert inputs == {"measurement": 12, "reference": 18, "weights": 2}
-    assert outputs == {"torque": 6, "error": 6, "integral": 6}
-    assert (system.num_input_ports(), system.num_output_ports()) == (3, 3)
+    assert outputs == {"result": 138, "torque": 6, "error": 6, "integral": 6}
+    assert (system.num_input_ports(), system.num_output_ports()) == (3, 4)
     assert system.GetInputPort("weights").get_index() == system.weights.get_index()
     assert system.GetOutputPort("torque").get_index() == system.torque.get_index()
 
@@ -42,14 +42,14 @@ def test_a_tick_is_the_pure_function(pose, rate, reference, log_ratio):
     reference = reference + np.concatenate([pose, np.zeros(12)])
     weights = np.array([10.0**log_ratio, 1.0])
     context = fixed(system, np.concatenate([pose, rate]), reference, weights)
-    integral = np.zeros(6)
+    memory = initial_memory()
     for k in range(3):
         context.SetTime(k * system.period)
         setpoint = Setpoint(reference[:6], reference[6:12], reference[12:])
-        expected = lqi_tick(ROBOT, OPTIONS, GRAVITY, Measurement(pose, rate), setpoint, weights, integral)
+        expected = lqi_tick(ROBOT, OPTIONS, GRAVITY, Measurement(pose, rate), setpoint, weights, memory)
         for name in ("torque", "error", "integral"):
             np.testing.assert_array_equal(system.GetOutputPort(name).Eval(context), getattr(expected, name))
-        integral = expected.integral
+        memory = expected
         store(system, context)
 
 

@@ -22,19 +22,13 @@ class Clock(LeafSystem):
 
 
 class Counter(LeafSystem):
-    """Stands for a plant: counts its own steps, in a discrete or, like MultibodyPlant, in an unrestricted update."""
+    """Stands for a plant: counts its own steps."""
 
-    def __init__(self, period, kind):
+    def __init__(self, period):
         super().__init__()
         index = self.DeclareDiscreteState([0.0])
         self.DeclareStateOutputPort("count", index)
-        period = on_grid(period)
-        if kind == "unrestricted":
-            self.DeclarePeriodicUnrestrictedUpdateEvent(
-                period, 0.0, lambda context, state: self.step(context, state.get_mutable_discrete_state())
-            )
-        else:
-            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.step)
+        self.DeclarePeriodicDiscreteUpdateEvent(on_grid(period), 0.0, self.step)
 
     def step(self, context, discrete):
         discrete.set_value([context.get_discrete_state_vector()[0] + 1.0])
@@ -48,10 +42,10 @@ class Follower(LeafSystem):
         self.DeclareVectorInputPort("seen", size)
         index = self.DeclareDiscreteState(size)
         self.DeclareStateOutputPort("kept", index)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(on_grid(period), 0.0, self.step)
+        self.DeclarePeriodicDiscreteUpdateEvent(on_grid(period), 0.0, self.step)
 
-    def step(self, context, state):
-        state.get_mutable_discrete_state().set_value(self.EvalVectorInput(context, 0).value())
+    def step(self, context, discrete):
+        discrete.set_value(self.EvalVectorInput(context, 0).value())
 
 
 class Sampler(TickedSystem):
@@ -116,12 +110,11 @@ def test_a_tick_is_done_once_however_often_it_is_read():
 PERIODS = [(0.001, 0.005), (0.0001, 0.001), (0.001, 0.001), (0.001, 0.002), (1 / 3000, 1 / 600), (1 / 7000, 1 / 700)]
 
 
-@pytest.mark.parametrize("kind", ["unrestricted", "discrete"])
 @pytest.mark.parametrize(("step", "period"), PERIODS)
-def test_tick_k_sees_the_plant_of_its_own_instant_and_that_is_what_is_kept(step, period, kind):
+def test_tick_k_sees_the_plant_of_its_own_instant_and_that_is_what_is_kept(step, period):
     # The plant's update of the same instant must not leak into the tick, nor into what is stored of it.
     ratio = round(period / step)
-    diagram, sinks = wire(Counter(step, kind), Sampler(period), log_period=step)
+    diagram, sinks = wire(Counter(step), Sampler(period), log_period=step)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(2000.4 * step)
     log = sinks[0].FindLog(simulator.get_context())
@@ -134,7 +127,7 @@ def test_tick_k_sees_the_plant_of_its_own_instant_and_that_is_what_is_kept(step,
 def test_what_a_tick_says_acts_from_that_instant_on(step, period):
     ratio = round(period / step)
     builder = DiagramBuilder()
-    counter = builder.AddSystem(Counter(step, "unrestricted"))
+    counter = builder.AddSystem(Counter(step))
     sampler = builder.AddSystem(Sampler(period))
     follower = builder.AddSystem(Follower(step, 1))
     builder.Connect(counter.get_output_port(), sampler.input)
@@ -170,6 +163,15 @@ def test_state_lives_in_the_context():
     assert read(diagram, other.get_context())[:2] == (0.5, 2.0)
     assert read(diagram, one.get_context())[:2] == (3.5, 8.0)
     assert read(diagram, diagram.CreateDefaultContext())[:2] == (0.0, 1.0)
+
+
+def test_the_result_is_a_port_too_with_the_ticks_done_at_its_end():
+    sampler = Sampler(0.5)
+    diagram, _ = wire(Clock(), sampler)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(1.2)
+    result = sampler.result.Eval(sampler.GetMyContextFromRoot(simulator.get_context()))
+    np.testing.assert_allclose(result, [1.0, 3.0, 1.5, 3.0], rtol=1e-9)
 
 
 @pytest.mark.parametrize("stop", [0.0, 0.25, 1.0, 1.3])

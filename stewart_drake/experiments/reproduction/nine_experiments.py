@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.control_law import lqi_gain
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.report import Section, holds
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.force_map import ForceMapKind
 from stewart_drake.log import SimulationLog
+from stewart_drake.lqi import lqi_gain
 from stewart_drake.metrics import INTEGRAL_TIME, integral_at, run_metrics, second_half, tracking_error
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY

@@ -1,0 +1,259 @@
+"""One tick of the LQI."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from stewart_drake.compiled.linear_algebra import singular_vectors, solve
+from stewart_drake.compiled.mechanism import (
+    CRANK_LENGTH,
+    EFFORT,
+    NO_GAIN,
+    NOT_FINITE,
+    OK,
+    PARALLEL,
+    PLATFORM_INERTIA,
+    PLATFORM_MASS,
+    SERIAL,
+    UNREACHABLE,
+    angular_velocity,
+    euler_drift,
+    euler_rates,
+    inverse_dynamics,
+    leg_vectors,
+    line_conditioning,
+    rod_lines,
+    rotation,
+    scalar,
+    task_inertia,
+)
+from stewart_drake.compiled.riccati import chain_gain
+from stewart_drake.riccati import SMALLEST_SINGULAR_VALUE
+
+
+@njit(cache=True, error_model="numpy")
+def acceleration_map(
+    robot: np.ndarray, exact: bool, printed: bool, pose: np.ndarray, legs: np.ndarray, lines: np.ndarray,
+    turn: np.ndarray, out: np.ndarray,
+) -> bool:  # fmt: skip
+    """Transpose of M^-1 tau: row i is the acceleration of the pose per unit of motor i.
+
+    References `state_space.acceleration_map` (paper) and `rigid_body_model.pose_acceleration_map` (exact); out (6, 6).
+    """
+    a = scalar(robot, CRANK_LENGTH)
+    if not exact:
+        for i in range(6):
+            force = legs[i, 12] / a if printed else 1.0 / (a * legs[i, 12])
+            for k in range(3):
+                out[i, k] = lines[i, k] * force / scalar(robot, PLATFORM_INERTIA + k)
+                out[i, 3 + k] = lines[i, 3 + k] * force / scalar(robot, PLATFORM_MASS)
+        return True
+    inertia, columns = np.empty((6, 6)), np.empty((6, 6))
+    task_inertia(robot, legs, lines, turn, inertia)
+    for i in range(6):
+        force = 1.0 / (a * legs[i, 12])
+        for k in range(6):
+            columns[k, i] = lines[i, k] * force
+    if solve(inertia, columns) == 0.0:
+        return False
+    for i in range(6):
+        for k in range(6):
+            out[i, k] = columns[k, i]
+        euler_rates(pose[:3], out[i, :3])
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def split_gain(
+    map_transposed: np.ndarray, length: float, period: float, weights: np.ndarray, exact_hold: bool, gain: np.ndarray
+) -> bool:
+    """Reference `riccati.split_gain`.
+
+    Args:
+        map_transposed: (6, 6) from `acceleration_map`; destroyed.
+        length: [m] by which rotations are multiplied in the weights.
+        period: [s].
+        weights: (4,) q_e, q_v, q_z, r.
+        exact_hold: Zero-order hold; else Euler.
+        gain: (6, 18) out.
+
+    Returns:
+        False where the map is singular or a Riccati equation fails.
+    """
+    s, v, chain = np.empty(6), np.empty((6, 6)), np.empty((6, 3))
+    for i in range(6):
+        for k in range(3):
+            map_transposed[i, k] *= length
+    singular_vectors(map_transposed, s, v, 1e-14)
+    if not s.min() > SMALLEST_SINGULAR_VALUE * s.max():
+        return False
+    for i in range(6):
+        if not chain_gain(s[i], period, weights[0], weights[1], weights[2], weights[3], exact_hold, chain[i]):
+            return False
+    # Row i of the map now holds s_i u_i in the scaled pose, row i of v what the motors do for it.
+    for j in range(6):
+        for k in range(6):
+            g0, g1, g2 = 0.0, 0.0, 0.0
+            for i in range(6):
+                both = v[i, j] * map_transposed[i, k] / s[i]
+                g0 += both * chain[i, 0]
+                g1 += both * chain[i, 1]
+                g2 += both * chain[i, 2]
+            scale = length if k < 3 else 1.0
+            gain[j, 2 * k], gain[j, 2 * k + 1], gain[j, 12 + k] = scale * g0, scale * g1, scale * g2
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def lqi_tick(
+    robot: np.ndarray,
+    numbers: np.ndarray,
+    choices: np.ndarray,
+    measurement: np.ndarray,
+    reference: np.ndarray,
+    weights: np.ndarray,
+    memory: np.ndarray,
+    result: np.ndarray,
+) -> tuple[int, int, float]:
+    """Reference `lqi.lqi_tick` with the solver `split`.
+
+    Args:
+        robot: From `mechanism.pack`.
+        numbers: (8,) period [s], gravity [m/s^2], length [m], min_transmission, min_conditioning, integral limits
+            [rad s, m s], reset time [s].
+        choices: (7,) of int: exact model, printed map, feedforward 0..3 for none, gravity, platform, full; at the
+            reference, exact hold, saturation 0..2 for none, clamp, back_calculation; bumpless.
+        measurement: (12,).
+        reference: (18,).
+        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
+        memory: (137,) `lqi.LqiMemory` of the tick before, flat.
+        result: (137,) out, that of this tick.
+
+    Returns:
+        Status as in `mechanism`, leg or -1, margin.
+    """
+    period, gravity, length = numbers[0], numbers[1], numbers[2]
+    exact_model, feedforward, saturation = choices[0] == 1, choices[2], choices[5]
+    for k in range(12):
+        if not np.isfinite(measurement[k]):
+            return NOT_FINITE, k // 6, 0.0
+    blocks = np.empty(4)
+    for k in range(4):
+        blocks[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        if not 0.0 < blocks[k] < np.inf:
+            return NO_GAIN, -1, 0.0
+    legs, lines, turn = np.empty((6, 14)), np.empty((6, 6)), np.empty((3, 3))
+    pose = measurement[:6]
+    bad = leg_vectors(robot, pose, legs)
+    if bad >= 0:
+        return UNREACHABLE, bad, legs[bad, 13]
+    worst, leg = np.inf, 0
+    for i in range(6):
+        if not abs(legs[i, 12]) >= worst:
+            worst, leg = abs(legs[i, 12]), i
+    if worst < numbers[3]:
+        return SERIAL, leg, worst
+    rod_lines(legs, lines)
+    ratio = line_conditioning(robot, lines)
+    if not ratio >= numbers[4]:
+        return PARALLEL, -1, ratio
+    rotation(pose[:3], turn)
+
+    # memory: torque 0, error 6, integral 12, gain 18, feedforward 126, weights 132, held 136
+    own, work, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 18))
+    if not acceleration_map(robot, exact_model, choices[1] == 1, pose, legs, lines, turn, own):
+        return PARALLEL, -1, ratio
+    work[:] = own
+    if not split_gain(work, length, period, blocks, choices[4] == 1, gain):
+        return NO_GAIN, -1, 0.0
+
+    integral = np.empty((6, 1))
+    for k in range(6):
+        integral[k, 0] = memory[12 + k]
+    changed = False
+    for k in range(4):
+        changed = changed or (memory[132 + k] != blocks[k] and memory[132] > 0.0)
+    before, column = np.empty((6, 18)), np.empty((6, 1))
+    if choices[6] == 1 and changed:
+        work[:] = own
+        if split_gain(work, length, period, memory[132:136], choices[4] == 1, before):
+            for i in range(6):
+                column[i, 0] = 0.0
+                for k in range(6):
+                    column[i, 0] += before[i, 12 + k] * integral[k, 0]
+                    work[i, k] = gain[i, 12 + k]
+            if solve(work, column) != 0.0:
+                integral[:] = column
+
+    force = np.zeros(6)
+    if feedforward == 3:
+        twist, twist_rate = np.empty(6), np.empty(6)
+        at = reference[:12] if choices[3] == 1 else measurement
+        angular_velocity(at[:3], at[6:9], twist[:3])
+        angular_velocity(at[:3], reference[12:15], twist_rate[:3])
+        euler_drift(at[:3], at[6:9], column[:3, 0])
+        for k in range(3):
+            twist[3 + k], twist_rate[3 + k] = at[9 + k], reference[15 + k]
+            twist_rate[k] += column[k, 0]
+        if choices[3] == 1:
+            bad = leg_vectors(robot, at[:6], legs)
+            if bad >= 0:
+                return UNREACHABLE, bad, legs[bad, 13]
+            rod_lines(legs, lines)
+            rotation(at[:3], turn)
+        if not inverse_dynamics(robot, legs, lines, turn, twist, twist_rate, gravity, force):
+            return PARALLEL, -1, ratio
+    elif feedforward > 0:
+        if gravity != 0.0:
+            still = np.zeros(6)
+            if not inverse_dynamics(robot, legs, lines, turn, still, still, gravity, force):
+                return PARALLEL, -1, ratio
+        if feedforward == 2:
+            acceleration_map(robot, False, choices[1] == 1, pose, legs, lines, turn, own)
+            for i in range(6):
+                column[i, 0] = reference[12 + i]
+                for k in range(6):
+                    work[k, i] = own[i, k]
+            if solve(work, column) == 0.0:
+                return PARALLEL, -1, ratio
+            for i in range(6):
+                force[i] += column[i, 0]
+
+    limit, saturated = scalar(robot, EFFORT), False
+    for i in range(6):
+        value = force[i]
+        for k in range(6):
+            value -= gain[i, 2 * k] * (measurement[k] - reference[k])
+            value -= gain[i, 2 * k + 1] * (measurement[6 + k] - reference[6 + k])
+            value -= gain[i, 12 + k] * integral[k, 0]
+        if not np.isfinite(value):
+            return NOT_FINITE, 2, value
+        result[i] = value
+        column[i, 0] = 0.0
+        if saturation > 0 and abs(value) > limit:
+            saturated = True
+            result[i] = limit if value > 0.0 else -limit
+            column[i, 0] = value - result[i]
+    if saturated and saturation == 2:
+        for i in range(6):
+            for k in range(6):
+                work[i, k] = gain[i, 12 + k]
+        if solve(work, column) != 0.0:
+            for k in range(6):
+                integral[k, 0] += min(1.0, period / numbers[7]) * column[k, 0]
+    for k in range(6):
+        error = measurement[k] - reference[k]
+        result[6 + k] = error
+        if not (saturated and saturation == 1):
+            integral[k, 0] += period * error
+        bound = numbers[5] if k < 3 else numbers[6]
+        result[12 + k] = min(max(integral[k, 0], -bound), bound)
+    for i in range(6):
+        for k in range(18):
+            result[18 + 18 * i + k] = gain[i, k]
+        result[126 + i] = force[i]
+    for k in range(4):
+        result[132 + k] = blocks[k]
+    result[136] = 0.0
+    return OK, -1, ratio

@@ -1,0 +1,451 @@
+"""One tick of the LQI as a pure function, (19)-(34), by the paper's model or by the exact one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from stewart_drake.errors import (
+    ConfigurationError,
+    NotFiniteError,
+    RiccatiError,
+    RunFailure,
+    SingularPoseError,
+    UnreachablePoseError,
+)
+from stewart_drake.force_map import ForceMapKind, force_map_of_legs
+from stewart_drake.kinematics import LegGeometry, leg_geometry, line_conditioning
+from stewart_drake.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain
+from stewart_drake.rigid_body_model import inverse_dynamics, pose_acceleration_map, static_torque_of_legs
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scalars import SECTION, Count, Flag, Real, is_finite
+from stewart_drake.state_space import (
+    AXES,
+    INTEGRAL,
+    POSITION,
+    RATE,
+    STATES,
+    Discretization,
+    discretize,
+    input_matrix,
+    mass_diagonal,
+    state_matrix,
+)
+
+Model = Literal["paper", "exact"]
+Feedforward = Literal["none", "gravity", "platform", "full"]
+FeedforwardAt = Literal["measured", "reference"]
+Saturation = Literal["none", "clamp", "back_calculation"]
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "model": ("paper", "exact"),
+    "force_map": ("statics", "printed"),
+    "feedforward": ("none", "gravity", "platform", "full"),
+    "feedforward_at": ("measured", "reference"),
+    "discretization": ("exact", "euler"),
+    "solver": ("drake", "split"),
+    "saturation": ("none", "clamp", "back_calculation"),
+}
+
+_DEAD_CENTRE_SLACK = 0.05
+"""[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LqiOptions:
+    """Options of the LQI controller; the defaults are the paper's, with gravity compensated.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    period: Real = 0.005
+    """[s] control period, > 0, a whole multiple of the plant's time step."""
+    model: Model = "paper"
+    """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
+    closed chain at the measured pose."""
+    force_map: ForceMapKind = "statics"
+    """tau_2 of (15) as printed, or by statics; the exact model has its own map."""
+    feedforward: Feedforward = "gravity"
+    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
+    to that M q''_d of (9) through the force map at the measured pose. full: inverse dynamics of the exact model for the
+    reference's acceleration."""
+    feedforward_at: FeedforwardAt = "measured"
+    """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
+    weight_length: Real = 1.0
+    """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
+    radius 0.11 makes an error of the joints count alike in both."""
+    discretization: Discretization = "exact"
+    """Zero-order hold of (25): exact, or first order (euler)."""
+    solver: RiccatiSolver = "drake"
+    """drake: one equation of 18 states. split: six of 3 states, without Drake."""
+    compiled: Flag = False
+    """Ticks compiled by numba, twenty times faster; needs `solver: split`. The first run compiles for some seconds."""
+    saturation: Saturation = "none"
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
+    back_calculation: it is limited, and z is led back by what was cut off."""
+    reset_time: Real = 0.05
+    """[s] time in which back-calculation takes z back."""
+    integral_limit: tuple[Real, Real] | None = None
+    """[rad s, m s] largest |z| of rotations and translations; null for none."""
+    bumpless: Flag = False
+    """When the weights change, z changes too, so that the torque by z does not."""
+    min_transmission: Real = 0.02
+    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
+    min_conditioning: Real = 0.005
+    """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity."""
+    hold_ticks: Count = 0
+    """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
+    finite is bridged by the last good gain and torque, before the run ends."""
+
+    def __post_init__(self) -> None:
+        for name in ("period", "weight_length", "reset_time"):
+            value = getattr(self, name)
+            if not (is_finite(value) and value > 0.0):
+                raise ConfigurationError(f"controller.{name}", value, "a positive number")
+        for name, options in _CHOICES.items():
+            if getattr(self, name) not in options:
+                raise ConfigurationError(f"controller.{name}", getattr(self, name), " or ".join(options))
+        for name in ("min_transmission", "min_conditioning"):
+            value = getattr(self, name)
+            if not (is_finite(value) and 0.0 < value < 1.0):
+                raise ConfigurationError(f"controller.{name}", value, "a number between 0 and 1")
+        limit = self.integral_limit
+        if limit is not None and not (len(limit) == 2 and all(is_finite(x) and x > 0.0 for x in limit)):
+            raise ConfigurationError("controller.integral_limit", limit, "two positive numbers [rad s, m s], or null")
+        if type(self.hold_ticks) is not int or not 0 <= self.hold_ticks <= 1000:
+            raise ConfigurationError("controller.hold_ticks", self.hold_ticks, "a whole number from 0 to 1000")
+        if self.compiled and self.solver != "split":
+            raise ConfigurationError("controller.compiled", self.compiled, "true only with solver: split")
+
+
+class Measurement(NamedTuple):
+    """What the sensor reports: pose (6,) [rad, m] and pose_rate (6,) [rad/s, m/s] of P in B, Euler rates."""
+
+    pose: np.ndarray
+    pose_rate: np.ndarray
+
+
+class Setpoint(NamedTuple):
+    """Where the platform should be: pose, pose_rate, pose_acceleration, each (6,)."""
+
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    pose_acceleration: np.ndarray
+
+
+class LqiMemory(NamedTuple):
+    """What a tick says, and what the next one needs of it.
+
+    Attributes:
+        torque: (6,) [N m].
+        error: (6,) [rad, m] measured pose minus setpoint.
+        integral: (6,) [rad s, m s] z for the next tick.
+        gain: (6, 18) K.
+        feedforward: (6,) [N m] part of the torque.
+        weights: (4,) q_e, q_v, q_z, r of this tick; zeros before the first.
+        held: Ticks in a row that were bridged.
+    """
+
+    torque: np.ndarray
+    error: np.ndarray
+    integral: np.ndarray
+    gain: np.ndarray
+    feedforward: np.ndarray
+    weights: np.ndarray
+    held: float
+
+    def flat(self) -> np.ndarray:
+        """All in one vector (137,), in the order of the attributes."""
+        return np.concatenate([*self[:3], self.gain.ravel(), *self[4:6], [self.held]])
+
+    @classmethod
+    def from_flat(cls, values: np.ndarray) -> LqiMemory:
+        """Inverse of `flat`."""
+        return cls(
+            values[:6],
+            values[6:12],
+            values[12:18],
+            values[18:126].reshape(6, 18),
+            values[126:132],
+            values[132:136],
+            values[136],
+        )
+
+
+MEMORY_SIZE = 137
+FlatTick = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def initial_memory() -> LqiMemory:
+    """Memory before the first tick."""
+    return LqiMemory.from_flat(np.zeros(MEMORY_SIZE))
+
+
+def block_weights(weights: np.ndarray) -> np.ndarray:
+    """q_e, q_v, q_z, r from either the paper's pair omega_Q, omega_R, (27), or all four.
+
+    Raises:
+        RiccatiError: Neither two nor four numbers, or one that is not positive and finite.
+    """
+    weights = np.asarray(weights, dtype=float)
+    if weights.shape == (2,):
+        weights = weights[[0, 0, 0, 1]]
+    if weights.shape != (4,) or not (np.isfinite(weights) & (weights > 0.0)).all():
+        raise RiccatiError(f"no gain for weights {weights.tolist()}: two or four are needed, positive and finite")
+    return weights
+
+
+def checked_legs(robot: RobotParameters, options: LqiOptions, pose: np.ndarray) -> LegGeometry:
+    """Leg vectors at a measured pose, refused near singularities, where the force map loses its meaning.
+
+    Raises:
+        NotFiniteError: The pose is not finite.
+        UnreachablePoseError: The pose cannot be assembled.
+        SingularPoseError: A crank near its dead centre, or rods near a parallel singularity.
+    """
+    if not np.isfinite(pose).all():
+        raise NotFiniteError("measured pose", pose)
+    try:
+        legs = leg_geometry(robot, pose)
+    except UnreachablePoseError as error:
+        raise _out_of_reach(error, options) from error
+    transmission = np.abs(legs.transmission)
+    leg = int(transmission.argmin())
+    if transmission[leg] < options.min_transmission:
+        raise SingularPoseError("serial", pose, float(transmission[leg]), options.min_transmission, leg)
+    ratio = float(line_conditioning(robot, legs))
+    if ratio < options.min_conditioning:
+        raise SingularPoseError("parallel", pose, ratio, options.min_conditioning)
+    return legs
+
+
+def _out_of_reach(error: UnreachablePoseError, options: LqiOptions) -> RunFailure:
+    if error.margin < -_DEAD_CENTRE_SLACK:
+        return error
+    # The robot stands there, so it can: the crank has been carried across its dead centre, where reach ends.
+    return SingularPoseError("serial", error.pose, 0.0, options.min_transmission, error.leg)
+
+
+def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray) -> np.ndarray:
+    """K of (31) for M^-1 tau at the present pose, u = -K [e; z] in the paper's state order.
+
+    Args:
+        acceleration_map: (6, 6) M^-1 tau.
+        options: Period, discretisation, solver and `weight_length`.
+        weights: (2,) omega_Q, omega_R of (27), or (4,) q_e, q_v, q_z, r; all > 0.
+
+    Returns:
+        (6, 18).
+
+    Raises:
+        RiccatiError: No stabilising solution.
+    """
+    q_e, q_v, q_z, r = (float(w) for w in block_weights(weights))
+    if options.solver == "split":
+        blocks = (q_e, q_v, q_z, r)
+        return split_gain(acceleration_map, options.period, blocks, options.discretization, options.weight_length)
+    a, b = discretize(state_matrix(), input_matrix(acceleration_map), options.period, options.discretization)
+    scale = np.array([options.weight_length**2] * 3 + [1.0] * 3)
+    q = np.zeros(STATES)
+    q[POSITION], q[RATE], q[INTEGRAL] = q_e * scale, q_v * scale, q_z * scale
+    big_r = r * np.eye(AXES)
+    return riccati_gain(a, b, big_r, solve_drake(a, b, np.diag(q), big_r))
+
+
+def lqi_tick(
+    robot: RobotParameters,
+    options: LqiOptions,
+    gravity: float,
+    measurement: Measurement,
+    setpoint: Setpoint,
+    weights: np.ndarray,
+    memory: LqiMemory,
+) -> LqiMemory:
+    """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
+
+    Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
+
+    Args:
+        robot: Geometry and masses as the controller believes them.
+        options: See `LqiOptions`.
+        gravity: [m/s^2] for the feedforward; 0 switches the gravity torque off.
+        measurement: Pose and rate now.
+        setpoint: Reference now.
+        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r; all > 0.
+        memory: Of the tick before, see `initial_memory`.
+
+    Raises:
+        NotFiniteError, UnreachablePoseError, SingularPoseError: See `checked_legs`; UnreachablePoseError also where
+            `feedforward_at` is the reference and that is out of reach.
+        RiccatiError: See `lqi_gain`.
+    """
+    if options.compiled:
+        tick = _compiled_tick(robot, options, gravity)
+        weights = np.asarray(weights, dtype=float)
+        return LqiMemory.from_flat(tick(np.concatenate(measurement), np.concatenate(setpoint), weights, memory.flat()))
+    if not np.isfinite(measurement.pose_rate).all():
+        raise NotFiniteError("measured pose rate", measurement.pose_rate)
+    legs = checked_legs(robot, options, measurement.pose)
+    weights = block_weights(weights)
+    force_map = force_map_of_legs(robot, legs, options.force_map)
+    mass = mass_diagonal(robot)
+    if options.model == "exact":
+        acceleration_map = pose_acceleration_map(robot, measurement.pose)
+    else:
+        acceleration_map = force_map / mass[:, None]
+    gain = lqi_gain(acceleration_map, options, weights)
+    integral = memory.integral
+    if options.bumpless and memory.weights[0] > 0.0 and np.any(memory.weights != weights):
+        before = lqi_gain(acceleration_map, options, memory.weights)
+        integral = np.linalg.solve(gain[:, INTEGRAL], before[:, INTEGRAL] @ integral)
+
+    feedforward = np.zeros(AXES)
+    if options.feedforward == "full":
+        at = setpoint if options.feedforward_at == "reference" else measurement
+        feedforward = inverse_dynamics(robot, at.pose, at.pose_rate, setpoint.pose_acceleration, gravity)
+    elif options.feedforward != "none" and gravity != 0.0:
+        feedforward = static_torque_of_legs(robot, legs, gravity)
+    if options.feedforward == "platform":
+        feedforward = feedforward + np.linalg.solve(force_map, mass * setpoint.pose_acceleration)
+
+    error = measurement.pose - setpoint.pose
+    wanted = feedforward - gain @ _state(error, measurement.pose_rate - setpoint.pose_rate, integral)
+    if not np.isfinite(wanted).all():
+        raise NotFiniteError("torque", wanted)
+    torque = wanted
+    if options.saturation != "none":
+        torque = np.clip(wanted, -robot.effort_limit, robot.effort_limit)
+        cut = wanted - torque
+        if options.saturation == "back_calculation" and cut.any():
+            share = min(1.0, options.period / options.reset_time)
+            integral = integral + share * np.linalg.solve(gain[:, INTEGRAL], cut)
+        elif cut.any():
+            integral = integral - options.period * error
+    integral = integral + options.period * error
+    if options.integral_limit is not None:
+        bound = np.repeat(options.integral_limit, 3)
+        integral = np.clip(integral, -bound, bound)
+    return LqiMemory(torque, error, integral, gain, feedforward, weights, 0.0)
+
+
+def held_tick(
+    robot: RobotParameters,
+    options: LqiOptions,
+    gravity: float,
+    measurement: Measurement,
+    setpoint: Setpoint,
+    weights: np.ndarray,
+    memory: LqiMemory,
+) -> LqiMemory:
+    """`lqi_tick`, where up to `hold_ticks` failures in a row are bridged by the last good gain and feedforward.
+
+    A measurement that is not finite is bridged by the last torque. z stands still meanwhile.
+
+    Raises:
+        RunFailure: As `lqi_tick`, where no good tick came before or they failed too often in a row.
+    """
+    try:
+        return lqi_tick(robot, options, gravity, measurement, setpoint, weights, memory)
+    except RunFailure:
+        if memory.weights[0] == 0.0 or memory.held >= options.hold_ticks:
+            raise
+    held = memory._replace(held=memory.held + 1.0)
+    if not (np.isfinite(measurement.pose).all() and np.isfinite(measurement.pose_rate).all()):
+        return held
+    error = measurement.pose - setpoint.pose
+    state = _state(error, measurement.pose_rate - setpoint.pose_rate, memory.integral)
+    torque = memory.feedforward - memory.gain @ state
+    if options.saturation != "none":
+        torque = np.clip(torque, -robot.effort_limit, robot.effort_limit)
+    return held._replace(torque=torque, error=error)
+
+
+def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float) -> FlatTick:
+    """`held_tick` on flat vectors: (measurement (12,), setpoint (18,), weights, memory (137,)) -> memory (137,)."""
+    fast = _compiled_tick(robot, options, gravity) if options.compiled else None
+
+    def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        if fast is not None:
+            try:
+                return fast(measured, wanted, weights, memory)
+            except RunFailure:
+                if options.hold_ticks == 0:
+                    raise
+        measurement, setpoint = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
+        before = LqiMemory.from_flat(memory)
+        return held_tick(robot, options, gravity, measurement, setpoint, weights, before).flat()
+
+    return tick
+
+
+def _state(error: np.ndarray, rate_error: np.ndarray, integral: np.ndarray) -> np.ndarray:
+    state = np.empty(STATES)
+    state[POSITION], state[RATE], state[INTEGRAL] = error, rate_error, integral
+    return state
+
+
+@lru_cache(maxsize=16)
+def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) -> FlatTick:
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import control, mechanism
+
+    packed = mechanism.pack(robot)
+    limits: Sequence[float] = (np.inf, np.inf) if options.integral_limit is None else options.integral_limit
+    numbers = np.array(
+        [
+            options.period,
+            gravity,
+            options.weight_length,
+            options.min_transmission,
+            options.min_conditioning,
+            *limits,
+            options.reset_time,
+        ],
+        dtype=float,
+    )
+    choices = np.array(
+        [
+            options.model == "exact",
+            options.force_map == "printed",
+            _CHOICES["feedforward"].index(options.feedforward),
+            options.feedforward_at == "reference",
+            options.discretization == "exact",
+            _CHOICES["saturation"].index(options.saturation),
+            options.bumpless,
+        ],
+        dtype=np.int64,
+    )
+
+    def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        result = np.empty(MEMORY_SIZE)
+        status, leg, value = control.lqi_tick(packed, numbers, choices, measured, wanted, weights, memory, result)
+        if status != mechanism.OK:
+            block_weights(weights)
+            raise _failure(options, status, leg, value, Measurement(measured[:6], measured[6:]))
+        return result
+
+    return tick
+
+
+def _failure(options: LqiOptions, status: int, leg: int, value: float, measurement: Measurement) -> RunFailure:
+    """What the reference would have raised."""
+    from stewart_drake.compiled import mechanism
+
+    pose = np.array(measurement.pose)
+    if status == mechanism.NOT_FINITE:
+        name = ("measured pose", "measured pose rate", "torque")[leg]
+        return NotFiniteError(name, (*measurement, np.array(value))[leg])
+    if status == mechanism.UNREACHABLE:
+        return _out_of_reach(UnreachablePoseError(pose, leg, value), options)
+    if status == mechanism.SERIAL:
+        return SingularPoseError("serial", pose, value, options.min_transmission, leg)
+    if status == mechanism.PARALLEL:
+        return SingularPoseError("parallel", pose, value, options.min_conditioning)
+    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")
