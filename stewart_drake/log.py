@@ -72,8 +72,8 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
     "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
 }
-"""Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry of
-the plant's state, named by Drake."""
+"""Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
+of the plant's state, named by Drake."""
 
 OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate")
 """block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders."""

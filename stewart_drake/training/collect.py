@@ -17,7 +17,7 @@ from stewart_drake.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import Vector6
-from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.training.dataset import Dataset
 
 OMEGAS = (0.1, 1.0, 10.0)
