@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from typing import TYPE_CHECKING, TypeVar, cast
 
+import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import (
     ConstantVectorSource,
@@ -14,7 +16,7 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from stewart_drake.errors import drake_guard
+from stewart_drake.errors import UnreachablePoseError, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.plant import StewartPlant, add_plant
 from stewart_drake.rigid_body_model import static_torque
@@ -117,10 +119,15 @@ class ClosedLoop(Diagram):
         builder.Connect(weights, self.controller.weights)
         builder.Connect(error, features.error)
         builder.Connect(torque, features.torque)
-        # A hold passes its input on at its next update, one period later.
+        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
+        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
+        # ticks to the last bit need it taken clear of both.
         applied = torque
+        step = on_grid(scenario.plant.time_step)
+        ratio = round(self.controller.period / step)
+        taken = self.controller.period - (step if ratio * step == self.controller.period else 0.5 * step)
         self._delays = [
-            add(f"delay_{k}", ZeroOrderHold(self.controller.period, 6)) for k in range(scenario.command_delay)
+            add(f"delay_{k}", ZeroOrderHold(self.controller.period, 6, taken)) for k in range(scenario.command_delay)
         ]
         for hold in self._delays:
             builder.Connect(applied, hold.get_input_port())
@@ -161,9 +168,11 @@ class ClosedLoop(Diagram):
         start, rate = self.scenario.start()
         self.plant.set_state(context, start, rate)
         if self._delays:
-            hold_still = static_torque(self.scenario.believed_robot, start, self.scenario.gravity)
-            for delay in self._delays:
-                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
+            # A robot that, as believed, cannot stand there has no such torque: the first tick says so, with a log.
+            with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+                hold_still = static_torque(self.scenario.believed_robot, start, self.scenario.gravity)
+                for delay in self._delays:
+                    delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
         return context
 
     def graph(self) -> str:

@@ -15,6 +15,7 @@ from stewart_drake.errors import (
     ConfigurationError,
     EncoderError,
     RunFailure,
+    SingularPoseError,
     UnreachablePoseError,
 )
 from stewart_drake.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
@@ -26,6 +27,8 @@ MEMORY_SIZE = 27
 
 TOLERANCE = 1e-12
 """[m] rod-length error at which Newton's method stops."""
+SAME_BRANCH = 1.0 - 1e-6
+"""Cosine between a crank and the inverse kinematics of the pose found from it; below, it is the other branch's."""
 ITERATIONS = 12
 """Newton steps at most; a warm start needs two."""
 
@@ -50,7 +53,8 @@ class EncoderOptions:
     max_speed: Real = 60.0
     """[rad/s] a reading that has moved faster than this is not believed."""
     max_step: tuple[Real, Real] = (0.2, 0.05)
-    """[rad, m] a pose further than this from the last one is not believed: Newton has found another assembly mode."""
+    """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
+    another assembly mode."""
     hold_ticks: Count = 10
     """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
 
@@ -111,7 +115,8 @@ def estimate(
 
     Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. A pose is
     believed if no angle has jumped, Newton's method converges near the last pose, and the rods' lines have not changed
-    orientation: between two assembly modes lies a parallel singularity, where their determinant changes sign.
+    orientation: between two assembly modes lies a parallel singularity, where their determinant changes sign. The
+    cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead centres.
 
     Args:
         robot: Geometry.
@@ -126,7 +131,8 @@ def estimate(
     Raises:
         EncoderError: Readings that are not finite, or have jumped.
         ForwardKinematicsError: Newton's method does not converge.
-        AssemblyModeError: The pose found is not near the last one, or in another assembly mode.
+        AssemblyModeError: The pose found is not near the last one (at first: the start), or in another assembly mode.
+        SingularPoseError: A crank at its dead centre or beyond, or rods at a parallel singularity.
     """
     started = memory[26] > 0.0
     if not np.isfinite(angles).all():
@@ -139,17 +145,24 @@ def estimate(
         legs = leg_geometry(robot, pose)
     except UnreachablePoseError as error:
         # A crank carried across its dead centre, by a hair.
-        raise AssemblyModeError(pose, guess) from error
+        raise SingularPoseError("serial", pose, error.margin, 0.0, error.leg) from None
+    beyond = np.cos(legs.crank_angles - angles) < SAME_BRANCH
+    if beyond.any():
+        leg = int(beyond.argmax())
+        raise SingularPoseError("serial", pose, -float(abs(legs.transmission[leg])), 0.0, leg)
     lines = rod_lines(legs)
     sign = math.copysign(1.0, np.linalg.det(lines))
     step = np.abs(pose - guess) / np.repeat(options.max_step, 3)
-    if started and (sign != memory[25] or step.max() > 1.0):
+    if (started and sign != memory[25]) or step.max() > 1.0:
         raise AssemblyModeError(pose, guess)
     rate = np.zeros(6)
     if started:
         difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
         rate = memory[18:24] + options.smoothing(period) * (difference - memory[18:24])
-    twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
+    try:
+        twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
+    except np.linalg.LinAlgError:
+        raise SingularPoseError("parallel", pose, 0.0, 0.0) from None
     return np.concatenate([pose, twist_to_pose_rate(pose, twist), angles, rate, [0.0, sign, 1.0]])
 
 

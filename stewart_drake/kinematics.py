@@ -230,7 +230,7 @@ def _solve_cranks(
     arm, span = _spans(robot, pose)
     along, up, ratio = robot.crank_equation(span)
     size = np.abs(ratio)
-    if size.max(initial=0.0) > 1.0:
+    if not size.max(initial=0.0) <= 1.0:
         worst = np.unravel_index(int(size.argmax()), size.shape)
         raise UnreachablePoseError(np.array(pose[worst[:-1]]), int(worst[-1]), float(1.0 - size[worst]))
     theta = np.arctan2(up, along) + branch * np.arccos(ratio)

@@ -227,7 +227,7 @@ def checked_legs(robot: RobotParameters, options: LqiOptions, pose: np.ndarray) 
 
 
 def _out_of_reach(error: UnreachablePoseError, options: LqiOptions) -> RunFailure:
-    if error.margin < -_DEAD_CENTRE_SLACK:
+    if not error.margin >= -_DEAD_CENTRE_SLACK:
         return error
     # The robot stands there, so it can: the crank has been carried across its dead centre, where reach ends.
     return SingularPoseError("serial", error.pose, 0.0, options.min_transmission, error.leg)
@@ -282,8 +282,9 @@ def lqi_tick(
         memory: Of the tick before, see `initial_memory`.
 
     Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: See `checked_legs`; UnreachablePoseError also where
-            `feedforward_at` is the reference and that is out of reach.
+        NotFiniteError: Measurement, setpoint or the torque that comes of them.
+        UnreachablePoseError, SingularPoseError: See `checked_legs`; also where `feedforward_at` is the reference and
+            that is out of reach or exactly singular.
         RiccatiError: See `lqi_gain`.
     """
     if options.compiled:
@@ -292,6 +293,8 @@ def lqi_tick(
         return LqiMemory.from_flat(tick(np.concatenate(measurement), np.concatenate(setpoint), weights, memory.flat()))
     if not np.isfinite(measurement.pose_rate).all():
         raise NotFiniteError("measured pose rate", measurement.pose_rate)
+    if not all(np.isfinite(part).all() for part in setpoint):
+        raise NotFiniteError("reference", np.concatenate(setpoint))
     legs = checked_legs(robot, options, measurement.pose)
     weights = block_weights(weights)
     force_map = force_map_of_legs(robot, legs, options.force_map)
@@ -304,12 +307,15 @@ def lqi_tick(
     integral = memory.integral
     if options.bumpless and memory.weights[0] > 0.0 and np.any(memory.weights != weights):
         before = lqi_gain(acceleration_map, options, memory.weights)
-        integral = np.linalg.solve(gain[:, INTEGRAL], before[:, INTEGRAL] @ integral)
+        integral = _integral_for(gain, before[:, INTEGRAL] @ integral)
 
     feedforward = np.zeros(AXES)
     if options.feedforward == "full":
         at = setpoint if options.feedforward_at == "reference" else measurement
-        feedforward = inverse_dynamics(robot, at.pose, at.pose_rate, setpoint.pose_acceleration, gravity)
+        try:
+            feedforward = inverse_dynamics(robot, at.pose, at.pose_rate, setpoint.pose_acceleration, gravity)
+        except np.linalg.LinAlgError:
+            raise SingularPoseError("parallel", at.pose, 0.0, options.min_conditioning) from None
     elif options.feedforward != "none" and gravity != 0.0:
         feedforward = static_torque_of_legs(robot, legs, gravity)
     if options.feedforward == "platform":
@@ -319,16 +325,15 @@ def lqi_tick(
     wanted = feedforward - gain @ _state(error, measurement.pose_rate - setpoint.pose_rate, integral)
     if not np.isfinite(wanted).all():
         raise NotFiniteError("torque", wanted)
-    torque = wanted
+    torque, grown = wanted, integral + options.period * error
     if options.saturation != "none":
         torque = np.clip(wanted, -robot.effort_limit, robot.effort_limit)
         cut = wanted - torque
         if options.saturation == "back_calculation" and cut.any():
-            share = min(1.0, options.period / options.reset_time)
-            integral = integral + share * np.linalg.solve(gain[:, INTEGRAL], cut)
+            grown = grown + min(1.0, options.period / options.reset_time) * _integral_for(gain, cut)
         elif cut.any():
-            integral = integral - options.period * error
-    integral = integral + options.period * error
+            grown = integral
+    integral = grown
     if options.integral_limit is not None:
         bound = np.repeat(options.integral_limit, 3)
         integral = np.clip(integral, -bound, bound)
@@ -346,7 +351,7 @@ def held_tick(
 ) -> LqiMemory:
     """`lqi_tick`, where up to `hold_ticks` failures in a row are bridged by the last good gain and feedforward.
 
-    A measurement that is not finite is bridged by the last torque. z stands still meanwhile.
+    A measurement or setpoint that is not finite is bridged by the last torque. z stands still meanwhile.
 
     Raises:
         RunFailure: As `lqi_tick`, where no good tick came before or they failed too often in a row.
@@ -362,6 +367,8 @@ def held_tick(
     error = measurement.pose - setpoint.pose
     state = _state(error, measurement.pose_rate - setpoint.pose_rate, memory.integral)
     torque = memory.feedforward - memory.gain @ state
+    if not np.isfinite(torque).all():
+        return held
     if options.saturation != "none":
         torque = np.clip(torque, -robot.effort_limit, robot.effort_limit)
     return held._replace(torque=torque, error=error)
@@ -389,6 +396,14 @@ def _state(error: np.ndarray, rate_error: np.ndarray, integral: np.ndarray) -> n
     state = np.empty(STATES)
     state[POSITION], state[RATE], state[INTEGRAL] = error, rate_error, integral
     return state
+
+
+def _integral_for(gain: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """The z (6,) for which K_z z is `torque` (6,)."""
+    try:
+        return np.linalg.solve(gain[:, INTEGRAL], torque)
+    except np.linalg.LinAlgError:
+        raise RiccatiError("the gain of the integral is singular") from None
 
 
 @lru_cache(maxsize=16)
@@ -427,25 +442,39 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         result = np.empty(MEMORY_SIZE)
         status, leg, value = control.lqi_tick(packed, numbers, choices, measured, wanted, weights, memory, result)
         if status != mechanism.OK:
-            block_weights(weights)
-            raise _failure(options, status, leg, value, Measurement(measured[:6], measured[6:]))
+            raise _failure(options, status, leg, value, measured, wanted, weights)
         return result
 
     return tick
 
 
-def _failure(options: LqiOptions, status: int, leg: int, value: float, measurement: Measurement) -> RunFailure:
+def _failure(
+    options: LqiOptions,
+    status: int,
+    leg: int,
+    value: float,
+    measured: np.ndarray,
+    wanted: np.ndarray,
+    weights: np.ndarray,
+) -> RunFailure:
     """What the reference would have raised."""
     from stewart_drake.compiled import mechanism
 
-    pose = np.array(measurement.pose)
+    at_reference = status >= mechanism.AT_REFERENCE
+    status -= mechanism.AT_REFERENCE * at_reference
+    pose = np.array(wanted[:6] if at_reference else measured[:6])
     if status == mechanism.NOT_FINITE:
-        name = ("measured pose", "measured pose rate", "torque")[leg]
-        return NotFiniteError(name, (*measurement, np.array(value))[leg])
+        names = ("measured pose", "measured pose rate", "reference", "torque")
+        return NotFiniteError(names[leg], (pose, measured[6:], wanted, value)[leg])
     if status == mechanism.UNREACHABLE:
-        return _out_of_reach(UnreachablePoseError(pose, leg, value), options)
+        error = UnreachablePoseError(pose, leg, value)
+        return error if at_reference else _out_of_reach(error, options)
     if status == mechanism.SERIAL:
         return SingularPoseError("serial", pose, value, options.min_transmission, leg)
     if status == mechanism.PARALLEL:
         return SingularPoseError("parallel", pose, value, options.min_conditioning)
+    try:
+        block_weights(weights)
+    except RiccatiError as error:
+        return error
     return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")

@@ -14,6 +14,8 @@ RiccatiSolver = Literal["drake", "split"]
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
+UNSETTLED = 1e-3
+"""Relative step of a root after the last iteration above which it counts as not found."""
 _ITERATIONS = 60
 
 
@@ -99,7 +101,8 @@ def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: 
     On the unit circle let x = (z - 1)(1/z - 1). The return difference times x^3 is a cubic in x. Each of its roots
     gives a stable pole z = 1 + d by d^2 + x d + x = 0, and the gains are read off the closed loop's polynomial in d
     (spectral factorisation, as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
-    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
+    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart. Where two roots coincide
+    to all digits half of the digits are.
 
     Args:
         s: (n,) > 0.
@@ -162,4 +165,4 @@ def _cubic_roots(a2: float, a1: float, a0: float) -> np.ndarray:
             moved = max(moved, abs(move) / abs(x[i]))
         if not moved > 1e-15:
             break
-    return x
+    return x if moved <= UNSETTLED else np.full(3, np.nan, complex)

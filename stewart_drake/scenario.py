@@ -202,7 +202,7 @@ class Scenario(_Section):
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference or tuner drops the keys that only the old kind has.
+        Another `kind` of reference, tuner or sensors drops the keys that only the old kind has.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
@@ -297,8 +297,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         path: YAML file; `weights_file` and `motion_file` in it are relative to its folder. A bare name such as
             `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` or `motion_file` among them is
-            relative to the current folder. Another `kind` of reference or tuner drops the keys that only the old kind
-            has.
+            relative to the current folder. Another `kind` of reference, tuner or sensors drops the keys that only the
+            old kind has.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -414,7 +414,7 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         if not isinstance(section, dict):
             name = ".".join(map(shown, parents[: depth + 1]))
             raise ConfigurationError(name, section, f"a section, to set {shown(key)} in it")
-    if last == "kind" and parents in (["reference"], ["tuner"]):
+    if last == "kind" and parents in (["reference"], ["tuner"], ["sensors"]):
         old, new = (kind_class(Scenario, parents[0], kind) for kind in (section.get("kind"), value))
         for name in set(keys_of(old)) - set(keys_of(new)) if old is not None and new is not None else ():
             section.pop(name, None)

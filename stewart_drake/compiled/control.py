@@ -7,6 +7,7 @@ from numba import njit
 
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.compiled.mechanism import (
+    AT_REFERENCE,
     CRANK_LENGTH,
     EFFORT,
     NO_GAIN,
@@ -131,18 +132,19 @@ def lqi_tick(
         result: (137,) out, that of this tick.
 
     Returns:
-        Status as in `mechanism`, leg or -1, margin.
+        Status as in `mechanism`; leg or -1, or which signal is NOT_FINITE; margin.
     """
     period, gravity, length = numbers[0], numbers[1], numbers[2]
     exact_model, feedforward, saturation = choices[0] == 1, choices[2], choices[5]
-    for k in range(12):
+    for k in range(6, 12):
         if not np.isfinite(measurement[k]):
-            return NOT_FINITE, k // 6, 0.0
-    blocks = np.empty(4)
-    for k in range(4):
-        blocks[k] = weights[k] if weights.size == 4 else weights[k // 3]
-        if not 0.0 < blocks[k] < np.inf:
-            return NO_GAIN, -1, 0.0
+            return NOT_FINITE, 1, 0.0
+    for k in range(18):
+        if not np.isfinite(reference[k]):
+            return NOT_FINITE, 2, 0.0
+    for k in range(6):
+        if not np.isfinite(measurement[k]):
+            return NOT_FINITE, 0, 0.0
     legs, lines, turn = np.empty((6, 14)), np.empty((6, 6)), np.empty((3, 3))
     pose = measurement[:6]
     bad = leg_vectors(robot, pose, legs)
@@ -159,6 +161,13 @@ def lqi_tick(
     if not ratio >= numbers[4]:
         return PARALLEL, -1, ratio
     rotation(pose[:3], turn)
+    blocks = np.empty(4)
+    for k in range(4):
+        if weights.size != 4 and weights.size != 2:
+            return NO_GAIN, -1, 0.0
+        blocks[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        if not 0.0 < blocks[k] < np.inf:
+            return NO_GAIN, -1, 0.0
 
     # memory: torque 0, error 6, integral 12, gain 18, feedforward 126, weights 132, held 136
     own, work, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 18))
@@ -177,14 +186,16 @@ def lqi_tick(
     before, column = np.empty((6, 18)), np.empty((6, 1))
     if choices[6] == 1 and changed:
         work[:] = own
-        if split_gain(work, length, period, memory[132:136], choices[4] == 1, before):
-            for i in range(6):
-                column[i, 0] = 0.0
-                for k in range(6):
-                    column[i, 0] += before[i, 12 + k] * integral[k, 0]
-                    work[i, k] = gain[i, 12 + k]
-            if solve(work, column) != 0.0:
-                integral[:] = column
+        if not split_gain(work, length, period, memory[132:136], choices[4] == 1, before):
+            return NO_GAIN, -1, 0.0
+        for i in range(6):
+            column[i, 0] = 0.0
+            for k in range(6):
+                column[i, 0] += before[i, 12 + k] * integral[k, 0]
+                work[i, k] = gain[i, 12 + k]
+        if solve(work, column) == 0.0:
+            return NO_GAIN, -1, 0.0
+        integral[:] = column
 
     force = np.zeros(6)
     if feedforward == 3:
@@ -199,11 +210,11 @@ def lqi_tick(
         if choices[3] == 1:
             bad = leg_vectors(robot, at[:6], legs)
             if bad >= 0:
-                return UNREACHABLE, bad, legs[bad, 13]
+                return AT_REFERENCE + UNREACHABLE, bad, legs[bad, 13]
             rod_lines(legs, lines)
             rotation(at[:3], turn)
         if not inverse_dynamics(robot, legs, lines, turn, twist, twist_rate, gravity, force):
-            return PARALLEL, -1, ratio
+            return PARALLEL + (AT_REFERENCE if choices[3] == 1 else 0), -1, 0.0
     elif feedforward > 0:
         if gravity != 0.0:
             still = np.zeros(6)
@@ -228,7 +239,7 @@ def lqi_tick(
             value -= gain[i, 2 * k + 1] * (measurement[6 + k] - reference[6 + k])
             value -= gain[i, 12 + k] * integral[k, 0]
         if not np.isfinite(value):
-            return NOT_FINITE, 2, value
+            return NOT_FINITE, 3, value
         result[i] = value
         column[i, 0] = 0.0
         if saturation > 0 and abs(value) > limit:
@@ -239,9 +250,10 @@ def lqi_tick(
         for i in range(6):
             for k in range(6):
                 work[i, k] = gain[i, 12 + k]
-        if solve(work, column) != 0.0:
-            for k in range(6):
-                integral[k, 0] += min(1.0, period / numbers[7]) * column[k, 0]
+        if solve(work, column) == 0.0:
+            return NO_GAIN, -1, 0.0
+        for k in range(6):
+            integral[k, 0] += min(1.0, period / numbers[7]) * column[k, 0]
     for k in range(6):
         error = measurement[k] - reference[k]
         result[6 + k] = error

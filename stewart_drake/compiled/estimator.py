@@ -16,6 +16,7 @@ from stewart_drake.compiled.mechanism import (
     rod_lines,
     scalar,
 )
+from stewart_drake.estimator import SAME_BRANCH
 
 
 @njit(cache=True, error_model="numpy")
@@ -46,7 +47,12 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
         return NO_CONVERGENCE
     rod_lines(legs, lines)
     for k in range(6):
-        if started and not abs(pose[k] - memory[k]) <= numbers[3 if k < 3 else 4]:
+        if not abs(pose[k] - memory[k]) <= numbers[3 if k < 3 else 4]:
+            return NO_CONVERGENCE
+        along = 0.0
+        for m in range(3):
+            along += legs[k, 3 + m] * robot[12 + k, m]
+        if not along * np.cos(angles[k]) + legs[k, 5] * np.sin(angles[k]) >= SAME_BRANCH:
             return NO_CONVERGENCE
         result[18 + k] = 0.0
         if started:

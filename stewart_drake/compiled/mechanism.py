@@ -10,6 +10,8 @@ from stewart_drake.robot import RobotParameters
 
 OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7)
 """How a compiled function ended."""
+AT_REFERENCE = 16
+"""Added where it concerns the reference's pose, not the measured one."""
 
 (
     CRANK_LENGTH,

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from stewart_drake.riccati import UNSETTLED
+
 ITERATIONS = 60
-"""Of each iteration at most; about ten do."""
+"""At most; about ten do."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -37,6 +39,7 @@ def chain_gain(
         a1, a2 = g * q_e * t**4, g * q_v * t**2
     x = np.empty(3, np.complex128)
     _starts(a2, a1, a0, x)
+    moved = np.inf
     for _ in range(ITERATIONS):
         moved = 0.0
         for i in range(3):
@@ -58,6 +61,9 @@ def chain_gain(
         # The iteration is of third order: this step's length is the cube root of what is left.
         if moved < 1e-7:
             break
+    # Roots that coincide are never still, but for that they are near.
+    if moved > UNSETTLED:
+        return False
     # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1; the stable one has |1 + d| < 1.
     d = np.empty(3, np.complex128)
     for i in range(3):
