@@ -203,6 +203,37 @@ class DrakeCheckError(RunFailure):
     reason = "drake_check"
 
 
+class SafetyStop(RunFailure):
+    """The safety layer has ended the run; `reason` is the monitor's name.
+
+    Attributes:
+        reason: See `safety.MONITORS`.
+    """
+
+    def __init__(self, monitor: str, message: str, leg: int | None = None) -> None:
+        self.reason = monitor
+        super().__init__(message, leg)
+
+
+FAILURES = (
+    "run_failure",
+    "unreachable_pose",
+    "crank_dead_centre",
+    "parallel_singularity",
+    "forward_kinematics",
+    "encoder",
+    "assembly_mode",
+    "riccati",
+    "not_finite",
+)
+"""Reasons for which a tick may fail, counted from 1 in signals; 1 stands for any other."""
+
+
+def failure_code(reason: str) -> int:
+    """Number of a reason, see `FAILURES`."""
+    return 1 + (FAILURES.index(reason) if reason in FAILURES else 0)
+
+
 @contextmanager
 def drake_guard(doing: str) -> Iterator[None]:
     """Turns what a failed Drake check raises (`SystemExit`, `RuntimeError`) into `DrakeCheckError`.

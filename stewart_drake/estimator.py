@@ -21,9 +21,14 @@ from stewart_drake.errors import (
 from stewart_drake.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
+from stewart_drake.seeded import check_real, check_seed, tick_normal
+from stewart_drake.sensor_faults import EncoderFault
 
 MEMORY_SIZE = 27
 """Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
+
+_STREAM = 1
+"""Of random numbers, see `seeded`."""
 
 TOLERANCE = 1e-12
 """[m] rod-length error at which Newton's method stops."""
@@ -48,6 +53,12 @@ class EncoderOptions:
     """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
     offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad] reading minus true angle of each motor: an error of homing."""
+    noise: Real = 0.0
+    """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
+    noise_seed: Count = 0
+    """Of the noise."""
+    faults: tuple[EncoderFault, ...] = ()
+    """Encoders that fail; in order, of two at once on one encoder the later wins."""
     rate_cutoff: Real | None = None
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
     max_speed: Real = 60.0
@@ -63,6 +74,8 @@ class EncoderOptions:
             raise ConfigurationError("sensors.resolution_bits", self.resolution_bits, "a whole number from 0 to 40")
         if len(self.offset) != 6 or not all(is_finite(x) for x in self.offset):
             raise ConfigurationError("sensors.offset", self.offset, "6 finite numbers [rad]")
+        check_real("sensors.noise", self.noise)
+        check_seed("sensors.noise_seed", self.noise_seed)
         if self.rate_cutoff is not None and not (is_finite(self.rate_cutoff) and self.rate_cutoff > 0.0):
             raise ConfigurationError("sensors.rate_cutoff", self.rate_cutoff, "a positive number [Hz], or null")
         if not (is_finite(self.max_speed) and self.max_speed > 0.0):
@@ -77,16 +90,19 @@ class EncoderOptions:
         """[rad] of one count; 0 for none."""
         return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
 
-    def read(self, crank_angles: np.ndarray) -> np.ndarray:
-        """What the encoders say.
+    def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
+        """What the encoders say, while none fails.
 
         Args:
             crank_angles: (..., 6) [rad] true.
+            tick: Whose noise it has; None for none.
 
         Returns:
             (..., 6) [rad].
         """
         angles = crank_angles + self._offset
+        if tick is not None and self.noise > 0.0:
+            angles = angles + self.noise * tick_normal(self.noise_seed, _STREAM, tick, 6)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum else angles
 
     @cached_property

@@ -16,7 +16,13 @@ from pydrake.multibody.plant import (
     DiscreteContactApproximation,
     MultibodyPlant,
 )
-from pydrake.multibody.tree import FixedOffsetFrame, LinearBushingRollPitchYaw, PdControllerGains
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    LinearBushingRollPitchYaw,
+    PdControllerGains,
+    SpatialInertia,
+    UnitInertia,
+)
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
 
@@ -60,8 +66,21 @@ class StewartPlant(StateMap):
         self.options, self.gravity = options, gravity
         self.plant, self.scene_graph = plant, scene_graph
         self.torque_input_port = torque_input_port
+        # The SDF has them leg by leg, and no other constraints.
+        self._closures = tuple(plant.GetConstraintIds())
         self.state_output_port: OutputPort = plant.get_state_output_port()
         self.state_names: tuple[str, ...] = tuple(plant.GetStateNames(add_model_instance_prefix=False))
+
+    def break_rod(self, context: Context, leg: int) -> None:
+        """Takes a rod off the platform, from the next step on; between two advances of a Simulator, not inside one.
+
+        Args:
+            context: Context of the whole Diagram, not the plant's own in it.
+            leg: 0 to 5.
+        """
+        with drake_guard("breaking a rod"):
+            mine = self.plant.GetMyMutableContextFromRoot(context)
+            self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
 
     def set_state(self, context: Context, pose: np.ndarray, pose_rate: np.ndarray | None = None) -> None:
         """Puts the plant into `assemble(pose, pose_rate)`.
@@ -137,6 +156,8 @@ def add_plant(
         _add_damping(plant, robot, options)
         if options.motor_friction > 0.0:
             _add_friction_actuators(plant, options.motor_friction)
+        if options.payload_mass > 0.0:
+            _add_payload(plant, options)
         plant.Finalize()
         torque_input_port = plant.get_actuation_input_port()
         if options.motor_friction > 0.0:
@@ -191,6 +212,14 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))
         plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
+
+
+def _add_payload(plant: MultibodyPlant, options: PlantOptions) -> None:
+    """A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF."""
+    point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+    body = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
+    at = RigidTransform(np.array(options.payload_position))
+    plant.WeldFrames(plant.GetFrameByName("platform"), body.body_frame(), at)
 
 
 def _add_friction_actuators(plant: MultibodyPlant, friction: float) -> None:

@@ -6,15 +6,36 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Flag, Real, is_finite
+from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.scalars import SECTION, Count, Flag, Real, Vector3, is_finite
 from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
+from stewart_drake.seeded import check_leg, check_real
 
 STICTION_SPEED = 1e-4
 """[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrokenRod:
+    """A rod that comes off the platform and hangs from its crank.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    leg: Count
+    """0 to 5."""
+    time: Real
+    """[s] when it breaks."""
+
+    def __post_init__(self) -> None:
+        check_leg("plant.broken_rod.leg", self.leg)
+        check_real("plant.broken_rod.time", self.time)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +63,12 @@ class PlantOptions:
     same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
     motor_friction: Real = 0.0
     """[N m] Coulomb friction of each motor; implicit, viscous below `STICTION_SPEED`, so that a held robot creeps."""
+    payload_mass: Real = 0.0
+    """[kg] of a point that the platform carries and nobody but the plant knows of: not `robot`, nor the controller."""
+    payload_position: Vector3 = (0.0, 0.0, 0.0)
+    """[m] of the payload, in P."""
+    broken_rod: BrokenRod | None = None
+    """A rod that breaks midway, see `simulation.run`; null for none."""
 
     def __post_init__(self) -> None:
         if not is_finite(self.time_step) or not MIN_TIME_STEP <= self.time_step <= MAX_TIME_STEP:
@@ -52,10 +79,15 @@ class PlantOptions:
             raise ConfigurationError("plant.rod_joint", self.rod_joint, " or ".join(ROD_JOINTS))
         if not isinstance(self.collision, bool):
             raise ConfigurationError("plant.collision", self.collision, "true or false")
-        for name in ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction"):
+        for name in ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction", "payload_mass"):
             value = getattr(self, name)
             if not is_finite(value) or value < 0.0:
                 raise ConfigurationError(f"plant.{name}", value, "a finite number, zero or positive")
+        if self.payload_mass > LARGEST:
+            raise ConfigurationError("plant.payload_mass", self.payload_mass, f"at most {LARGEST:g} kg")
+        at = self.payload_position
+        if len(at) != 3 or not all(is_finite(x) and abs(x) <= LARGEST for x in at):
+            raise ConfigurationError("plant.payload_position", at, "3 finite numbers [m]")
 
 
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:

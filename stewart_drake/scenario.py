@@ -27,12 +27,17 @@ from pydantic import (
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
+from stewart_drake.command_link import LinkOptions
+from stewart_drake.computed_torque import ComputedTorqueOptions
 from stewart_drake.control_law import ControlLaw
 from stewart_drake.density import DensityKind
+from stewart_drake.disturbances import Disturbance
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.estimator import EncoderOptions
+from stewart_drake.joint_pid import PidOptions
 from stewart_drake.limits import Limits
 from stewart_drake.lqi import LqiOptions
+from stewart_drake.motors import MotorOptions
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
@@ -41,6 +46,8 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import steps_per
 from stewart_drake.scalars import SECTION, Count, Real, Vector6
 from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
+from stewart_drake.sensor_faults import PoseFault
+from stewart_drake.user_controller import PythonOptions
 
 MAX_SCENARIO_BYTES = 1_000_000
 
@@ -108,6 +115,8 @@ class IdealSensors(_Section):
     """Pose and rate of the platform, exact."""
 
     kind: Literal["ideal"] = "ideal"
+    faults: tuple[PoseFault, ...] = ()
+    """Times at which the sensor fails."""
 
 
 class AnnTuner(_PairTuner):
@@ -140,18 +149,26 @@ class Scenario(_Section):
     """The robot as the controller believes it to be; null for the truth."""
     plant: PlantOptions = Field(default_factory=PlantOptions)
     """The simulated robot."""
+    motors: MotorOptions = Field(default_factory=MotorOptions)
+    """What its motors make of a torque."""
+    disturbances: tuple[Disturbance, ...] = ()
+    """Wrenches from outside on the platform; they add up."""
     reference: AnyReference = Field(default_factory=SineReference)
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
-    controller: LqiOptions = Field(default_factory=LqiOptions)
-    """The LQI."""
+    controller: Annotated[
+        LqiOptions | PidOptions | ComputedTorqueOptions | PythonOptions, Field(discriminator="kind")
+    ] = Field(default_factory=LqiOptions)
+    """What answers to errors with torques; without `kind`, the LQI."""
     tuner: Annotated[FixedTuner | AnnTuner | BlockTuner, Field(discriminator="kind")] = Field(default_factory=AnnTuner)
-    """Where the weights come from."""
+    """Where the weights come from; without effect for controllers that take none."""
     sensors: Annotated[IdealSensors | EncoderOptions, Field(discriminator="kind")] = Field(default_factory=IdealSensors)
     """What the controller sees of the robot."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
+    link: LinkOptions = Field(default_factory=LinkOptions)
+    """The way of the commands: what is dropped, late or spoilt. It comes after the delay."""
     limits: Limits = Field(default_factory=Limits)
     """What the reference must keep to; checked before the run."""
     log_period: Annotated[Real, Field(gt=0.0)] | None = None
@@ -169,9 +186,22 @@ class Scenario(_Section):
         scenario._check()
         return scenario
 
-    @field_validator("robot", "model_robot", "plant", "reference", "controller", "limits", "sensors", mode="before")
+    @field_validator(
+        "robot",
+        "model_robot",
+        "plant",
+        "motors",
+        "reference",
+        "controller",
+        "link",
+        "limits",
+        "sensors",
+        mode="before",
+    )
     @classmethod
-    def _unpack(cls, section: Any) -> Any:
+    def _unpack(cls, section: Any, info: ValidationInfo) -> Any:
+        if info.field_name == "controller" and isinstance(section, Mapping) and "kind" not in section:
+            return {"kind": "lqi", **section}
         # A section made in Python is checked like one from a file; otherwise an array in it would only show at the end.
         if isinstance(section, type) or not dataclasses.is_dataclass(section):
             return section
@@ -202,7 +232,7 @@ class Scenario(_Section):
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner or sensors drops the keys that only the old kind has.
+        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
@@ -235,6 +265,17 @@ class Scenario(_Section):
         return self.robot if self.model_robot is None else self.model_robot
 
     @property
+    def lqi(self) -> LqiOptions:
+        """`controller`, for what needs the LQI.
+
+        Raises:
+            ConfigurationError: It is of another kind.
+        """
+        if not isinstance(self.controller, LqiOptions):
+            raise ConfigurationError("controller.kind", self.controller.kind, "lqi, for this")
+        return self.controller
+
+    @property
     def effective_log_period(self) -> float:
         """[s] between log rows."""
         return self.controller.period if self.log_period is None else self.log_period
@@ -261,10 +302,14 @@ class Scenario(_Section):
         return network
 
     def control_law(self) -> ControlLaw:
-        """The controller of this scenario as a pure function, see `ControlLaw`."""
+        """The controller of this scenario as a pure function, see `ControlLaw`.
+
+        Raises:
+            ConfigurationError: It is no LQI; as `load_tuner_network`.
+        """
         return ControlLaw(
             self.believed_robot,
-            self.controller,
+            self.lqi,
             self.gravity,
             self.load_tuner_network(),
             self.tuner.density,
@@ -279,7 +324,9 @@ class Scenario(_Section):
 
     def _check(self) -> None:
         """Rules between keys."""
-        steps_per("controller.period", self.controller.period, self.plant.time_step)
+        steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
+        if self.link.late_steps > steps:
+            raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
         if self.duration < self.controller.period:
@@ -297,8 +344,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         path: YAML file; `weights_file` and `motion_file` in it are relative to its folder. A bare name such as
             `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` or `motion_file` among them is
-            relative to the current folder. Another `kind` of reference, tuner or sensors drops the keys that only the
-            old kind has.
+            relative to the current folder. Another `kind` of reference, tuner, sensors or controller drops the keys
+            that only the old kind has.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -386,7 +433,7 @@ def _parse_yaml(text: str, key: str) -> Any:
 
 
 def _anchor_files(data: Any, folder: Path) -> None:
-    """Makes relative paths of weights and motion files absolute, from `folder`, however deep they are."""
+    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are."""
     waiting, seen = [data], set()
     while waiting:
         section = waiting.pop()
@@ -402,6 +449,8 @@ def _anchor_files(data: Any, folder: Path) -> None:
         for key in _FILE_KEYS:
             if isinstance(section.get(key), str):
                 section[key] = str((folder / section[key]).absolute())
+        if section.get("kind") == "python" and ".py:" in str(section.get("system")):
+            section["system"] = str((folder / section["system"]).absolute())
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
@@ -414,8 +463,9 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         if not isinstance(section, dict):
             name = ".".join(map(shown, parents[: depth + 1]))
             raise ConfigurationError(name, section, f"a section, to set {shown(key)} in it")
-    if last == "kind" and parents in (["reference"], ["tuner"], ["sensors"]):
-        old, new = (kind_class(Scenario, parents[0], kind) for kind in (section.get("kind"), value))
+    if last == "kind" and parents in (["reference"], ["tuner"], ["sensors"], ["controller"]):
+        before = section.get("kind", "lqi" if parents == ["controller"] else None)
+        old, new = (kind_class(Scenario, parents[0], kind) for kind in (before, value))
         for name in set(keys_of(old)) - set(keys_of(new)) if old is not None and new is not None else ():
             section.pop(name, None)
     section[last] = value

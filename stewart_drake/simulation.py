@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -14,10 +15,11 @@ from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError, RunFailure, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.log import SimulationLog, Status
-from stewart_drake.lqi import checked_legs
+from stewart_drake.lqi import LqiOptions, checked_legs
 from stewart_drake.motion_fit import motion_report
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
+from stewart_drake.user_controller import PythonOptions, user_code
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ def run(
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
-            that cannot be used.
+            that cannot be used; a user's controller that cannot.
         RunFailure: The start pose cannot be assembled; only with `check` off.
     """
     if check:
@@ -60,18 +62,21 @@ def run(
     step = on_grid(scenario.plant.time_step)
     total = int(scenario.duration / scenario.plant.time_step + 1e-6)
     stride = max(1, int(CHUNK / scenario.plant.time_step))
+    breaks = _breaks(scenario, total)
     status: Status = "completed"
     reason = message = None
     leg: int | None = None
     end: float | None = None
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"):
+        with drake_guard("simulation"), user_code():
             simulator.Initialize()
-        for done in range(stride, total + stride, stride):
+        for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is the caller's own affair, so it stays outside of the guard.
-            with drake_guard("simulation"):
-                simulator.AdvanceTo(min(done, total) * step)
+            with drake_guard("simulation"), user_code():
+                simulator.AdvanceTo(done * step)
+            if done in breaks:
+                loop.plant.break_rod(simulator.get_mutable_context(), breaks[done])
             if progress is not None:
                 progress(_nominal(context.get_time(), scenario.plant.time_step))
     except RunFailure as failure:
@@ -104,7 +109,8 @@ def check_scenario(scenario: Scenario) -> None:
     motion_report(scenario).raise_if_infeasible()
     with np.errstate(all="ignore"):
         try:
-            checked_legs(scenario.robot, scenario.controller, scenario.start()[0])
+            near = LqiOptions() if isinstance(scenario.controller, PythonOptions) else scenario.controller
+            checked_legs(scenario.robot, near, scenario.start()[0])
         except RunFailure as failure:
             key, value = "reference", scenario.start()[0].tolist()
             if any(scenario.initial_offset):
@@ -117,6 +123,15 @@ def _nominal(time_on_grid: float, time_step: float) -> float:
     return float(np.round(time_on_grid / time_step) * time_step)
 
 
+def _breaks(scenario: Scenario, total: int) -> dict[int, int]:
+    """Step of the plant before which a rod breaks -> its leg; from the first step that begins at the time or later."""
+    rod = scenario.plant.broken_rod
+    if rod is None:
+        return {}
+    step = math.ceil(rod.time / scenario.plant.time_step - 1e-6)
+    return {step: rod.leg} if step < total else {}
+
+
 def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
     scenario, plant = loop.scenario, loop.plant
     data = {name: sink.FindLog(context) for name, sink in loop.sinks.items()}
@@ -127,7 +142,6 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
     multiple = np.round(time_on_grid / scenario.plant.time_step)
     limit = scenario.robot.effort_limit
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])
-    weights = "weights" if values["weights"].shape[1] == 2 else "block_weights"
     signals = {
         "time": multiple * scenario.plant.time_step,
         "pose": pose,
@@ -140,12 +154,15 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
         "torque": values["torque"],
         "torque_applied": np.clip(values.get("torque_applied", values["torque"]), -limit, limit),
         "crank_angle": plant.crank_angles(values["plant_state"]),
-        weights: values["weights"],
-        "density": values["density"],
         "loop_gap": plant.loop_gap(values["plant_state"]),
         "plant_state": values["plant_state"],
     }
-    if isinstance(scenario.sensors, EncoderOptions):
+    if "weights" in values:
+        signals["weights" if values["weights"].shape[1] == 2 else "block_weights"] = values["weights"]
+        signals["density"] = values["density"]
+    if "disturbance" in values:
+        signals["disturbance"] = values["disturbance"]
+    if isinstance(scenario.sensors, EncoderOptions) or scenario.sensors.faults:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
     return signals

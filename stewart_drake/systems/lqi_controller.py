@@ -22,6 +22,7 @@ class LqiController(TickedSystem):
         options: See `LqiOptions`.
         gravity: [m/s^2].
         weights: Size of the port: 2, or 4 for block weights.
+        guarded: See `TickedSystem`.
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
@@ -32,10 +33,12 @@ class LqiController(TickedSystem):
         integral: out (6,) [rad s, m s], z after the tick.
     """
 
-    def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
+    def __init__(
+        self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2, guarded: bool = False
+    ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(options.period, np.zeros(MEMORY_SIZE))
+        super().__init__(options.period, np.zeros(MEMORY_SIZE), guarded)
         self._tick = flat_tick(robot, options, gravity)
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
         self.reference = self.DeclareVectorInputPort("reference", 18)

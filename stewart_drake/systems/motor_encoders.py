@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,24 +10,34 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.plant import StewartPlant
+from stewart_drake.sampling import on_grid
 
 
 class MotorEncoders(LeafSystem):
     """Crank angles as the encoders read them.
+
+    Args:
+        plant: Whose motors.
+        options: See `EncoderOptions`.
+        period: [s] tick period, for the noise: one number a tick, however often it is asked for.
 
     Ports:
         plant_state: in (nq + nv,), state of the MultibodyPlant.
         angles: out (6,) [rad], from the horizontal.
     """
 
-    def __init__(self, plant: StewartPlant, options: EncoderOptions) -> None:
+    def __init__(self, plant: StewartPlant, options: EncoderOptions, period: float) -> None:
         super().__init__()
-        self._options = options
+        self._options, self._period = options, on_grid(period)
         # A sensor asks at every tick: what `crank_angles` does, without its generality.
         self._index = plant.indices.crank
         self._zero = plant.crank_angles(np.zeros(plant.plant.num_multibody_states()))
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
-        self.angles = self.DeclareVectorOutputPort("angles", 6, self._calc)
+        noisy = {self.time_ticket()} if options.noise > 0.0 else set()
+        prerequisites = {self.input_port_ticket(self.plant_state.get_index()), *noisy}
+        self.angles = self.DeclareVectorOutputPort("angles", 6, self._calc, prerequisites_of_calc=prerequisites)
 
     def _calc(self, context: Context, output: Any) -> None:
-        output.SetFromVector(self._options.read(self.plant_state.Eval(context)[self._index] + self._zero))
+        angles = self.plant_state.Eval(context)[self._index] + self._zero
+        tick = math.floor(context.get_time() / self._period + 1e-6) if self._options.noise > 0.0 else None
+        output.SetFromVector(self._options.read(angles, tick))

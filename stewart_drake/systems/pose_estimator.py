@@ -19,6 +19,7 @@ class PoseEstimator(TickedSystem):
         period: [s] tick period.
         start: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
         compiled: See `LqiOptions.compiled`.
+        guarded: See `TickedSystem`.
 
     Ports:
         angles: in (6,) [rad].
@@ -26,9 +27,15 @@ class PoseEstimator(TickedSystem):
     """
 
     def __init__(
-        self, robot: RobotParameters, options: EncoderOptions, period: float, start: np.ndarray, compiled: bool = False
+        self,
+        robot: RobotParameters,
+        options: EncoderOptions,
+        period: float,
+        start: np.ndarray,
+        compiled: bool = False,
+        guarded: bool = False,
     ) -> None:
-        super().__init__(period, initial_memory(start))
+        super().__init__(period, initial_memory(start), guarded)
         self._estimate = flat_estimate(robot, options, period, compiled)
         self.angles = self.DeclareVectorInputPort("angles", 6)
         self._declare_result()

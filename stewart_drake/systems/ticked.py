@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
 
-from stewart_drake.errors import RunFailure
+from stewart_drake.errors import RunFailure, failure_code
 from stewart_drake.sampling import on_grid
 
+_WELL = np.array([0.0, -1.0])
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
 
@@ -30,20 +30,25 @@ class TickedSystem(LeafSystem):
     Args:
         period: [s] tick period; ticks at 0, period, 2 period, ...
         initial: (n,) result before the first tick.
+        guarded: A tick that fails does not end the run: the result stays that of the tick before, and two more entries
+            after it say what was wrong, as `errors.FAILURES` counts it (0: nothing), and at which leg (-1: none). For
+            systems behind a safety layer.
 
     Attributes:
         period: [s] as Drake has it, see `sampling.on_grid`; the period for a log of every tick.
-        result: Port (n + 1,), all of the result and the number of ticks done. Each port that is a part of it costs a
-            call of Python where it is asked for; a Demultiplexer on this one does not.
+        result: Port (n + 1,) or, guarded, (n + 3,): all of the result and the number of ticks done. Each port that is a
+            part of it costs a call of Python where it is asked for; a Demultiplexer on this one does not.
     """
 
     result: OutputPort
 
-    def __init__(self, period: float, initial: np.ndarray) -> None:
+    def __init__(self, period: float, initial: np.ndarray, guarded: bool = False) -> None:
         super().__init__()
         self.period = on_grid(period)
-        self._size = len(initial) + 1
-        self.DeclareDiscreteState(np.append(np.asarray(initial, dtype=float), 0.0))
+        self._guarded, self._memory = guarded, len(initial)
+        state = np.concatenate([np.asarray(initial, dtype=float), [0.0, -1.0] if guarded else [], [0.0]])
+        self._size = len(state)
+        self.DeclareDiscreteState(state)
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def _declare_result(self) -> None:
@@ -76,11 +81,15 @@ class TickedSystem(LeafSystem):
             values[:] = held
             return
         try:
-            values[:-1] = self.tick(context, held[:-1])
+            values[: self._memory] = self.tick(context, held[: self._memory])
+            values[self._memory : -1] = _WELL[: self._size - self._memory - 1]
         except RunFailure as error:
-            error.time = context.get_time()
-            raise
-        values[-1] = math.floor(now + 1e-6) + 1.0
+            if not self._guarded:
+                error.time = context.get_time()
+                raise
+            values[: self._memory] = held[: self._memory]
+            values[self._memory : -1] = failure_code(error.reason), -1 if error.leg is None else error.leg
+        values[-1] = int(now + 1e-6) + 1.0
 
     def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
         discrete_state.set_value(0, self.result.Eval(context))
