@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.joint_pid import PidOptions
 from stewart_drake.log import SimulationLog
 
 INTEGRAL_TIME = 5.0
@@ -62,9 +63,14 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         applied = log["torque_applied"]
         metrics["torque_rms"] = float(np.sqrt(np.mean(applied**2)))
         metrics["torque_peak"] = float(np.abs(applied).max())
-        size, limit = np.abs(log["torque"]), log.scenario.robot.effort_limit
+        size, controller = np.abs(log["torque"]), log.scenario.controller
+        limit = (
+            controller.limit(log.scenario.robot)
+            if isinstance(controller, PidOptions)
+            else log.scenario.robot.effort_limit
+        )
         # A controller that limits the torque itself asks for the limit and no more.
-        at_limit = size > limit if log.scenario.controller.saturation == "none" else size >= limit
+        at_limit = size > limit if getattr(controller, "saturation", "") == "none" else size >= limit
         metrics["saturated_fraction"] = float(np.mean(at_limit))
         metrics["loop_gap_max_m"] = float(log["loop_gap"].max())
     if len(log.time) and "weights" in log.signals:

@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SIGNALS, SimulationLog
+from stewart_drake.lqi import LqiOptions
 from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 
 DPI = 150
@@ -182,8 +183,12 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
 
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
     both, ratio = panels
-    if "weights" not in log.signals:
+    if "block_weights" in log.signals:
         _plot_block_weights(panels, log)
+        return
+    if "weights" not in log.signals:
+        for panel in panels:
+            panel.axis("off")
         return
     weights = log["weights"]
     # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
@@ -258,11 +263,13 @@ def _outcome(log: SimulationLog) -> tuple[str, str]:
 
 def _settings(log: SimulationLog) -> str:
     scenario = log.scenario
-    return (
-        f"gravity {scenario.gravity:g} m/s², force map {scenario.controller.force_map}, "
-        f"feedforward {scenario.controller.feedforward}, control period {1e3 * scenario.controller.period:g} ms, "
-        f"tuner {scenario.tuner.kind}"
-    )
+    controller = scenario.controller
+    if isinstance(controller, LqiOptions):
+        words = f"force map {controller.force_map}, feedforward {controller.feedforward}"
+    else:
+        words = f"controller {controller.kind}"
+    tuner = f", tuner {scenario.tuner.kind}" if "density" in log.signals else ""
+    return f"gravity {scenario.gravity:g} m/s², {words}, control period {1e3 * controller.period:g} ms{tuner}"
 
 
 def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = False, **style: Any) -> None:

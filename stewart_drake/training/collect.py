@@ -98,13 +98,13 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
     return [
         Scenario(
             name=f"experiment {index}",
-            duration=samples * base.controller.period,
+            duration=samples * base.lqi.period,
             gravity=base.gravity,
             robot=base.robot,
             model_robot=base.model_robot,
             plant=base.plant,
             reference=reference,
-            controller=base.controller,
+            controller=base.lqi,
             tuner=FixedTuner(omega_q=omega_q, omega_r=omega_r, density=base.tuner.density, window=base.tuner.window),
             limits=base.limits,
         )
@@ -152,15 +152,15 @@ def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
 def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
     """How the data was made: sample time, window, kind, amplitudes per frequency, and the whole scenario."""
     return {
-        "sample_time": base.controller.period,
+        "sample_time": base.lqi.period,
         "density": base.tuner.density,
         "window": base.tuner.window,
         "frequency": list(reference.frequency),
         "amplitude": [list(row) for row in reference.amplitude],
         "phase": list(reference.phase),
         "gravity": base.gravity,
-        "feedforward": base.controller.feedforward,
-        "force_map": base.controller.force_map,
+        "feedforward": base.lqi.feedforward,
+        "force_map": base.lqi.force_map,
         "omegas": list(OMEGAS),
         "scenario": base.to_dict(),
     }

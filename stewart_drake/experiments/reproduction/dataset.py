@@ -55,7 +55,7 @@ def dataset_of(
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)
     metadata = dataset_metadata(study.base, reference) | {"density": kind}
-    samples = round(scenarios[0].duration / study.base.controller.period)
+    samples = round(scenarios[0].duration / study.base.lqi.period)
     return dataset_from_logs(logs, samples, kind, tuner.window, metadata)
 
 
@@ -162,9 +162,9 @@ def _add_samples(section: Section, base: Scenario, runs: int, file: str) -> None
     n = section.numbers
     section.text(
         "### Samples\n\n"
-        f"{n['samples']} samples: {runs} runs of {n['samples'] // runs} ticks of {1e3 * base.controller.period:g} ms, "
+        f"{n['samples']} samples: {runs} runs of {n['samples'] // runs} ticks of {1e3 * base.lqi.period:g} ms, "
         f"window m = {base.tuner.window}, gravity {base.gravity:g} m/s^2, feedforward "
-        f"`{base.controller.feedforward}`. The file (`{file}`) carries sample time, window, amplitudes, "
+        f"`{base.lqi.feedforward}`. The file (`{file}`) carries sample time, window, amplitudes, "
         "phases and the whole scenario in its metadata. Densities of runs whose weights have one ratio differ by "
         f"{n['equal_ratio_spread']:.1e} at most, of other runs by {n['next_ratio_spread']:.1e} at least."
     )

@@ -94,7 +94,7 @@ def make(study: Study) -> Section:
 
 def _run(study: Study, trajectories: Sequence[Trajectory]) -> tuple[Runs, Mapping[str, SimulationLog]]:
     """Every trajectory under the tuner and the five; (37), (38) without gravity under the tuner and 1/1."""
-    feedforward, gravity = study.base.controller.feedforward, study.base.gravity
+    feedforward, gravity = study.base.lqi.feedforward, study.base.gravity
     scenarios: dict[tuple[str, float | None], Scenario] = {}
     for trajectory in trajectories:
         for ratio in RATIOS:
@@ -117,7 +117,7 @@ def _fig7(
     log = compensated[_START[_TUNER]]
     section.text("### Fig. 7 again")
     name = "gravity on" if study.base.gravity > 0.0 else "gravity off"
-    condition = f"{name}, feedforward {study.base.controller.feedforward}"
+    condition = f"{name}, feedforward {study.base.lqi.feedforward}"
     section.figure(
         f"Fig. 7(a): states, errors, integral states and the network's output on (37), (38); {condition}",
         study.save_figure(plot_states(log), "in_the_loop_states"),

@@ -70,7 +70,7 @@ def paper_scenario(
 
 def gains_along_reference(base: Scenario) -> np.ndarray:
     """K of (31) of each of the nine pairs along (37), (38), for the controller of `base`; (9 poses, 9 pairs, 6, 18)."""
-    robot, options = base.believed_robot, base.controller
+    robot, options = base.believed_robot, base.lqi
     poses = paper_reference().evaluate(np.linspace(0.0, np.pi, 9))[0]
     maps = acceleration_map(robot, poses, options.force_map)
     return np.array([[lqi_gain(b, options, np.array(pair)) for pair in PAIRS] for b in maps])
@@ -239,7 +239,7 @@ def _ratio_only(section: Section, study: Study, logs: dict[Cell, SimulationLog])
 def _time_to_failure(section: Section, study: Study) -> None:
     time_step = study.base.plant.time_step
     periods = [p for p in study.pick((0.005, 0.001), (0.005,)) if _ticks(p, time_step)] or [
-        study.base.controller.period
+        study.base.lqi.period
     ]
     maps: tuple[ForceMapKind, ...] = ("statics", "printed")
     gravity = _gravity(study)

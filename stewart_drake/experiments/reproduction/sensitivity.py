@@ -104,7 +104,7 @@ def _numbers(response: Response) -> dict[str, Any]:
 def controllers(study: Study) -> dict[str, Scenario]:
     """The tuner and fixed weights on (37), (38), by name."""
     duration = study.pick(DURATION, 0.5 * DURATION)
-    feedforward = study.base.controller.feedforward
+    feedforward = study.base.lqi.feedforward
     ratios = study.pick((1.0, 100.0), (1.0,))
     fixed = {
         f"ratio {ratio:g}": paper_scenario(study.base, duration, study.base.gravity, feedforward, pair_of(ratio))
@@ -237,7 +237,7 @@ def _findings(section: Section, study: Study, responses: Sequence[Response]) -> 
         )
     section.text("\n".join(lines))
     base = study.base
-    if base.gravity == 0.0 or base.controller.feedforward == "none":
+    if base.gravity == 0.0 or base.lqi.feedforward == "none":
         return
     fallen = {r.name: [e.label for e in r.effects if e.factor == "masses" and e.score is None] for r in responses}
     if any(fallen.values()):

@@ -54,7 +54,7 @@ CLAIM = (
 def make(study: Study) -> Section:
     """The section on (19) to (34)."""
     section = Section("state_space", "State space and LQI: (19) to (34)", CLAIM)
-    robot, period = study.base.robot, study.base.controller.period
+    robot, period = study.base.robot, study.base.lqi.period
     at_home = acceleration_map(robot, robot.home_pose)
     _matrices(section, study, robot, at_home, period)
     study.progress(0.1)

@@ -171,7 +171,7 @@ def _add_limits(section: Section, study: Study, own: DensityKind) -> None:
         f"different labels: here the densities of such runs differ by {n['equal_ratio_spread']:.1e} at most. Over the "
         "nine pairs even an estimator that knew the ratio exactly could reach no more than "
         f"R^2 = {best['omega_Q']:.2f} for omega_Q and {best['omega_R']:.2f} for omega_R; only the ratio has a bound of "
-        f"{best['ratio']:.2g}. A random split puts neighbours in time, {1e3 * study.base.controller.period:g} ms "
+        f"{best['ratio']:.2g}. A random split puts neighbours in time, {1e3 * study.base.lqi.period:g} ms "
         f"apart, on both sides; a split by whole runs does not, but {apart} of its {runs} validation runs have data "
         "that training saw under other labels alone. With the tuner's own densities the ratio's validation R^2 is "
         f"{_short(scores[f'{own} samples']['validation']['ratio'])} by samples and "
