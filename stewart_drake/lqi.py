@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -65,6 +65,8 @@ class LqiOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
+    kind: Literal["lqi"] = "lqi"
+    """Taken where the key is absent."""
     period: Real = 0.005
     """[s] control period, > 0, a whole multiple of the plant's time step."""
     model: Model = "paper"
@@ -123,6 +125,18 @@ class LqiOptions:
             raise ConfigurationError("controller.hold_ticks", self.hold_ticks, "a whole number from 0 to 1000")
         if self.compiled and self.solver != "split":
             raise ConfigurationError("controller.compiled", self.compiled, "true only with solver: split")
+
+
+class SingularityLimits(Protocol):
+    """How near to a singularity a controller goes, see `LqiOptions`."""
+
+    @property
+    def min_transmission(self) -> float:
+        """[-]"""
+
+    @property
+    def min_conditioning(self) -> float:
+        """[-]"""
 
 
 class Measurement(NamedTuple):
@@ -202,7 +216,7 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
     return weights
 
 
-def checked_legs(robot: RobotParameters, options: LqiOptions, pose: np.ndarray) -> LegGeometry:
+def checked_legs(robot: RobotParameters, options: SingularityLimits, pose: np.ndarray) -> LegGeometry:
     """Leg vectors at a measured pose, refused near singularities, where the force map loses its meaning.
 
     Raises:
@@ -226,7 +240,7 @@ def checked_legs(robot: RobotParameters, options: LqiOptions, pose: np.ndarray) 
     return legs
 
 
-def _out_of_reach(error: UnreachablePoseError, options: LqiOptions) -> RunFailure:
+def _out_of_reach(error: UnreachablePoseError, options: SingularityLimits) -> RunFailure:
     if not error.margin >= -_DEAD_CENTRE_SLACK:
         return error
     # The robot stands there, so it can: the crank has been carried across its dead centre, where reach ends.
