@@ -87,7 +87,9 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
 
 @cli.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/dataset.parquet"), show_default=True)
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"), show_default=True
+)
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def collect(out: Path, quiet: bool) -> None:
     """Run the paper's nine experiments and write the tuner's training data (14,400 samples)."""
@@ -102,8 +104,10 @@ def collect(out: Path, quiet: bool) -> None:
 
 
 @cli.command()
-@click.argument("dataset", type=click.Path(path_type=Path), default=Path("runs/dataset.parquet"))
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/tuner.json"), show_default=True)
+@click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"))
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/tuner.json"), show_default=True
+)
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True)
 @click.option("--quiet", is_flag=True, help="No progress bar.")

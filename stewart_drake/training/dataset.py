@@ -87,8 +87,10 @@ def load_dataset(path: str | Path) -> Dataset:
         document = json.loads((table.schema.metadata or {}).get(_FORMAT_KEY, b"{}"))
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(key, str(error), "a dataset written by `collect`") from None
-    if not isinstance(document, dict) or document.pop("version", None) != _VERSION:
-        raise ConfigurationError(key, "another format", f"a dataset of version {_VERSION}, written by `collect`")
+    version = document.pop("version", None) if isinstance(document, dict) else None
+    if version != _VERSION:
+        found = "another format" if version is None else f"version {version}"
+        raise ConfigurationError(key, found, f"a dataset of version {_VERSION}, written by `collect`")
     if document.get("density", "magnitude") not in ("magnitude", "signed"):
         raise ConfigurationError(f"{key}: density", document["density"], "magnitude or signed")
     if type(document.get("window", 1)) is not int or document.get("window", 1) < 1:
