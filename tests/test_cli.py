@@ -411,3 +411,12 @@ def test_a_run_without_training_needs_no_torch(tmp_path):
     )
     status, out, err = shell(cwd=tmp_path, code=spy)
     assert (status, out) == (0, "completed\n"), err
+
+
+@pytest.mark.parametrize("command", ["collect", "train"])
+def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, command):
+    (tmp_path / "made").mkdir()
+    status, _, err = shell(command, "--out", "made", cwd=tmp_path)
+    assert status == 2
+    assert "made" in err
+    assert list((tmp_path / "made").iterdir()) == []
