@@ -304,3 +304,18 @@ def test_a_sweep_of_a_scenario_made_in_python():
     s = Sweep(base, {"gravity": parse_distribution("gravity", {"kind": "uniform", "low": 1, "high": 2})}, runs=3)
     assert 1.0 <= s.scenario(2).gravity <= 2.0
     assert s.scenario(2).duration == 1.0
+
+
+def test_a_component_of_a_section_in_a_list_is_drawn_and_nothing_else_changes():
+    push = {"kind": "step", "wrench": [0.0] * 6, "time": 0.1, "until": 0.2}
+    base = Scenario.from_dict({"disturbances": [push, push], "tuner": {"kind": "fixed"}})
+    changed = vary(
+        base, {"disturbances[1].wrench[3]": 2.5, "disturbances[1].time": 0.05, "disturbances[0].wrench[0]": 1.0}
+    )
+    assert changed.disturbances[1].wrench == (0.0, 0.0, 0.0, 2.5, 0.0, 0.0)
+    assert (changed.disturbances[1].time, changed.disturbances[0].time) == (0.05, 0.1)
+    assert changed.disturbances[0].wrench == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ConfigurationError, match="component from 0 to 1"):
+        vary(base, {"disturbances[2].time": 0.1})
+    with pytest.raises(ConfigurationError, match="wrenc"):
+        vary(base, {"disturbances[0].wrenc[1]": 0.1})

@@ -6,7 +6,7 @@ import os
 import socket
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 MAX_MESSAGE = 500
 
 Row = dict[str, Any]
+Measure = Callable[["SimulationLog"], Row]
+"""Figures of a log, in values that JSON has; a function of a module that the workers can import."""
 
 
 class RunFunction(Protocol):
@@ -45,6 +47,7 @@ class Task:
         drawn: See `Sweep.draw`; goes into the row.
         source: Digest of the package's source that the worker must have.
         attempt: How often the run has been sent; an executor may take equal tasks for one.
+        measure: What goes into the row; None for the function of this name.
     """
 
     index: int
@@ -54,6 +57,7 @@ class Task:
     drawn: Mapping[str, Any]
     source: str
     attempt: int = 1
+    measure: Measure | None = None
 
 
 def simulate(scenario: Scenario) -> SimulationLog:
@@ -144,7 +148,7 @@ def _outcome(function: RunFunction, task: Task) -> Row:
             raise KeyboardInterrupt
         # A finite blow-up overflows in the squares; its row says inf.
         with np.errstate(all="ignore"):
-            return {**empty_row(task, log.status, log.reason, log.message), **measure(log)}
+            return {**empty_row(task, log.status, log.reason, log.message), **(task.measure or measure)(log)}
     except KeyboardInterrupt:
         raise
     except ConfigurationError as error:

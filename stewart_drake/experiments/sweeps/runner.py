@@ -9,18 +9,27 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.experiments.runs import weights_text
 from stewart_drake.experiments.sweeps.distributions import Choice
 from stewart_drake.experiments.sweeps.executors import ATTEMPTS, Given, LocalProcesses, Workplace, worker_deaths
-from stewart_drake.experiments.sweeps.one_run import Row, RunFunction, Task, empty_row, execute, simulate, warm_up
+from stewart_drake.experiments.sweeps.one_run import (
+    Measure,
+    Row,
+    RunFunction,
+    Task,
+    empty_row,
+    execute,
+    simulate,
+    warm_up,
+)
 from stewart_drake.experiments.sweeps.spec import Sweep, vary
 from stewart_drake.experiments.sweeps.store import TABLE, RowStore
 from stewart_drake.experiments.sweeps.table import BEFORE, INCIDENTAL, OUTCOME, to_arrow, to_parquet, varied_columns
 from stewart_drake.files import write_atomically
-from stewart_drake.scenario import AnnTuner
+from stewart_drake.scenario import AnnTuner, Scenario
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -43,6 +52,62 @@ class SweepResult:
     table: pa.Table
     rows: list[Row]
     path: Path
+
+
+class Plan(Protocol):
+    """Runs of one scenario with some keys changed, each known by its index."""
+
+    @property
+    def base(self) -> Scenario:
+        """The scenario."""
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+
+    def run_seed(self, index: int) -> int:
+        """Seed of a run, for its row."""
+
+    def run_name(self, index: int) -> str:
+        """Name of its scenario."""
+
+    def draw(self, index: int) -> Mapping[str, Any]:
+        """`values` of its row."""
+
+    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Scenario key -> value for what `draw` gave."""
+
+    def measure(self, index: int) -> Measure | None:
+        """What goes into its row; None for `one_run.measure`."""
+
+
+def run_plan(
+    plan: Plan,
+    store: RowStore,
+    where: Workplace | Executor | None = None,
+    progress: Callable[[float], None] | None = None,
+    function: RunFunction = simulate,
+) -> list[Row]:
+    """Runs what `store` lacks of a plan, as `run_sweep` does.
+
+    Args:
+        plan: What to run.
+        store: Opened; gets every row as it comes.
+        where: Where the runs go; None for processes of this machine.
+        progress: Called with the number of runs done.
+        function: Simulates one scenario.
+
+    Returns:
+        A row for every run, in order.
+
+    Raises:
+        StewartDrakeError: There are no workers (any more); rows done are kept.
+        KeyboardInterrupt: Rows done are kept.
+    """
+    place: Workplace = Given(where) if isinstance(where, Executor) else where or LocalProcesses()
+    rows = {index: row for index, row in store.rows().items() if index < plan.runs}
+    _Job(plan, place, function, str(collect_versions()["source"]), store, rows, progress).run()
+    return [rows[index] for index in range(plan.runs)]
 
 
 def run_sweep(
@@ -72,27 +137,24 @@ def run_sweep(
         StewartDrakeError: There are no workers (any more); rows done are kept.
         KeyboardInterrupt: Rows done are kept.
     """
-    place: Workplace = Given(where) if isinstance(where, Executor) else where or LocalProcesses()
     fixed = {*BEFORE, *OUTCOME, *INCIDENTAL}
     for name in varied_columns(sweep):
         if name in fixed:
             raise ConfigurationError(f"distributions.{name}", name, "a key that is no column of the table already")
     versions = collect_versions()
     with RowStore(folder, _identity(sweep, versions), restart) as store:
-        rows = {index: row for index, row in store.rows().items() if index < sweep.runs}
-        job = _Job(sweep, place, function, str(versions["source"]), store, rows, progress)
-        job.run()
-        table = to_arrow(sweep, list(rows.values()), versions)
+        rows = run_plan(sweep, store, where, progress, function)
+        table = to_arrow(sweep, rows, versions)
         write_atomically(folder / TABLE, to_parquet(table))
-    return SweepResult(table, [rows[index] for index in range(sweep.runs)], folder / TABLE)
+    return SweepResult(table, rows, folder / TABLE)
 
 
 class _Job:
-    """One call of `run_sweep`: who is under way, who is under suspicion."""
+    """One call of `run_plan`: who is under way, who is under suspicion."""
 
     def __init__(
         self,
-        sweep: Sweep,
+        plan: Plan,
         place: Workplace,
         function: RunFunction,
         source: str,
@@ -100,10 +162,10 @@ class _Job:
         rows: dict[int, Row],
         progress: Callable[[float], None] | None,
     ) -> None:
-        self._sweep, self._place, self._function, self._source = sweep, place, function, source
+        self._plan, self._place, self._function, self._source = plan, place, function, source
         self._store, self._rows, self._progress = store, rows, progress
-        self._base = sweep.base.to_dict()
-        self._waiting = deque(index for index in range(sweep.runs) if index not in rows)
+        self._base = plan.base.to_dict()
+        self._waiting = deque(index for index in range(plan.runs) if index not in rows)
         self._suspects: deque[int] = deque()
         self._deaths: Counter[int] = Counter()
         self._attempts: Counter[int] = Counter()
@@ -203,10 +265,11 @@ class _Job:
         return executor.submit(execute, self._function, self._task(index))
 
     def _task(self, index: int) -> Task:
-        drawn = self._sweep.draw(index)
-        changes = {"name": self._sweep.run_name(index), **self._sweep.changes(drawn)}
-        seed, attempt = self._sweep.run_seed(index), self._attempts[index]
-        return Task(index, seed, self._base, changes, drawn, self._source, attempt)
+        drawn = self._plan.draw(index)
+        changes = {"name": self._plan.run_name(index), **self._plan.changes(drawn)}
+        seed, attempt = self._plan.run_seed(index), self._attempts[index]
+        measure = self._plan.measure(index)
+        return Task(index, seed, self._base, changes, drawn, self._source, attempt, measure)
 
     def _crashed(self, index: int) -> Row:
         text = "its worker process dies in it, alone too: killed, out of memory, or a crash in code below Python"

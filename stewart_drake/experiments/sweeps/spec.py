@@ -26,7 +26,7 @@ from stewart_drake.scenario_errors import explain, shown
 MAX_RUNS = 1_000_000
 Sampler = Literal["random", "sobol"]
 
-_KEY = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)((?:\[(?:0|[1-9]\d{0,5})\])*)")
+_KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
 
 class SweepFile(BaseModel):
@@ -51,7 +51,7 @@ class SweepFile(BaseModel):
     set: Any = {}
     """Scenario key -> value, changed in every run."""
     distributions: Any
-    """Scenario key -> distribution. A component of a list is `initial_offset[0]`."""
+    """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +168,9 @@ class Sweep:
             ConfigurationError: The values drawn do not make one.
         """
         return vary(self.base, {"name": self.run_name(index), **self.changes(self.draw(index))})
+
+    def measure(self, index: int) -> None:
+        """See `runner.Plan`; the figures that every sweep has."""
 
     def run_name(self, index: int) -> str:
         """Name of the scenario of run `index`."""
@@ -305,31 +308,29 @@ def vary(base: Scenario, changes: Mapping[str, Any], section: str = "") -> Scena
     whole: dict[str, Any] = {}
     for key, value in changes.items():
         path = _split(key, section)
-        name = ".".join(part for part in path if isinstance(part, str))
-        indices = [part for part in path if isinstance(part, int)]
-        if not indices:
+        first = next((k for k, part in enumerate(path) if isinstance(part, int)), len(path))
+        name, inside = ".".join(str(part) for part in path[:first]), path[first:]
+        if not inside:
             whole[name] = value
             continue
         _current(data, key, section)
         whole.setdefault(name, copy.deepcopy(_current(data, name, section)))
         here = whole[name]
-        for index in indices[:-1]:
-            here = here[index]
-        here[indices[-1]] = value
+        for part in inside[:-1]:
+            here = here[part]
+        here[inside[-1]] = value
     return base.replace(whole)
 
 
 def _split(key: str, section: str = "distributions.") -> tuple[str | int, ...]:
-    """Parts of a key: names, then indices.
+    """Parts of a key: names and indices.
 
     Raises:
         ConfigurationError: It is none.
     """
-    match = _KEY.fullmatch(key)
-    if match is None:
+    if _KEY.fullmatch(key) is None:
         raise ConfigurationError(f"{section}{shown(key)}", key, "a key such as robot.rod_length or initial_offset[0]")
-    names, indices = match.groups()
-    return (*names.split("."), *(int(index) for index in re.findall(r"\d+", indices)))
+    return tuple(int(index) if index else name for name, index in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", key))
 
 
 def _current(data: dict[str, Any], key: str, section: str) -> Any:
