@@ -90,3 +90,91 @@ def integral_at(log: SimulationLog, time: float) -> list[float] | None:
         return None
     row = int(np.searchsorted(log.time, time + 1e-9)) - 1
     return log["integral"][row].tolist()
+
+
+def error_norms(log: SimulationLog) -> tuple[np.ndarray, np.ndarray]:
+    """Length of the (roll, pitch, yaw) error (n,) [deg] and of the position error (n,) [mm] at every row, true pose."""
+    error = tracking_error(log)
+    return np.degrees(np.linalg.norm(error[:, :3], axis=1)), 1e3 * np.linalg.norm(error[:, 3:], axis=1)
+
+
+def rms(values: np.ndarray) -> float | None:
+    """Root mean square over everything; None for nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else None
+
+
+def worst_half_rms(time: np.ndarray, values: np.ndarray, duration: float) -> float | None:
+    """The larger RMS of the two halves of `duration`; None where the run did not reach the second.
+
+    Args:
+        time: (n,) [s].
+        values: (n,).
+        duration: [s] planned.
+    """
+    late = time >= 0.5 * duration - 1e-9
+    halves = [rms(values[~late]), rms(values[late])]
+    found = [half for half in halves if half is not None]
+    return None if halves[1] is None else max(found)
+
+
+def settling_time(time: np.ndarray, size: np.ndarray, band: float, start: float = 0.0) -> float | None:
+    """Time from `start` (of the run, or of a step) after which `size` stays within `band` to the end.
+
+    Args:
+        time: (n,) [s] ascending.
+        size: (n,) of the error, >= 0.
+        band: Largest size that counts as settled.
+        start: [s].
+
+    Returns:
+        [s] 0 where it never leaves the band; None where it ends outside, or there are no rows from `start` on.
+    """
+    after = time >= start - 1e-9
+    time, outside = time[after], ~(size[after] <= band)
+    if not len(time) or outside[-1]:
+        return None
+    last = np.flatnonzero(outside)
+    return float(time[last[-1] + 1] - start) if len(last) else 0.0
+
+
+def torque_change_rms(log: SimulationLog, rows: np.ndarray | None = None) -> float | None:
+    """[N m] RMS change from tick to tick of the torques asked for, within the motors' limit.
+
+    Args:
+        log: A run.
+        rows: (n,) mask of the rows to look at; None for all.
+
+    Returns:
+        None where the log does not have every tick, or fewer than two.
+    """
+    ratio = log.scenario.controller.period / log.scenario.effective_log_period
+    stride = round(ratio)
+    if stride < 1 or abs(ratio - stride) > 1e-9 * ratio:
+        return None
+    limit = log.scenario.robot.effort_limit
+    ticks = np.clip(log["torque"], -limit, limit)[::stride]
+    mask = np.ones(len(ticks), dtype=bool) if rows is None else rows[::stride]
+    return rms(np.diff(ticks[mask], axis=0))
+
+
+def sine_response(
+    time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
+) -> tuple[complex, float]:
+    """Response to a sine: least-squares fit of sine, cosine and constant to both signals at the frequency.
+
+    Args:
+        time: (n,) [s], best over whole periods, after the transient.
+        reference: (n,) what was asked for.
+        response: (n,) what came.
+        frequency: [Hz].
+
+    Returns:
+        Their ratio as a complex number: amplitude ratio and, as its angle, phase (negative for a lag); and the RMS of
+        what the fit leaves of the response, as a part of the RMS of the fitted sine.
+    """
+    angle = 2.0 * np.pi * frequency * np.asarray(time)
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
+    solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
+    asked, came = solution[0] + 1j * solution[1]
+    rest = response - basis @ solution[:, 1]
+    return complex(came / asked), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(came))
