@@ -55,7 +55,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
     Exit status: 0 completed, 2 bad input, 3 the run broke midway (its log is kept), 130 interrupted.
     """
-    from stewart_drake.outputs import prepare_folder, write_run
+    from stewart_drake.outputs import SPACE, prepare_folder, write_run
     from stewart_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario, overrides)
@@ -67,7 +67,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
     check_scenario(loaded)
     graph = build_diagram(loaded).graph()
     # Only now, with everything checked, does anything appear on the disk.
-    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name)
+    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name, SPACE)
     viewer = None
     if meshcat:
         from pydrake.geometry import Meshcat
@@ -93,10 +93,10 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def collect(out: Path, quiet: bool) -> None:
     """Run the paper's nine experiments and write the tuner's training data (14,400 samples)."""
-    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.outputs import SPACE, prepare_folder
     from stewart_drake.training.collect import collect_dataset
 
-    prepare_folder(out.parent)
+    prepare_folder(out.parent, SPACE)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
         dataset = collect_dataset(progress=advance)
     dataset.save(out)
@@ -113,11 +113,11 @@ def collect(out: Path, quiet: bool) -> None:
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def train(dataset: Path, out: Path, seed: int, epochs: int, quiet: bool) -> None:
     """Train the 12-10-2 network on DATASET by back-propagation and write its weights file."""
-    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.outputs import SPACE, prepare_folder
     from stewart_drake.training.dataset import load_dataset
 
     data = load_dataset(dataset)
-    prepare_folder(out.parent)
+    prepare_folder(out.parent, SPACE)
 
     from stewart_drake.training.train import TrainingOptions, train_network
 
@@ -139,7 +139,7 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
 
     Finished parts are kept in OUT, so that an interrupted reproduction goes on where it was.
     """
-    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.outputs import SPACE, prepare_folder
     from stewart_drake.scenario import load_scenario
 
     base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
@@ -148,7 +148,7 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
     from stewart_drake.experiments.reproduction.reproduce import reproduce as make_report
 
     check_base(base)
-    prepare_folder(out)
+    prepare_folder(out, SPACE)
 
     def tell(section: Section) -> None:
         # Where the bar cannot move, in a log file say, a line for each section.

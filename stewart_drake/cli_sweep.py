@@ -44,13 +44,13 @@ def sweep(
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
     from stewart_drake.experiments.sweeps.spec import load_sweep
-    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.outputs import SPACE, prepare_folder
 
     if workers is not None and scheduler is not None:
         raise ConfigurationError("--workers", workers, "nothing beside --scheduler: a cluster has the workers it has")
     loaded = load_sweep(sweep, runs)
     where = _workplace(workers, scheduler)
-    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name)
+    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name, SPACE)
 
     from stewart_drake.experiments.sweeps.runner import run_sweep
     from stewart_drake.experiments.sweeps.table import summary

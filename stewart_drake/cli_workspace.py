@@ -45,7 +45,7 @@ def workspace(
     fixed position, within reach, joint swing, clearance, conditioning and motor torque, with serial and parallel
     singularities told apart; and the region of states and torques that motions visit. Finished runs are kept in OUT.
     """
-    from stewart_drake.outputs import prepare_folder
+    from stewart_drake.outputs import SPACE, prepare_folder
     from stewart_drake.scenario import load_scenario
 
     base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
@@ -59,7 +59,7 @@ def workspace(
     check_center(base.robot, center)
     check_scenario(base)
     base.load_tuner_network()
-    prepare_folder(out)
+    prepare_folder(out, SPACE)
 
     from stewart_drake.experiments.report import write_report
     from stewart_drake.experiments.reproduction.study import Study

@@ -198,3 +198,12 @@ def test_the_digest_changes_with_the_code_and_only_with_it(monkeypatch, tmp_path
     (package / "versions.py").write_text("a = 2\n")
     assert source_digest() != first
     assert git_revision() is None
+
+
+def test_a_full_disk_is_found_before_the_run(tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(outputs.shutil, "disk_usage", lambda _: usage._replace(free=1_000_000))
+    with pytest.raises(ConfigurationError, match="50 MB free, not 1 MB"):
+        prepare_folder(tmp_path, outputs.SPACE)
+    # Results that exist are written as long as they fit.
+    assert prepare_folder(tmp_path) == tmp_path
