@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -75,13 +76,15 @@ def split_gain(
         K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
-        RiccatiError: The map is singular, not finite or not (6, 6), a weight is not positive and finite, or the gains
-            leave floating point.
+        RiccatiError: The map is singular, not finite or not (6, 6), a weight, the period or the length is not positive
+            and finite, or the gains leave floating point.
     """
     if acceleration_map.shape != (6, 6):
         raise RiccatiError(f"M^-1 tau has the shape {acceleration_map.shape}; expected (6, 6)")
     if not np.isfinite(acceleration_map).all() or min(weights) <= 0.0 or not np.isfinite(weights).all():
         raise RiccatiError(f"no gain for weights {weights}: they and M^-1 tau must be finite, the weights positive")
+    if not (0.0 < period < math.inf and 0.0 < length < math.inf):
+        raise RiccatiError(f"no gain for a period of {period} s and a length of {length} m: both must be positive")
     scale = np.array([length] * 3 + [1.0] * 3)
     u, s, vt = np.linalg.svd(scale[:, None] * acceleration_map)
     if s[-1] <= SMALLEST_SINGULAR_VALUE * s[0]:

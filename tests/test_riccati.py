@@ -1,3 +1,4 @@
+import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
@@ -5,9 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
+from stewart_drake.compiled import control
+from stewart_drake.compiled.riccati import chain_gain
 from stewart_drake.errors import RiccatiError
 from stewart_drake.force_map import force_map
-from stewart_drake.riccati import riccati_gain, solve_drake, split_gain
+from stewart_drake.riccati import SMALLEST_SINGULAR_VALUE, chain_gains, riccati_gain, solve_drake, split_gain
+from stewart_drake.rigid_body_model import pose_acceleration_map
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE, discretize, input_matrix, mass_diagonal, state_matrix
 
 PERIOD = 0.005
@@ -175,3 +179,201 @@ def test_unusable_matrices_raise_our_error_and_never_leave_the_process(change):
 def test_split_refuses_what_has_no_gain(acceleration_map, weights, method):
     with pytest.raises(RiccatiError):
         split_gain(acceleration_map, PERIOD, weights, method)
+
+
+# --- beyond the paper's weights ------------------------------------------------------------------------------------
+
+
+def logs(low, high):
+    """10^low .. 10^high, evenly in the exponent, both ends likely."""
+    return st.floats(low, high).map(lambda exponent: 10.0**exponent)
+
+
+def compiled_gain(acceleration_map, period, blocks, method, length):
+    gain = np.empty((6, 18))
+    done = control.split_gain(
+        np.ascontiguousarray(acceleration_map.T), length, period, np.array(blocks, float), method == "exact", gain
+    )
+    return gain if done else None
+
+
+def made_map(seed, condition, largest):
+    """M^-1 tau with known singular values, turned at random."""
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
+    spread = np.sort(np.concatenate([[0.0, 1.0], rng.uniform(0.0, 1.0, 4)]))
+    return largest * (left * condition**-spread) @ right.T
+
+
+wide_maps = st.one_of(
+    st.builds(made_map, st.integers(0, 2**32 - 1), logs(0.0, 3.0), logs(-1.0, 2.7)),
+    st.builds(pose_acceleration_map, st.just(ROBOT), poses(0.8)),
+)
+
+
+def assert_split_is_drakes(acceleration_map, blocks, method, length, period, rtol):
+    """With rotations weighed by the square of a length, in Drake's Q, and by scaling in the split solution."""
+    q_e, q_v, q_z, r = blocks
+    scale = np.array([length**2] * 3 + [1.0] * 3)
+    a, b = discretize(state_matrix(), input_matrix(acceleration_map), period, method)
+    cost = r * np.eye(6)
+    expected = riccati_gain(a, b, cost, solve_drake(a, b, state_cost(q_e * scale, q_v * scale, q_z * scale), cost))
+    assert_same(split_gain(acceleration_map, period, blocks, method, length), expected, rtol)
+    assert_same(compiled_gain(acceleration_map, period, blocks, method, length), expected, rtol)
+
+
+@settings(max_examples=150)
+@given(
+    acceleration_map=wide_maps,
+    q_e=logs(-2.0, 6.0),
+    q_v=logs(-2.0, 4.0),
+    q_z=logs(-2.0, 6.0),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+    period=st.sampled_from([0.001, 0.005]),
+)
+def test_split_is_drakes_gain_over_eight_decades_of_weights(acceleration_map, q_e, q_v, q_z, method, length, period):
+    assert_split_is_drakes(acceleration_map, (q_e, q_v, q_z, 1.0), method, length, period, 1e-9)
+
+
+@settings(max_examples=50)
+@given(
+    acceleration_map=wide_maps,
+    exponents=st.tuples(st.floats(-2.0, 6.0), st.floats(4.0, 6.0), st.floats(-2.0, 6.0)),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+)
+def test_split_is_drakes_gain_as_far_as_drakes_digits_reach(acceleration_map, exponents, method, length):
+    # At great weights on the rate the digits of Drake's P run out, not ours: see the test at sixty digits.
+    blocks = (*(10.0 ** np.array(exponents)).tolist(), 1.0)
+    assert_split_is_drakes(acceleration_map, blocks, method, length, 0.005, 1e-7)
+
+
+DIGITS = 60
+
+
+def gain_at_many_digits(s, period, blocks, method):
+    """k_e, k_v, k_z of the 3-state equation by structured doubling, which shares nothing with the polynomial.
+
+    E. K.-W. Chu et al., Int. J. Control 77 (2004) 767.
+    """
+    with mpmath.workdps(DIGITS):
+        s, t, r = (mpmath.mpf(float(value)) for value in (s, period, blocks[3]))
+        if method == "exact":
+            a = mpmath.matrix([[1, t, 0], [0, 1, 0], [t, t**2 / 2, 1]])
+            b = mpmath.matrix([s * t**2 / 2, s * t, s * t**3 / 6])
+        else:
+            a, b = mpmath.matrix([[1, t, 0], [0, 1, 0], [t, 0, 1]]), mpmath.matrix([0, s * t, 0])
+        step, g, p = a, b * b.T / r, mpmath.diag([mpmath.mpf(float(q)) for q in blocks[:3]])
+        for _ in range(100):
+            inner = (mpmath.eye(3) + g * p) ** -1
+            step, g, new = step * inner * step, g + step * inner * g * step.T, p + step.T * p * inner * step
+            moved, p = mpmath.norm(new - p, 1), new
+            if moved <= mpmath.mpf(10) ** (10 - DIGITS) * mpmath.norm(p, 1):
+                break
+        else:
+            raise AssertionError("doubling has not converged")
+        # It is a solution, by residual.
+        gain = (b.T * p * a) / (r + (b.T * p * b)[0])
+        residual = a.T * p * (a - b * gain) + mpmath.diag([mpmath.mpf(float(q)) for q in blocks[:3]]) - p
+        assert mpmath.norm(residual, 1) < mpmath.mpf(10) ** -25 * mpmath.norm(p, 1)
+        return [gain[0], gain[1], gain[2]]
+
+
+def worst_digit(gains, expected):
+    return max(float(abs(mpmath.mpf(float(k)) / exact - 1)) for k, exact in zip(gains, expected, strict=True))
+
+
+def both_chain_gains(s, period, blocks, method):
+    compiled = np.empty(3)
+    assert chain_gain(s, period, *blocks, method == "exact", compiled)
+    return chain_gains(np.array([s]), period, blocks, method)[0], compiled
+
+
+@settings(max_examples=80)
+@given(
+    s=logs(-2.0, 4.0),
+    period=logs(-4.0, -1.0),
+    q_e=logs(-2.0, 6.0),
+    q_v=logs(-2.0, 6.0),
+    q_z=logs(-2.0, 6.0),
+    r=logs(-2.0, 6.0),
+    method=st.sampled_from(METHODS),
+)
+def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, method):
+    blocks = (q_e, q_v, q_z, r)
+    expected = gain_at_many_digits(s, period, blocks, method)
+    for gains in both_chain_gains(s, period, blocks, method):
+        assert worst_digit(gains, expected) < 1e-9
+
+
+@settings(max_examples=80)
+@given(
+    s=logs(-6.0, 6.0),
+    period=logs(-4.0, -1.0),
+    exponents=st.tuples(*[st.floats(-12.0, 12.0)] * 4),
+    method=st.sampled_from(METHODS),
+)
+def test_no_weights_give_silent_garbage(s, period, exponents, method):
+    """A gain of a digit or more, or an error: between 1e-12 and 1e12 both, and numpy and numba agree which."""
+    blocks = tuple((10.0 ** np.array(exponents)).tolist())
+    gains = chain_gains(np.array([s]), period, blocks, method)[0]
+    compiled = np.empty(3)
+    done = chain_gain(s, period, *blocks, method == "exact", compiled)
+    assert done == bool(np.isfinite(gains).all())
+    if done:
+        expected = gain_at_many_digits(s, period, blocks, method)
+        assert worst_digit(gains, expected) < 1e-5
+        assert worst_digit(compiled, expected) < 1e-5
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("root", [1e-6, 0.01, 1.0, 30.0])
+@pytest.mark.parametrize("other", [1.0, 1e-3, 1e3])
+def test_poles_that_coincide_keep_half_of_their_digits(method, root, other):
+    t, third = 0.001, root * other
+    a2, a1, a0 = 2.0 * root + third, root * root + 2.0 * root * third, root * root * third
+    q_z = a0 / t**6
+    q_e = (a1 + (q_z * t**6 / 3.0 if method == "exact" else 0.0)) / t**4
+    q_v = (a2 + (0.25 * q_e * t**4 - q_z * t**6 / 36.0 if method == "exact" else 0.0)) / t**2
+    blocks = (q_e, q_v, q_z, 1.0)
+    assert min(blocks) > 0.0
+    expected = gain_at_many_digits(1.0, t, blocks, method)
+    for gains in both_chain_gains(1.0, t, blocks, method):
+        assert worst_digit(gains, expected) < 1e-5
+
+
+@settings(max_examples=100)
+@given(
+    acceleration_map=st.builds(made_map, st.integers(0, 2**32 - 1), logs(0.0, 6.0), logs(-3.0, 4.0)),
+    exponents=st.tuples(*[st.floats(-4.0, 6.0)] * 4),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+    period=logs(-4.0, -1.0),
+)
+def test_compiled_is_numpy(acceleration_map, exponents, method, length, period):
+    blocks = tuple((10.0 ** np.array(exponents)).tolist())
+    expected = split_gain(acceleration_map, period, blocks, method, length)
+    compiled = compiled_gain(acceleration_map, period, blocks, method, length)
+    for states in (POSITION, RATE, INTEGRAL):
+        assert_same(compiled[:, states], expected[:, states], 1e-9)
+
+
+def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
+    for factor, usable in ((0.0, False), (1e-3, False), (1e3, True)):
+        singular = np.array([1.0, 1.0, 1.0, 1.0, 1.0, factor * SMALLEST_SINGULAR_VALUE])
+        acceleration_map = singular[:, None] * turn
+        assert (compiled_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0), "exact", 1.0) is not None) == usable
+        if usable:
+            assert np.isfinite(split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))).all()
+        else:
+            with pytest.raises(RiccatiError, match="singular"):
+                split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("value", [0.0, -0.11, np.nan, np.inf])
+@pytest.mark.parametrize("name", ["period", "length"])
+def test_split_refuses_periods_and_lengths_that_are_none(name, value):
+    with pytest.raises(RiccatiError, match=name):
+        split_gain(HOME_MAP, **{"period": PERIOD, "weights": (1.0, 1.0, 1.0, 1.0), name: value})
