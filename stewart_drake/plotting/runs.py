@@ -153,7 +153,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
         _draw(main if axis == group.main else others, time, pose[:, axis], color=color, label=symbol)
-        rms = "" if rmse is None else f"  {rmse[axis]:.3f}"
+        rms = "" if rmse is None else f"  {rmse[axis]:.3g}"
         _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
         _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
     two = [axis for axis in range(3) if axis != group.main]
@@ -162,7 +162,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
         _draw(others, time, reference[:, axis], label=_once(axis == two[0], "reference"), **_DASHED)
     _title(main, group.names[group.main])
     _title(others, " and ".join(group.names[axis] for axis in two))
-    _title(errors, "Tracking error" + ("" if rmse is None else " and its RMS"))
+    _title(errors, "Error" + ("" if rmse is None else ", and its RMS"))
     _title(integrals, "Integral state")
     # Noise far below what matters must not fill a panel.
     for panel, quantity, least in (
@@ -265,7 +265,8 @@ def _settings(log: SimulationLog) -> str:
     scenario = log.scenario
     controller = scenario.controller
     if isinstance(controller, LqiOptions):
-        words = f"force map {controller.force_map}, feedforward {controller.feedforward}"
+        model = "exact model" if controller.model == "exact" else f"force map {controller.force_map}"
+        words = f"{model}, feedforward {controller.feedforward}"
     else:
         words = f"controller {controller.kind}"
     tuner = f", tuner {scenario.tuner.kind}" if "density" in log.signals else ""
