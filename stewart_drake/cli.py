@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.cli_check import check
+from stewart_drake.cli_compare import compare
 from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
@@ -195,6 +196,7 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
 
 
 cli.add_command(check)
+cli.add_command(compare)
 cli.add_command(sweep)
 cli.add_command(workspace)
 

@@ -1,0 +1,135 @@
+"""Runs a comparison and writes its tables and pictures."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stewart_drake.experiments.comparison.spec import Comparison
+from stewart_drake.experiments.comparison.table import (
+    BANDS,
+    COLUMNS,
+    Sheet,
+    band_rows,
+    sheets,
+    table_rows,
+    to_arrow,
+    to_csv,
+)
+from stewart_drake.experiments.runs import weights_text
+from stewart_drake.experiments.sweeps.executors import Workplace
+from stewart_drake.experiments.sweeps.one_run import Row, RunFunction, simulate
+from stewart_drake.experiments.sweeps.runner import run_plan
+from stewart_drake.experiments.sweeps.store import RowStore
+from stewart_drake.experiments.sweeps.table import to_parquet
+from stewart_drake.files import write_atomically
+from stewart_drake.scenario import AnnTuner
+from stewart_drake.user_controller import PythonOptions
+from stewart_drake.versions import collect_versions
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonResult:
+    """What a comparison leaves.
+
+    Attributes:
+        table: One row a run, see `table.COLUMNS`.
+        bands: One row a band, see `table.BANDS`.
+        rows: Rows of the table as plain values, with `trace`.
+        band_rows: Rows of the bands likewise.
+        sheets: The tables that are read.
+    """
+
+    table: pa.Table
+    bands: pa.Table
+    rows: list[Row]
+    band_rows: list[Row]
+    sheets: list[Sheet]
+
+
+def run_comparison(
+    comparison: Comparison,
+    folder: Path,
+    where: Workplace | Executor | None = None,
+    progress: Callable[[float], None] | None = None,
+    restart: bool = False,
+    function: RunFunction = simulate,
+) -> ComparisonResult:
+    """Runs what is missing of a comparison and writes its tables; a run that fails is a row all the same.
+
+    Files: comparison.parquet, .csv and .md; bands.parquet and .csv where there are bands.
+
+    Args:
+        comparison: What to run.
+        folder: For the files, and for the rows as they come; a second call goes on where the first ended.
+        where: Where the runs go; None for processes of this machine.
+        progress: Called with the number of runs done.
+        restart: Throw away what is in the folder.
+        function: Simulates one scenario; for tests.
+
+    Raises:
+        ConfigurationError: The folder holds another comparison, is in use or cannot be written to; a weights file that
+            cannot be read.
+        StewartDrakeError: There are no workers (any more); rows done are kept.
+        KeyboardInterrupt: Rows done are kept.
+    """
+    versions = collect_versions()
+    with RowStore(folder, _identity(comparison, versions), restart) as store:
+        done = run_plan(comparison, store, where, progress, function)
+        rows, bands = table_rows(comparison, done), band_rows(comparison, done)
+        result = ComparisonResult(
+            to_arrow(comparison, rows, COLUMNS, versions),
+            to_arrow(comparison, bands, BANDS, versions),
+            rows,
+            bands,
+            sheets(comparison, rows, bands),
+        )
+        for name, table in (("comparison", result.table), ("bands", result.bands)):
+            if table.num_rows:
+                write_atomically(folder / f"{name}.parquet", to_parquet(table))
+                write_atomically(folder / f"{name}.csv", to_csv(table))
+        text = "\n".join(sheet.markdown() for sheet in result.sheets)
+        write_atomically(folder / "comparison.md", text.encode())
+    return result
+
+
+def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Path) -> list[Path]:
+    """Draws rmse.png, error.png and, where there are bands, bands.png; returns where they are."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import save_figure
+    from stewart_drake.plotting.comparison import plot_bands, plot_error, plot_rmse
+
+    hidden = {name for best in comparison.file.best_of.values() for name in best.of}
+    rows = [row for row in result.rows if row["controller"] not in hidden]
+    figures = {"rmse": plot_rmse(rows)}
+    traced = [row for row in rows if row["reference"] == comparison.traced]
+    if any("trace" in row for row in traced):
+        figures["error"] = plot_error(traced, comparison.file.band)
+    if any(row.get("ratio") is not None for row in result.band_rows):
+        figures["bands"] = plot_bands(result.band_rows)
+    for name, figure in figures.items():
+        save_figure(figure, folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in figures]
+
+
+def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dict[str, Any]:
+    """What the rows depend on."""
+    texts: dict[str, None] = {}
+    for index in range(comparison.runs):
+        scenario = comparison.scenario(index)
+        if isinstance(scenario.tuner, AnnTuner):
+            texts[hashlib.sha256(weights_text(scenario.tuner).encode()).hexdigest()[:24]] = None
+        if isinstance(scenario.controller, PythonOptions):
+            texts[str(scenario.controller.digest())] = None
+    return {
+        **comparison.to_dict(),
+        "files": sorted(texts),
+        "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
+    }

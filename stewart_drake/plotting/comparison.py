@@ -1,0 +1,184 @@
+"""Figures of a comparison of controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, YELLOW, label, panels
+
+_STYLES = (
+    (QUIET, "v"),
+    (YELLOW, "^"),
+    (ORANGE, "D"),
+    (BLUE, "o"),
+    (PURPLE, "s"),
+    (GREEN, "P"),
+    (SKY, "X"),
+    (TEXT, "*"),
+)
+_BAND = "#F4F6F8"
+_PHASE_SHOWN = 1e-3
+"""Amplitude ratio below which a phase says nothing."""
+
+
+def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """RMSE of the pose by reference and controller, a panel a condition, logarithmic; failures at the right edge.
+
+    Args:
+        rows: See `comparison.table.table_rows`; `pose_rmse_mm` is drawn, of several seeds each.
+    """
+    styles = _styles(rows)
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    references = list(dict.fromkeys(row["reference"] for row in rows))
+    lane = 0.8 / max(1, len(styles) - 1) if len(styles) > 1 else 0.0
+    shown = {c: [r for r in references if any((row["condition"], row["reference"]) == (c, r) for row in rows)]
+             for c in conditions}  # fmt: skip
+    heights = [max(1, len(shown[c])) for c in conditions]
+    per = 0.16 * max(3, len(styles))
+    figure, axes = panels(
+        len(conditions), 1, 1.5 + per * sum(heights) + 0.55 * len(conditions), sharex=True, height_ratios=heights
+    )
+    values = [row["pose_rmse_mm"] for row in rows if _done(row)]
+    low, high = (min(values) / 2.0, max(values) * 2.0) if values else (0.1, 10.0)
+    edge = high * (high / low) ** 0.05
+    for (panel,), condition in zip(axes, conditions, strict=True):
+        for place, reference in enumerate(reversed(shown[condition])):
+            if place % 2 == 0:
+                panel.axhspan(place - 0.5, place + 0.5, color=_BAND, zorder=0.0)
+            for index, (controller, style) in enumerate(styles.items()):
+                y = place + (0.5 * (len(styles) - 1) - index) * lane
+                for row in rows:
+                    if (row["controller"], row["reference"], row["condition"]) != (controller, reference, condition):
+                        continue
+                    if _done(row):
+                        panel.plot([low, row["pose_rmse_mm"]], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
+                        panel.plot(row["pose_rmse_mm"], y, **style)
+                    else:
+                        panel.plot(edge, y, marker="x", color=style["color"], markersize=6.5, markeredgewidth=2.0,
+                                   clip_on=False)  # fmt: skip
+        panel.set_xscale("log")
+        panel.set_xlim(low, high * (high / low) ** 0.09)
+        panel.xaxis.set_major_locator(LogLocator())
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_ylim(-0.5, len(shown[condition]) - 0.5)
+        panel.set_yticks(range(len(shown[condition])), list(reversed(shown[condition])), fontsize=10)
+        panel.tick_params(axis="y", length=0)
+        panel.grid(axis="y", visible=False)
+        last = condition == conditions[-1]
+        label(panel, condition, "pose RMSE over the second half [mm]; a cross: the run failed" if last else "", "")
+    _legend(figure, styles)
+    return figure
+
+
+def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
+    """Size of the pose error over time on one reference, a panel a condition, logarithmic.
+
+    Args:
+        rows: With `trace`, see `comparison.figures.measure_run`.
+        band: [mm] drawn as the band within which a run counts as settled.
+    """
+    rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
+    styles = _styles(rows)
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    figure, axes = panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    for (panel,), condition in zip(axes, conditions, strict=True):
+        panel.axhline(band, color=TEXT, linestyle=(0, (4, 3)), linewidth=0.9)
+        for row in rows:
+            if row["condition"] != condition:
+                continue
+            color, time = styles[row["controller"]]["color"], np.array(row["trace"]["time"])
+            # What is exactly zero, such as the start, has no place on this axis.
+            size = np.maximum(row["trace"]["pose_mm"], 1e-7)
+            panel.plot(time, size, color=color, linewidth=1.5)
+            if row["status"] != "completed":
+                panel.plot(time[-1], size[-1], marker="x", color=color, markersize=7.0, markeredgewidth=2.0)
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter(NullFormatter())
+        label(panel, condition, "time [s]" if condition == conditions[-1] else "", "pose error [mm]")
+    sizes = [value for row in rows for value in row["trace"]["pose_mm"] if value > 0.0]
+    if sizes:
+        axes[0, 0].set_ylim(max(1e-6, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
+    axes[0, 0].annotate(f"settled: {band:g} mm", (1.0, band), xycoords=("axes fraction", "data"), fontsize=9,
+                        color=TEXT, ha="right", va="bottom", xytext=(-3, 2), textcoords="offset points")  # fmt: skip
+    _legend(figure, styles, lines=True)
+    return figure
+
+
+def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis.
+
+    Args:
+        rows: See `comparison.table.band_rows`.
+    """
+    styles = _styles(rows)
+    axes_names = list(dict.fromkeys(row["reference"] for row in rows))
+    figure, grid = panels(3, len(axes_names), 8.6, sharex=True, sharey="row")
+    for column, name in enumerate(axes_names):
+        amplitude, phase, rest = grid[:, column]
+        for controller, style in styles.items():
+            found = sorted(
+                (row["frequency_hz"], row["ratio"], row["phase_deg"])
+                for row in rows
+                if (row["controller"], row["reference"]) == (controller, name) and row.get("ratio") is not None
+            )
+            if not found:
+                continue
+            frequency, ratio, lag = np.array(found).T
+            look = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": style["markersize"] * 0.8}
+            amplitude.plot(frequency, ratio, **look)
+            lag = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(lag))), np.nan)
+            phase.plot(frequency, lag, **look)
+            left = np.abs(1.0 - ratio * np.exp(1j * np.radians(lag)))
+            rest.plot(frequency, left, **look)
+        for panel in (amplitude, phase, rest):
+            panel.set_xscale("log")
+            panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_minor_formatter(NullFormatter())
+            panel.xaxis.set_minor_locator(FixedLocator([]))
+        rest.set_yscale("log")
+        amplitude.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
+        phase.axhline(0.0, color=TEXT, linewidth=0.8, zorder=1.0)
+        rest.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
+        first = column == 0
+        label(amplitude, f"{name}: amplitude", "", "pose / reference [-]" if first else "")
+        label(phase, f"{name}: phase", "", "phase [deg]" if first else "")
+        label(rest, f"{name}: error", "frequency [Hz]", "error / reference [-]" if first else "")
+    _legend(figure, styles)
+    return figure
+
+
+def _done(row: Mapping[str, Any]) -> bool:
+    return row["status"] == "completed" and row.get("pose_rmse_mm") is not None
+
+
+def _styles(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Look of each controller, in the order of the rows."""
+    names = dict.fromkeys(row["controller"] for row in rows)
+    styles: dict[str, dict[str, Any]] = {}
+    for index, name in enumerate(names):
+        color, marker = _STYLES[index % len(_STYLES)]
+        styles[name] = {
+            "color": color, "marker": marker, "markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.7,
+            "linestyle": "none", "zorder": 3.0,
+        }  # fmt: skip
+    return styles
+
+
+def _legend(figure: Figure, styles: Mapping[str, Mapping[str, Any]], lines: bool = False) -> None:
+    handles: list[Any] = [
+        Line2D([], [], color=style["color"], linewidth=2.0, label=name)
+        if lines
+        else Line2D([], [], label=name, **style)
+        for name, style in styles.items()
+    ]
+    columns = 3 if max(map(len, styles), default=0) > 24 else 4
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
