@@ -7,7 +7,7 @@ import pytest
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
-NAMES = ("01_robot_and_plant", "02_build_the_diagram", "reproduce_paper")
+NAMES = ("01_robot_and_plant", "02_build_the_diagram", "03_follow_a_heart", "reproduce_paper")
 MAX_DEFINITION_LINES = 10
 CELL_TIMEOUT = 300  # [s], far above what any cell needs, for busy machines
 
