@@ -37,6 +37,7 @@ from stewart_drake.systems.motor_encoders import MotorEncoders
 from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
+from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 from stewart_drake.systems.ticked import TickedSystem
 from stewart_drake.systems.tracking_error import TrackingError
@@ -53,8 +54,9 @@ class ClosedLoop(Diagram):
     """Plant, sensor, reference, controller and, where that takes weights, density features and tuner; wired and logged.
 
     Output ports: plant_state (nq + nv,), measurement (12,), reference (18,), torque (6,), error (6,), integral (6,),
-    for controllers that take weights weights (2,) or (4,), density (12,); where something stands between controller and motors (delay, link, imperfect
-    motors) also torque_applied (6,), what the motors are given; with disturbances also disturbance (6,).
+    for controllers that take weights weights (2,) or (4,), density (12,);
+    where something stands between controller and motors (delay, link, safety layer, imperfect motors) torque_applied
+    (6,), what the motors are given; with disturbances disturbance (6,); with a safety layer safety (3,).
 
     Args:
         scenario: The run to build.
@@ -67,6 +69,7 @@ class ClosedLoop(Diagram):
         scenario: What it was built from.
         plant: The MultibodyPlant with its indices and `assemble`.
         controller: The LqiController, or the System of another kind of controller.
+        safety: The SafetyLayer, or None.
         sinks: Signal name -> VectorLogSink.
     """
 
@@ -90,11 +93,19 @@ class ClosedLoop(Diagram):
         def add(name: str, system: _System) -> _System:
             return cast(_System, builder.AddNamedSystem(name, system))
 
+        # Behind a safety layer a tick that fails says so in its result.
+        guarded = scenario.safety is not None and scenario.safety.failures
+        health: dict[str, OutputPort] = {}
+
         def parts(name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
             """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
             rest = system.result.size() - sum(sizes)
-            split = add(name, Demultiplexer(output_ports_sizes=[*sizes, rest]))
+            split = add(
+                name, Demultiplexer(output_ports_sizes=[*sizes, *([rest - 3, 2, 1] if system.guarded else [rest])])
+            )
             builder.Connect(system.result, split.get_input_port())
+            if system.guarded:
+                health[name] = split.get_output_port(len(sizes) + 1)
             return [split.get_output_port(k) for k in range(len(sizes))]
 
         def with_faults(reading: OutputPort) -> OutputPort:
@@ -110,10 +121,10 @@ class ClosedLoop(Diagram):
             builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
         options, believed = scenario.controller, scenario.believed_robot
         if isinstance(scenario.sensors, EncoderOptions):
-            encoders = add("encoders", MotorEncoders(self.plant, scenario.sensors, period))
+            encoders = add("encoders", MotorEncoders(self.plant, scenario.sensors, period, options.compiled))
             start = scenario.start()[0]
             estimator = add(
-                "estimator", PoseEstimator(believed, scenario.sensors, period, start, compiled=options.compiled)
+                "estimator", PoseEstimator(believed, scenario.sensors, period, start, options.compiled, guarded)
             )
             builder.Connect(self.plant.state_output_port, encoders.plant_state)
             builder.Connect(with_faults(encoders.angles), estimator.angles)
@@ -126,7 +137,7 @@ class ClosedLoop(Diagram):
         initial = scenario.tuner.weights
         takes_weights = isinstance(options, LqiOptions)
         if isinstance(options, LqiOptions):
-            lqi = LqiController(believed, options, scenario.gravity, weights=len(initial))
+            lqi = LqiController(believed, options, scenario.gravity, len(initial), guarded)
             self.controller = add("controller", lqi)
             torque, error, integral = parts("command", lqi, 6, 6, 6)
         elif isinstance(options, ComputedTorqueOptions):
@@ -180,11 +191,27 @@ class ClosedLoop(Diagram):
         for hold in self._delays:
             builder.Connect(applied, hold.get_input_port())
             applied = hold.get_output_port()
+        age: OutputPort | None = None
         if not scenario.link.perfect:
             steps = steps_per("controller.period", period, scenario.plant.time_step)
             link = add("link", CommandLink(scenario.link, scenario.plant.time_step, steps, _standing_torque(scenario)))
             builder.Connect(applied, link.torque)
             applied, age = parts("arrived", link, 6, 1)
+        self.safety: SafetyLayer | None = None
+        if scenario.safety is not None:
+            still = _standing_torque(scenario)
+            self.safety = add(
+                "safety", SafetyLayer(believed, scenario.safety, scenario.gravity, period, still, options.compiled)
+            )
+            builder.Connect(applied, self.safety.command)
+            builder.Connect(measurement, self.safety.measurement)
+            builder.Connect(reference.reference, self.safety.reference)
+            if age is not None:
+                builder.Connect(age, self.safety.age)
+            for name, port in (("estimate", self.safety.sensor_health), ("command", self.safety.controller_health)):
+                if name in health:
+                    builder.Connect(health[name], port)
+            applied, safety_state = parts("guarded", self.safety, 6, 3)
         if not scenario.motors.perfect:
             drive = add("drive", MotorDrive(self.plant, scenario.motors))
             builder.Connect(applied, drive.torque)
@@ -203,6 +230,8 @@ class ClosedLoop(Diagram):
         }
         if applied is not torque:
             ports["torque_applied"] = applied
+        if self.safety is not None:
+            ports["safety"] = safety_state
         if scenario.disturbances:
             ports["disturbance"] = push.wrench
         log_period = on_grid(scenario.effective_log_period)

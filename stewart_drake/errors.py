@@ -208,10 +208,11 @@ class SafetyStop(RunFailure):
 
     Attributes:
         reason: See `safety.MONITORS`.
+        trip: The first trip of the run, see `safety.first_trip`.
     """
 
-    def __init__(self, monitor: str, message: str, leg: int | None = None) -> None:
-        self.reason = monitor
+    def __init__(self, monitor: str, message: str, leg: int | None, trip: dict[str, Any] | None) -> None:
+        self.reason, self.trip = monitor, trip
         super().__init__(message, leg)
 
 

@@ -73,14 +73,20 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "disturbance": SignalSpec(
         ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
     ),
+    "safety": SignalSpec(
+        ("level", "monitor", "leg"),
+        ("1",) * 3,
+        "",
+        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
+    ),
     "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
 }
 """Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
 of the plant's state, named by Drake."""
 
-OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "disturbance")
+OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "disturbance", "safety")
 """block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders or a
-sensor that fails, the disturbance where there is one."""
+sensor that fails, the disturbance where there is one, safety where that layer is on."""
 
 
 def _state_column(name: str) -> tuple[str, str, str]:
@@ -108,6 +114,7 @@ class SimulationLog:
         message: One line on the failure, or None.
         end_time: [s] simulated time reached.
         leg: Leg 0..5 of the failure, or None.
+        safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.
         versions: Versions of what ran.
     """
@@ -120,6 +127,7 @@ class SimulationLog:
     message: str | None = None
     end_time: float = 0.0
     leg: int | None = None
+    safety: Mapping[str, Any] | None = None
     wall_time: float = 0.0
     versions: Mapping[str, str | None] = field(default_factory=dict)
 
@@ -186,7 +194,7 @@ class SimulationLog:
         write_atomically(Path(path), self.to_parquet())
 
 
-_OUTCOME = ("status", "reason", "message", "end_time", "leg", "wall_time")
+_OUTCOME = ("status", "reason", "message", "end_time", "leg", "safety", "wall_time")
 
 
 def load_log(path: str | Path) -> SimulationLog:

@@ -30,7 +30,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
     torques are those within the motors' limits, over the whole run. Every key is always there.
 
     Returns:
-        status, reason, message, end_time [s], leg; rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
+        status, reason, message, end_time [s], leg; safety: first trip of the safety layer, see `SimulationLog`;
+        rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
         torque_peak [N m] over all motors; saturated_fraction of ticks and motors at the limit; loop_gap_max_m;
         integral_at_5s [6] [rad s, m s] or None; omega_q, omega_r: mean over the run; omega_ratio: geometric
         mean of their ratio; real_time_factor; git_revision; versions.
@@ -43,6 +44,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         "message": log.message,
         "end_time": log.end_time,
         "leg": log.leg,
+        "safety": None if log.safety is None else dict(log.safety),
         "rmse_deg": None,
         "rmse_mm": None,
         "peak_deg": None,

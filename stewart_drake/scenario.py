@@ -43,6 +43,7 @@ from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
+from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.scalars import SECTION, Count, Real, Vector6
 from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
@@ -169,6 +170,8 @@ class Scenario(_Section):
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = Field(default_factory=LinkOptions)
     """The way of the commands: what is dropped, late or spoilt. It comes after the delay."""
+    safety: SafetyOptions | None = None
+    """What stands between the commands and the motors; null for nothing."""
     limits: Limits = Field(default_factory=Limits)
     """What the reference must keep to; checked before the run."""
     log_period: Annotated[Real, Field(gt=0.0)] | None = None
@@ -195,6 +198,7 @@ class Scenario(_Section):
         "controller",
         "link",
         "limits",
+        "safety",
         "sensors",
         mode="before",
     )
@@ -327,6 +331,11 @@ class Scenario(_Section):
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
+        if self.safety is not None:
+            largest = self.safety.largest_damping(self.believed_robot, self.controller.period)
+            if self.safety.damping > largest:
+                allowed = f"at most {largest:.3g} N m s/rad at this control period"
+                raise ConfigurationError("safety.damping", self.safety.damping, allowed)
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
         if self.duration < self.controller.period:

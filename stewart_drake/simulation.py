@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from stewart_drake.diagram import ClosedLoop
-from stewart_drake.errors import ConfigurationError, RunFailure, drake_guard
+from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop, UnreachablePoseError, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.log import SimulationLog, Status
 from stewart_drake.lqi import LqiOptions, checked_legs
 from stewart_drake.motion_fit import motion_report
+from stewart_drake.safety import refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.user_controller import PythonOptions, user_code
@@ -63,6 +64,7 @@ def run(
     total = int(scenario.duration / scenario.plant.time_step + 1e-6)
     stride = max(1, int(CHUNK / scenario.plant.time_step))
     breaks = _breaks(scenario, total)
+    trip: dict[str, Any] | None = None
     status: Status = "completed"
     reason = message = None
     leg: int | None = None
@@ -81,6 +83,7 @@ def run(
                 progress(_nominal(context.get_time(), scenario.plant.time_step))
     except RunFailure as failure:
         status, reason, message, leg, end = "failed", failure.reason, str(failure), failure.leg, failure.time
+        trip = failure.trip if isinstance(failure, SafetyStop) else None
     except KeyboardInterrupt:
         status, reason, message = "interrupted", "interrupted", "stopped by the user"
     wall = time.perf_counter() - start
@@ -93,6 +96,7 @@ def run(
         message=message,
         end_time=_nominal(end if end is not None else context.get_time(), scenario.plant.time_step),
         leg=leg,
+        safety=trip if trip is not None or loop.safety is None else loop.safety.first_trip(context),
         wall_time=wall,
         versions=collect_versions(),
     )
@@ -104,9 +108,19 @@ def check_scenario(scenario: Scenario) -> None:
     Raises:
         InfeasibleReferenceError: Names limit, time, leg and margin.
         ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers; a
-            recording cannot be read.
+            recording cannot be read; the motion or its start would trip the safety layer.
     """
     motion_report(scenario).raise_if_infeasible()
+    if scenario.safety is not None:
+        time = sample_times(scenario.duration, scenario.controller.period)
+        pose, rate, _ = scenario.reference.evaluate(time)
+        start, start_rate = scenario.start()
+        try:
+            refuse_motion(scenario.believed_robot, scenario.safety, time, pose, rate)
+            refuse_start(scenario.believed_robot, scenario.safety, start, start_rate, pose[0])
+        except UnreachablePoseError as failure:
+            key = "reference" if scenario.model_robot is None else "model_robot"
+            raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
     with np.errstate(all="ignore"):
         try:
             near = LqiOptions() if isinstance(scenario.controller, PythonOptions) else scenario.controller
@@ -162,6 +176,8 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
         signals["density"] = values["density"]
     if "disturbance" in values:
         signals["disturbance"] = values["disturbance"]
+    if "safety" in values:
+        signals["safety"] = values["safety"]
     if isinstance(scenario.sensors, EncoderOptions) or scenario.sensors.faults:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]

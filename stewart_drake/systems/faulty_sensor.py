@@ -26,7 +26,7 @@ class FaultySensor(TickedSystem):
 
     def __init__(self, faults: Sequence[EncoderFault] | Sequence[PoseFault], size: int, period: float) -> None:
         super().__init__(period, np.zeros(2 * size))
-        self._faults, self._width = tuple(faults), size
+        self._faults, self._width = faults, size
         self.reading = self.DeclareVectorInputPort("reading", size)
         self._declare_result()
         self.says = self._declare_output("says", 0, size)

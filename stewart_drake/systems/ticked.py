@@ -35,6 +35,7 @@ class TickedSystem(LeafSystem):
             systems behind a safety layer.
 
     Attributes:
+        guarded: See above.
         period: [s] as Drake has it, see `sampling.on_grid`; the period for a log of every tick.
         result: Port (n + 1,) or, guarded, (n + 3,): all of the result and the number of ticks done. Each port that is a
             part of it costs a call of Python where it is asked for; a Demultiplexer on this one does not.
@@ -45,7 +46,7 @@ class TickedSystem(LeafSystem):
     def __init__(self, period: float, initial: np.ndarray, guarded: bool = False) -> None:
         super().__init__()
         self.period = on_grid(period)
-        self._guarded, self._memory = guarded, len(initial)
+        self.guarded, self._memory = guarded, len(initial)
         state = np.concatenate([np.asarray(initial, dtype=float), [0.0, -1.0] if guarded else [], [0.0]])
         self._size = len(state)
         self.DeclareDiscreteState(state)
@@ -84,7 +85,7 @@ class TickedSystem(LeafSystem):
             values[: self._memory] = self.tick(context, held[: self._memory])
             values[self._memory : -1] = _WELL[: self._size - self._memory - 1]
         except RunFailure as error:
-            if not self._guarded:
+            if not self.guarded:
                 error.time = context.get_time()
                 raise
             values[: self._memory] = held[: self._memory]

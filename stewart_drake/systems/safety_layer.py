@@ -1,0 +1,91 @@
+"""The safety layer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from stewart_drake.robot import RobotParameters
+from stewart_drake.safety import (
+    SafetyInputs,
+    SafetyMemory,
+    SafetyOptions,
+    first_trip,
+    flat_tick,
+    initial_memory,
+)
+from stewart_drake.systems.ticked import TickedSystem
+
+_WELL = np.array([0.0, -1.0])
+
+
+class SafetyLayer(TickedSystem):
+    """Watches commands and measurements, and passes on what may go to the motors; answers within the tick.
+
+    Any controller with a torque port runs behind it: the ports age and health may be left alone.
+
+    Args:
+        robot: As the controller believes it to be.
+        options: Limits and reactions.
+        gravity: [m/s^2].
+        period: [s] tick period.
+        compiled: See `LqiOptions.compiled`.
+        initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
+
+    Ports:
+        command: in (6,) [N m], the controller's.
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
+        reference: in (18,), pose, pose rate, pose acceleration.
+        age: in (1,) [ticks] of the command; may be left unconnected.
+        sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `TickedSystem`; may be
+            left unconnected.
+        torque: out (6,) [N m], for the motors.
+        state: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
+    """
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        options: SafetyOptions,
+        gravity: float,
+        period: float,
+        initial: np.ndarray,
+        compiled: bool = False,
+    ) -> None:
+        super().__init__(period, initial_memory(initial).flat())
+        self._tick, self._nominal = flat_tick(robot, options, gravity, period, compiled), period
+        self.command = self.DeclareVectorInputPort("command", 6)
+        self.measurement = self.DeclareVectorInputPort("measurement", 12)
+        self.reference = self.DeclareVectorInputPort("reference", 18)
+        self.age = self.DeclareVectorInputPort("age", 1)
+        self.sensor_health = self.DeclareVectorInputPort("sensor_health", 2)
+        self.controller_health = self.DeclareVectorInputPort("controller_health", 2)
+        self._declare_result()
+        self.torque = self._declare_output("torque", 0, 6)
+        self.state = self._declare_output("state", 6, 3)
+
+    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
+        """See `safety.safety_tick`."""
+        measured = self.measurement.Eval(context)
+        age = self.age.Eval(context)[0] if self.age.HasValue(context) else 0.0
+        sensor, controller = (
+            port.Eval(context) if port.HasValue(context) else _WELL
+            for port in (self.sensor_health, self.controller_health)
+        )
+        inputs = SafetyInputs(
+            self.command.Eval(context),
+            measured[:6],
+            measured[6:],
+            self.reference.Eval(context)[:6],
+            float(age),
+            (float(sensor[0]), float(sensor[1])),
+            (float(controller[0]), float(controller[1])),
+        )
+        return self._tick(inputs, previous)
+
+    def first_trip(self, context: Context) -> dict[str, Any] | None:
+        """See `safety.first_trip`; `context` is that of the whole Diagram."""
+        values = self.GetMyContextFromRoot(context).get_discrete_state(0).value()
+        return first_trip(SafetyMemory.from_flat(values[:-1]), self._nominal)
