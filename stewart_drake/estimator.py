@@ -100,13 +100,14 @@ class EncoderOptions:
         Returns:
             (..., 6) [rad].
         """
-        angles = crank_angles + self._offset
+        angles = crank_angles + self.read_offset
         if tick is not None and self.noise > 0.0:
             angles = angles + self.noise * tick_normal(self.noise_seed, _STREAM, tick, 6)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum else angles
 
     @cached_property
-    def _offset(self) -> np.ndarray:
+    def read_offset(self) -> np.ndarray:
+        """`offset` (6,) [rad] as an array."""
         return np.array(self.offset)
 
     def smoothing(self, period: float) -> float:

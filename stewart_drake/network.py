@@ -97,18 +97,19 @@ class TunerNetwork:
         return np.clip(10.0**log, self.omega_min, self.omega_max)
 
     def compiled_weights(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`weights` of one vector (12,), compiled by numba."""
+        """`weights` of one vector (12,), compiled by numba; NaN where a density is not finite."""
         # numba takes half a second to import, and compiles on first use.
         from stewart_drake.compiled.tuner import weights
 
-        hidden = np.ascontiguousarray(self.hidden_weights / self.input_scale)
-        hidden_bias = self.hidden_bias - hidden @ self.input_mean
-        out = np.ascontiguousarray(self.output_weights)
+        layers = np.zeros((HIDDEN + OUTPUTS, INPUTS + 1))
+        layers[:HIDDEN, :INPUTS] = self.hidden_weights / self.input_scale
+        layers[:HIDDEN, INPUTS] = self.hidden_bias - layers[:HIDDEN, :INPUTS] @ self.input_mean
+        layers[HIDDEN:, :HIDDEN] = self.output_weights
+        layers[HIDDEN:, HIDDEN:] = np.stack([self.output_bias, self.omega_min, self.omega_max], axis=1)
 
         def answer(densities: np.ndarray) -> np.ndarray:
             result = np.empty(OUTPUTS)
-            low, high = self.omega_min, self.omega_max
-            weights(densities, hidden, hidden_bias, out, self.output_bias, low, high, _LARGEST_DENSITY, result)
+            weights(densities, layers, _LARGEST_DENSITY, result)
             return result
 
         return answer

@@ -67,3 +67,19 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
     euler_rates(pose[:3], result[6:9])
     result[24], result[25], result[26] = 0.0, sign, 1.0
     return OK
+
+
+@njit(cache=True, error_model="numpy")
+def read(state: np.ndarray, index: np.ndarray, zero: np.ndarray, quantum: float, result: np.ndarray) -> None:
+    """Reference `estimator.EncoderOptions.read` without noise, of entries `index` (6,) of the plant's state.
+
+    Args:
+        state: (n,).
+        index: (6,) of int.
+        zero: (6,) [rad] added to them.
+        quantum: [rad] of a count; 0 for none.
+        result: (6,) [rad] out.
+    """
+    for k in range(6):
+        angle = state[index[k]] + zero[k]
+        result[k] = np.rint(angle / quantum) * quantum if quantum > 0.0 else angle

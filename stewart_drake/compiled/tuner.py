@@ -37,29 +37,29 @@ def density_tick(previous: np.ndarray, error: np.ndarray, torque: np.ndarray, si
 
 
 @njit(cache=True, error_model="numpy")
-def weights(
-    densities: np.ndarray, hidden: np.ndarray, hidden_bias: np.ndarray, out: np.ndarray, out_bias: np.ndarray,
-    low: np.ndarray, high: np.ndarray, largest: float, result: np.ndarray,
-) -> None:  # fmt: skip
-    """Reference `network.TunerNetwork.weights`, with the scaling of the inputs folded into the hidden layer."""
-    units = np.empty(hidden.shape[0])
-    for i in range(hidden.shape[0]):
-        value = hidden_bias[i]
-        for k in range(hidden.shape[1]):
-            density = densities[k]
-            if density > largest:
-                density = largest
-            elif density < -largest:
-                density = -largest
-            value += hidden[i, k] * density
+def weights(densities: np.ndarray, layers: np.ndarray, largest: float, result: np.ndarray) -> None:
+    """Reference `network.TunerNetwork.weights`, with the scaling of the inputs folded into the hidden layer.
+
+    Args:
+        densities: (n,).
+        layers: (h + k, n + 1): a row for each of h hidden units, its weights and bias; then a row for each of k
+            outputs, h weights, bias, smallest and largest answer. One array, because each costs the caller time.
+        largest: Densities are held within it.
+        result: (k,) out; NaN where a density is not finite.
+    """
+    outputs = result.shape[0]
+    hidden, inputs = layers.shape[0] - outputs, densities.shape[0]
+    units, finite = np.empty(hidden), True
+    for k in range(inputs):
+        finite = finite and np.isfinite(densities[k])
+    for i in range(hidden):
+        value = layers[i, inputs]
+        for k in range(inputs):
+            value += layers[i, k] * min(max(densities[k], -largest), largest)
         units[i] = np.tanh(value)
-    for i in range(out.shape[0]):
-        value = out_bias[i]
-        for k in range(out.shape[1]):
-            value += out[i, k] * units[k]
-        answer = 10.0**value
-        if answer < low[i]:
-            answer = low[i]
-        elif answer > high[i]:
-            answer = high[i]
-        result[i] = answer
+    for i in range(outputs):
+        row = layers[hidden + i]
+        value = row[hidden]
+        for k in range(hidden):
+            value += row[k] * units[k]
+        result[i] = min(max(10.0**value, row[hidden + 1]), row[hidden + 2]) if finite else np.nan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,6 +38,7 @@ class AnnTuner(LeafSystem):
         compiled: bool = False,
     ) -> None:
         super().__init__()
+        self._compiled = compiled
         self._weights = network.compiled_weights() if compiled else network.weights
         self.density = self.DeclareVectorInputPort("density", 12)
         index = self.DeclareDiscreteState(np.clip(initial, network.omega_min, network.omega_max))
@@ -47,8 +47,10 @@ class AnnTuner(LeafSystem):
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         features = self.density.Eval(context)
-        if not math.isfinite(np.add.reduce(features)):
+        weights = self._weights(features)
+        # The compiled network sees for itself whether all are finite.
+        if not weights[0] > 0.0 or not (self._compiled or np.isfinite(features).all()):
             error = NotFiniteError("density", features)
             error.time = context.get_time()
             raise error
-        discrete_state.set_value(self._weights(features))
+        discrete_state.set_value(weights)
