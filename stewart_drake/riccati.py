@@ -160,10 +160,14 @@ def _cubic_roots(a2: float, a1: float, a0: float) -> np.ndarray:
         moved = 0.0
         for i in range(3):
             value = ((x[i] + a2) * x[i] + a1) * x[i] + a0
-            if value == 0.0:
+            slope = (3.0 * x[i] + 2.0 * a2) * x[i] + a1
+            if value == 0.0 or slope == 0.0:
                 continue
-            newton = value / ((3.0 * x[i] + 2.0 * a2) * x[i] + a1)
-            move = newton / (1.0 - newton * sum(1.0 / (x[i] - x[j]) for j in range(3) if j != i))
+            newton = value / slope
+            bottom = 1.0 - newton * sum(1.0 / (x[i] - x[j]) for j in range(3) if j != i and x[j] != x[i])
+            if bottom == 0.0:
+                continue
+            move = newton / bottom
             x[i] -= move
             moved = max(moved, abs(move) / abs(x[i]))
         if not moved > 1e-15:

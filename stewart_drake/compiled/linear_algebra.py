@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from stewart_drake.compiled.jit import njit
 
 SWEEPS = 30
 """Jacobi sweeps at most; six do."""
@@ -65,7 +66,8 @@ def singular_vectors(matrix: np.ndarray, s: np.ndarray, v: np.ndarray, tolerance
         matrix: (n, n), rows are the vectors that are rotated; row i becomes s_i times the left vector u_i.
         s: (n,) out.
         v: (n, n) out; row i is the right vector: matrix' = sum of s_i u_i v_i', for the transposed matrix given.
-        tolerance: Cosine between rows at which they count as orthogonal. The singular values' error is its square.
+        tolerance: Cosine between rows at which they count as orthogonal. It is the relative error of singular values
+            that are equal; of others the error is its square.
     """
     n = matrix.shape[0]
     for i in range(n):

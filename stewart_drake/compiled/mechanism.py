@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.robot import RobotParameters
 
@@ -30,7 +30,7 @@ _SCALARS = 13
 
 
 def pack(robot: RobotParameters) -> np.ndarray:
-    """The numbers of a robot in one contiguous array (22, 3): joints of base and platform, crank directions, scalars.
+    """The numbers of a robot in one contiguous array (23, 3): joints of base and platform, crank directions, scalars.
 
     Rows 0..5 shaft positions [m], 6..11 platform joints [m], 12..17 crank directions at zero, 18..22 scalars.
     """

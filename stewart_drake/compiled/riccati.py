@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from stewart_drake.compiled.jit import njit
 from stewart_drake.riccati import UNSETTLED
 
 ITERATIONS = 60
@@ -37,6 +37,8 @@ def chain_gain(
         a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
     else:
         a1, a2 = g * q_e * t**4, g * q_v * t**2
+    if not (0.0 < a0 < np.inf and abs(a1) < np.inf and abs(a2) < np.inf):
+        return False
     x = np.empty(3, np.complex128)
     _starts(a2, a1, a0, x)
     moved = np.inf
@@ -46,14 +48,18 @@ def chain_gain(
             z = x[i]
             value = ((z + a2) * z + a1) * z + a0
             slope = (3.0 * z + 2.0 * a2) * z + a1
-            if value == 0.0:
+            # Complex division by zero raises, whatever the error model; the other roots' moves lead out of it.
+            if value == 0.0 or slope == 0.0:
                 continue
             newton = value / slope
             pull = 0.0 + 0.0j
             for j in range(3):
-                if j != i:
+                if j != i and z != x[j]:
                     pull += 1.0 / (z - x[j])
-            move = newton / (1.0 - newton * pull)
+            bottom = 1.0 - newton * pull
+            if bottom == 0.0:
+                continue
+            move = newton / bottom
             x[i] = z - move
             moved = max(moved, abs(move) / abs(x[i]))
         if not moved < np.inf:
@@ -69,6 +75,8 @@ def chain_gain(
     for i in range(3):
         root = np.sqrt(x[i] * x[i] - 4.0 * x[i])
         large = -0.5 * (x[i] + root) if (x[i].conjugate() * root).real >= 0.0 else -0.5 * (x[i] - root)
+        if large == 0.0:
+            return False
         small = x[i] / large
         d[i] = large if abs(1.0 + large) < abs(1.0 + small) else small
     c2 = -(d[0] + d[1] + d[2]).real

@@ -1,0 +1,162 @@
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from robots import PAPER, ROBOTS, offsets, robots
+from strategies import vectors
+
+from stewart_drake import kinematics, rigid_body_model
+from stewart_drake.compiled import mechanism
+from stewart_drake.errors import ForwardKinematicsError, UnreachablePoseError
+
+many = settings(max_examples=60)
+
+
+def legs_of(robot, pose):
+    legs = np.empty((6, 14))
+    return mechanism.leg_vectors(mechanism.pack(robot), pose, legs), legs
+
+
+def lines_of(legs):
+    lines = np.empty((6, 6))
+    mechanism.rod_lines(legs, lines)
+    return lines
+
+
+def turn_of(pose):
+    turn = np.empty((3, 3))
+    mechanism.rotation(pose[:3], turn)
+    return turn
+
+
+def reachable(robot, pose):
+    assume(kinematics.reach_margin(robot, pose).min() > 0.01)
+    return kinematics.leg_geometry(robot, pose)
+
+
+@given(vectors(3, 3.0), vectors(3, 4.0))
+def test_rotations_and_euler_rates(rpy, rate):
+    assume(abs(np.cos(rpy[1])) > 0.01)
+    np.testing.assert_allclose(turn_of(rpy), kinematics.rotation_matrix(rpy), atol=1e-15)
+    omega, drift = np.empty(3), np.empty(3)
+    mechanism.angular_velocity(rpy, rate, omega)
+    np.testing.assert_allclose(omega, kinematics.euler_rate_matrix(rpy) @ rate, atol=1e-14)
+    mechanism.euler_drift(rpy, rate, drift)
+    np.testing.assert_allclose(drift, kinematics.euler_rate_matrix_dot(rpy, rate) @ rate, atol=1e-13)
+    mechanism.euler_rates(rpy, omega)
+    np.testing.assert_allclose(omega, rate, atol=1e-11)
+
+
+@many
+@given(robots, offsets())
+def test_leg_vectors_lines_and_conditioning(robot, offset):
+    pose = robot.home_pose + offset
+    expected = reachable(robot, pose)
+    bad, legs = legs_of(robot, pose)
+    assert bad == -1
+    for columns, name in ((slice(0, 3), "arm"), (slice(3, 6), "crank"), (slice(6, 9), "e_n"), (slice(9, 12), "e_l")):
+        np.testing.assert_allclose(legs[:, columns], getattr(expected, name), atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(legs[:, 12], expected.transmission, atol=1e-12)
+    np.testing.assert_allclose(legs[:, 13], kinematics.reach_margin(robot, pose), atol=1e-12)
+    lines = lines_of(legs)
+    np.testing.assert_allclose(lines, kinematics.rod_lines(expected), atol=1e-12)
+    ratio = mechanism.line_conditioning(mechanism.pack(robot), lines)
+    assert ratio == pytest.approx(float(kinematics.line_conditioning(robot, expected)), rel=1e-6)
+
+
+@many
+@given(robots, offsets(5.0))
+def test_leg_vectors_find_the_same_leg_out_of_reach(robot, offset):
+    pose = robot.home_pose + offset
+    bad, legs = legs_of(robot, pose)
+    margins = kinematics.reach_margin(robot, pose)
+    assume(abs(margins.min()) > 1e-9)
+    if margins.min() > 0.0:
+        assert bad == -1
+        return
+    with pytest.raises(UnreachablePoseError) as caught:
+        kinematics.leg_geometry(robot, pose)
+    assert bad == caught.value.leg
+    assert legs[bad, 13] == pytest.approx(caught.value.margin, rel=1e-9)
+
+
+def test_a_pose_beyond_all_numbers_is_out_of_reach_by_both():
+    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e200])
+    assert legs_of(PAPER, pose)[0] >= 0
+    with np.errstate(all="ignore"), pytest.raises(UnreachablePoseError):
+        kinematics.leg_geometry(PAPER, pose)
+
+
+@many
+@given(robots, offsets(), vectors(6, 0.02))
+def test_forward_kinematics(robot, offset, away):
+    pose = robot.home_pose + offset
+    reachable(robot, pose)
+    theta = kinematics.inverse_kinematics(robot, pose)
+    found = pose + away
+    try:
+        expected = kinematics.forward_kinematics(robot, theta, pose + away, 1e-12, 12)
+    except ForwardKinematicsError:
+        assert not mechanism.forward_kinematics(mechanism.pack(robot), theta, found, 1e-12, 12) <= 1e-12
+    else:
+        assert mechanism.forward_kinematics(mechanism.pack(robot), theta, found, 1e-12, 12) <= 1e-12
+        np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("theta", [np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1]), np.full(6, np.nan)])
+def test_forward_kinematics_says_when_it_has_not_converged(theta):
+    pose = PAPER.home_pose.copy()
+    assert not mechanism.forward_kinematics(mechanism.pack(PAPER), theta, pose, 1e-12, 12) <= 1e-12
+
+
+@many
+@given(robots, offsets())
+def test_task_inertia(robot, offset):
+    pose = robot.home_pose + offset
+    reachable(robot, pose)
+    legs, out = legs_of(robot, pose)[1], np.empty((6, 6))
+    mechanism.task_inertia(mechanism.pack(robot), legs, lines_of(legs), turn_of(pose), out)
+    expected = rigid_body_model.task_inertia(robot, pose)
+    np.testing.assert_allclose(out, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+
+
+@many
+@given(robots, offsets(), vectors(6, 2.0), vectors(6, 20.0), st.sampled_from([0.0, 9.81]))
+def test_inverse_dynamics(robot, offset, rate, acceleration, gravity):
+    pose = robot.home_pose + offset
+    legs = reachable(robot, pose)
+    assume(float(kinematics.line_conditioning(robot, legs)) > 0.005)
+    twist = kinematics.pose_rate_to_twist(pose, rate)
+    drift = kinematics.euler_rate_matrix_dot(pose[:3], rate[:3]) @ rate[:3]
+    twist_rate = kinematics.pose_rate_to_twist(pose, acceleration)
+    twist_rate[:3] += drift
+    own, torque = legs_of(robot, pose)[1], np.empty(6)
+    assert mechanism.inverse_dynamics(
+        mechanism.pack(robot), own, lines_of(own), turn_of(pose), twist, twist_rate, gravity, torque
+    )
+    expected = rigid_body_model.inverse_dynamics(robot, pose, rate, acceleration, gravity)
+    np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9 * (1.0 + np.abs(expected).max()))
+
+
+def test_inverse_dynamics_says_so_of_lines_without_rank():
+    own, torque = legs_of(PAPER, PAPER.home_pose)[1], np.empty(6)
+    done = mechanism.inverse_dynamics(
+        mechanism.pack(PAPER), own, np.zeros((6, 6)), np.eye(3), np.zeros(6), np.zeros(6), 9.81, torque
+    )
+    assert not done
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_robot_packs_all_that_the_functions_use(robot):
+    packed = mechanism.pack(robot)
+    assert packed.shape == (23, 3)
+    assert packed.flags.c_contiguous
+    np.testing.assert_array_equal(packed[:6], robot.shaft_positions)
+    for index, value in (
+        (mechanism.BRANCH, robot.branch),
+        (mechanism.CRANK_AXIS_INERTIA, robot.crank_axis_inertia),
+        (mechanism.PLATFORM_INERTIA + 1, robot.platform_inertia[1]),
+        (mechanism.LENGTH, robot.characteristic_length),
+        (mechanism.EFFORT, robot.effort_limit),
+    ):
+        assert mechanism.scalar(packed, index) == value
