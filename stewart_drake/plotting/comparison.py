@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, LogLocator
 
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, YELLOW, label, panels
 
@@ -18,7 +18,7 @@ _STYLES = (
     (ORANGE, "D"),
     (BLUE, "o"),
     (PURPLE, "s"),
-    (GREEN, "P"),
+    (GREEN, ">"),
     (SKY, "X"),
     (TEXT, "*"),
 )
@@ -36,7 +36,6 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
     styles = _styles(rows)
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     references = list(dict.fromkeys(row["reference"] for row in rows))
-    lane = 0.8 / max(1, len(styles) - 1) if len(styles) > 1 else 0.0
     shown = {c: [r for r in references if any((row["condition"], row["reference"]) == (c, r) for row in rows)]
              for c in conditions}  # fmt: skip
     heights = [max(1, len(shown[c])) for c in conditions]
@@ -51,8 +50,12 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
         for place, reference in enumerate(reversed(shown[condition])):
             if place % 2 == 0:
                 panel.axhspan(place - 0.5, place + 0.5, color=_BAND, zorder=0.0)
-            for index, (controller, style) in enumerate(styles.items()):
-                y = place + (0.5 * (len(styles) - 1) - index) * lane
+            here = dict.fromkeys(
+                row["controller"] for row in rows if (row["reference"], row["condition"]) == (reference, condition)
+            )
+            lane = 0.8 / max(4, len(here))
+            for index, controller in enumerate(here):
+                style, y = styles[controller], place + (0.5 * (len(here) - 1) - index) * lane
                 for row in rows:
                     if (row["controller"], row["reference"], row["condition"]) != (controller, reference, condition):
                         continue
@@ -66,7 +69,7 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
         panel.set_xlim(low, high * (high / low) ** 0.09)
         panel.xaxis.set_major_locator(LogLocator())
         panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.minorticks_off()
         panel.set_ylim(-0.5, len(shown[condition]) - 0.5)
         panel.set_yticks(range(len(shown[condition])), list(reversed(shown[condition])), fontsize=10)
         panel.tick_params(axis="y", length=0)
@@ -101,13 +104,14 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
                 panel.plot(time[-1], size[-1], marker="x", color=color, markersize=7.0, markeredgewidth=2.0)
         panel.set_yscale("log")
         panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter(NullFormatter())
+        panel.minorticks_off()
         label(panel, condition, "time [s]" if condition == conditions[-1] else "", "pose error [mm]")
     sizes = [value for row in rows for value in row["trace"]["pose_mm"] if value > 0.0]
     if sizes:
         axes[0, 0].set_ylim(max(1e-6, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
     axes[0, 0].annotate(f"settled: {band:g} mm", (1.0, band), xycoords=("axes fraction", "data"), fontsize=9,
-                        color=TEXT, ha="right", va="bottom", xytext=(-3, 2), textcoords="offset points")  # fmt: skip
+                        color=TEXT, ha="right", va="center", xytext=(-3, 0), textcoords="offset points",
+                        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=5.0)  # fmt: skip
     _legend(figure, styles, lines=True)
     return figure
 
@@ -142,8 +146,7 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
             panel.set_xscale("log")
             panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
             panel.xaxis.set_major_formatter("{x:g}")
-            panel.xaxis.set_minor_formatter(NullFormatter())
-            panel.xaxis.set_minor_locator(FixedLocator([]))
+            panel.minorticks_off()
         rest.set_yscale("log")
         amplitude.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
         phase.axhline(0.0, color=TEXT, linewidth=0.8, zorder=1.0)

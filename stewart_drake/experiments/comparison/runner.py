@@ -15,6 +15,7 @@ from stewart_drake.experiments.comparison.table import (
     COLUMNS,
     Sheet,
     band_rows,
+    order,
     sheets,
     table_rows,
     to_arrow,
@@ -106,8 +107,8 @@ def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Pat
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.comparison import plot_bands, plot_error, plot_rmse
 
-    hidden = {name for best in comparison.file.best_of.values() for name in best.of}
-    rows = [row for row in result.rows if row["controller"] not in hidden]
+    names = order(comparison)
+    rows = [row for name in names for row in result.rows if row["controller"] == name]
     figures = {"rmse": plot_rmse(rows)}
     traced = [row for row in rows if row["reference"] == comparison.traced]
     if any("trace" in row for row in traced):

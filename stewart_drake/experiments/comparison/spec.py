@@ -28,7 +28,7 @@ SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
-_QUICK_FREQUENCIES = 3
+_QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
 _MODEL = cast(ConfigDict, {**SECTION, "frozen": True})
 _NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
@@ -108,7 +108,7 @@ class CompareFile(BaseModel):
     bands: Bands | None = None
     """Tracked frequencies; null for none."""
     quick: Annotated[Real, Field(gt=0.0)] = 1.5
-    """[s] longest run under `--quick`, which also leaves but three of the frequencies."""
+    """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FORMAT_KEY = b"stewart_drake.comparison"
+SMALLEST = 1e-5
+"""What is smaller is not written out."""
 VERSION = 1
 
 _LATE = "over the second half of the planned duration"
@@ -164,7 +166,7 @@ def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) ->
     hidden = {name for best in comparison.file.best_of.values() for name in best.of}
     asked = {name for product in comparison.file.runs or () for name in product.controllers}
     groups: dict[tuple[str, str, str], list[Row]] = {}
-    for name in _order(comparison):
+    for name in order(comparison):
         for row in rows:
             if row["controller"] == name and (name not in hidden or name in asked):
                 groups.setdefault((row["controller"], row["reference"], row["condition"]), []).append(row)
@@ -172,15 +174,15 @@ def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) ->
     return made + [_band_sheet(axis, bands) for axis in dict.fromkeys(row["reference"] for row in bands)]
 
 
-def _order(comparison: Comparison) -> list[str]:
+def order(comparison: Comparison) -> list[str]:
     """Names of controllers as the file has them: those of `runs`, or a best of several in the place of its first."""
     if comparison.file.runs is not None:
         return list(dict.fromkeys(name for product in comparison.file.runs for name in product.controllers))
-    order: dict[str, None] = {}
+    found: dict[str, None] = {}
     for cell in comparison.cells:
-        order |= dict.fromkeys(name for name, best in comparison.file.best_of.items() if cell.controller in best.of)
-        order[cell.controller] = None
-    return list(order)
+        found |= dict.fromkeys(name for name, best in comparison.file.best_of.items() if cell.controller in best.of)
+        found[cell.controller] = None
+    return list(found)
 
 
 def _flat(comparison: Comparison, row: Row) -> Row:
@@ -219,6 +221,8 @@ def number(value: float | None) -> str:
     """Three significant digits, without an exponent."""
     if value is None:
         return "-"
+    if 0.0 < abs(value) < SMALLEST:
+        return f"<{SMALLEST:.5f}"
     return np.format_float_positional(value, 3, unique=False, fractional=False, trim="k").rstrip(".")
 
 
