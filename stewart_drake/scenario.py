@@ -475,6 +475,9 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
     if last == "kind" and parents in (["reference"], ["tuner"], ["sensors"], ["controller"]):
         before = section.get("kind", "lqi" if parents == ["controller"] else None)
         old, new = (kind_class(Scenario, parents[0], kind) for kind in (before, value))
-        for name in set(keys_of(old)) - set(keys_of(new)) if old is not None and new is not None else ():
-            section.pop(name, None)
+        if old is not None and new is not None:
+            # Controllers have keys of one name with other choices.
+            same = set(keys_of(new)) - ({"feedforward", "saturation"} if parents == ["controller"] else set())
+            for name in set(keys_of(old)) - same:
+                section.pop(name, None)
     section[last] = value

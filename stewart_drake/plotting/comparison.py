@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator
 
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, YELLOW, label, panels
 
+_Styles = Mapping[str, Mapping[str, Any]]
 _STYLES = (
     (QUIET, "v"),
     (YELLOW, "^"),
@@ -19,10 +21,15 @@ _STYLES = (
     (BLUE, "o"),
     (PURPLE, "s"),
     (GREEN, ">"),
-    (SKY, "X"),
-    (TEXT, "*"),
+    (TEXT, "X"),
+    (SKY, "*"),
 )
 _BAND = "#F4F6F8"
+_BESIDE = 3
+"""Panels that have room side by side."""
+_SMALLEST = 1e-6
+"""[mm] what is smaller is drawn here."""
+_CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _PHASE_SHOWN = 1e-3
 """Amplitude ratio below which a phase says nothing."""
 
@@ -34,50 +41,57 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
         rows: See `comparison.table.table_rows`; `pose_rmse_mm` is drawn, of several seeds each.
     """
     styles = _styles(rows)
-    conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    references = list(dict.fromkeys(row["reference"] for row in rows))
-    shown = {c: [r for r in references if any((row["condition"], row["reference"]) == (c, r) for row in rows)]
-             for c in conditions}  # fmt: skip
-    heights = [max(1, len(shown[c])) for c in conditions]
-    per = 0.16 * max(3, len(styles))
-    figure, axes = panels(
-        len(conditions), 1, 1.5 + per * sum(heights) + 0.55 * len(conditions), sharex=True, height_ratios=heights
-    )
-    values = [row["pose_rmse_mm"] for row in rows if _done(row)]
+    shown: dict[str, list[str]] = {}
+    for row in rows:
+        here = shown.setdefault(row["condition"], [])
+        if row["reference"] not in here:
+            here.append(row["reference"])
+    beside = 1 < len(shown) <= _BESIDE and len(set(map(tuple, shown.values()))) == 1
+    sizes = [len(references) for references in shown.values()]
+    lane = 0.14 * max(3, len(styles))
+    if beside:
+        figure, axes = panels(1, len(shown), 1.5 + lane * sizes[0], sharex=True, sharey=True)
+    else:
+        height = 1.4 + lane * sum(sizes) + 0.55 * len(shown)
+        figure, axes = panels(len(shown), 1, height, sharex=True, height_ratios=sizes)
+    values = [max(row["pose_rmse_mm"], _SMALLEST) for row in rows if _done(row)]
     low, high = (min(values) / 2.0, max(values) * 2.0) if values else (0.1, 10.0)
     edge = high * (high / low) ** 0.05
-    for (panel,), condition in zip(axes, conditions, strict=True):
-        for place, reference in enumerate(reversed(shown[condition])):
+    for panel, (condition, references) in zip(axes.flat, shown.items(), strict=True):
+        for place, reference in enumerate(reversed(references)):
             if place % 2 == 0:
                 panel.axhspan(place - 0.5, place + 0.5, color=_BAND, zorder=0.0)
-            here = dict.fromkeys(
-                row["controller"] for row in rows if (row["reference"], row["condition"]) == (reference, condition)
-            )
-            lane = 0.8 / max(4, len(here))
-            for index, controller in enumerate(here):
-                style, y = styles[controller], place + (0.5 * (len(here) - 1) - index) * lane
-                for row in rows:
-                    if (row["controller"], row["reference"], row["condition"]) != (controller, reference, condition):
-                        continue
-                    if _done(row):
-                        panel.plot([low, row["pose_rmse_mm"]], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
-                        panel.plot(row["pose_rmse_mm"], y, **style)
-                    else:
-                        panel.plot(edge, y, marker="x", color=style["color"], markersize=6.5, markeredgewidth=2.0,
-                                   clip_on=False)  # fmt: skip
+            runs = [row for row in rows if (row["reference"], row["condition"]) == (reference, condition)]
+            _plot_lanes(panel, runs, styles, place, low, edge)
         panel.set_xscale("log")
         panel.set_xlim(low, high * (high / low) ** 0.09)
-        panel.xaxis.set_major_locator(LogLocator())
+        panel.xaxis.set_major_locator(LogLocator(numticks=6 if beside else 12))
         panel.xaxis.set_major_formatter("{x:g}")
         panel.minorticks_off()
-        panel.set_ylim(-0.5, len(shown[condition]) - 0.5)
-        panel.set_yticks(range(len(shown[condition])), list(reversed(shown[condition])), fontsize=10)
+        panel.set_ylim(-0.5, len(references) - 0.5)
+        panel.set_yticks(range(len(references)), list(reversed(references)), fontsize=10)
         panel.tick_params(axis="y", length=0)
         panel.grid(axis="y", visible=False)
-        last = condition == conditions[-1]
-        label(panel, condition, "pose RMSE over the second half [mm]; a cross: the run failed" if last else "", "")
-    _legend(figure, styles)
+        bottom = beside or condition == list(shown)[-1]
+        label(panel, condition, "pose RMSE [mm]" if bottom else "", "")
+    _legend(figure, styles, [Line2D([], [], color=TEXT, label="failed", **_CROSS)])
     return figure
+
+
+def _plot_lanes(
+    panel: Axes, rows: Sequence[Mapping[str, Any]], styles: _Styles, place: int, low: float, edge: float
+) -> None:
+    """Dots of one reference, a lane for each controller; crosses at `edge` for runs that failed."""
+    here = list(dict.fromkeys(row["controller"] for row in rows))
+    for row in rows:
+        style = styles[row["controller"]]
+        y = place + (0.5 * (len(here) - 1) - here.index(row["controller"])) * 0.8 / max(4, len(here))
+        if _done(row):
+            value = max(row["pose_rmse_mm"], _SMALLEST)
+            panel.plot([low, value], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
+            panel.plot(value, y, **style)
+        else:
+            panel.plot(edge, y, color=style["color"], **_CROSS)
 
 
 def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
@@ -101,7 +115,7 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
             size = np.maximum(row["trace"]["pose_mm"], 1e-7)
             panel.plot(time, size, color=color, linewidth=1.5)
             if row["status"] != "completed":
-                panel.plot(time[-1], size[-1], marker="x", color=color, markersize=7.0, markeredgewidth=2.0)
+                panel.plot(time[-1], size[-1], color=color, **_CROSS)
         panel.set_yscale("log")
         panel.yaxis.set_major_formatter("{x:g}")
         panel.minorticks_off()
@@ -109,10 +123,8 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
     sizes = [value for row in rows for value in row["trace"]["pose_mm"] if value > 0.0]
     if sizes:
         axes[0, 0].set_ylim(max(1e-6, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
-    axes[0, 0].annotate(f"settled: {band:g} mm", (1.0, band), xycoords=("axes fraction", "data"), fontsize=9,
-                        color=TEXT, ha="right", va="center", xytext=(-3, 0), textcoords="offset points",
-                        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=5.0)  # fmt: skip
-    _legend(figure, styles, lines=True)
+    settled = Line2D([], [], color=TEXT, linestyle=(0, (4, 3)), linewidth=0.9, label=f"settled: {band:g} mm")
+    _legend(figure, styles, [settled], lines=True)
     return figure
 
 
@@ -148,6 +160,8 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
             panel.xaxis.set_major_formatter("{x:g}")
             panel.minorticks_off()
         rest.set_yscale("log")
+        rest.yaxis.set_major_formatter("{x:g}")
+        rest.minorticks_off()
         amplitude.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
         phase.axhline(0.0, color=TEXT, linewidth=0.8, zorder=1.0)
         rest.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
@@ -176,7 +190,7 @@ def _styles(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def _legend(figure: Figure, styles: Mapping[str, Mapping[str, Any]], lines: bool = False) -> None:
+def _legend(figure: Figure, styles: _Styles, more: Sequence[Line2D] = (), lines: bool = False) -> None:
     handles: list[Any] = [
         Line2D([], [], color=style["color"], linewidth=2.0, label=name)
         if lines
@@ -184,4 +198,4 @@ def _legend(figure: Figure, styles: Mapping[str, Mapping[str, Any]], lines: bool
         for name, style in styles.items()
     ]
     columns = 3 if max(map(len, styles), default=0) > 24 else 4
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    figure.legend(handles=[*handles, *more], loc="outside lower center", ncols=columns, frameon=False, fontsize=9)

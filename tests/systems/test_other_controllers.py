@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+from strategies import ROBOT
+
+from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
+from stewart_drake.diagram import ClosedLoop
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.joint_pid import PidMemory, PidOptions, pid_tick
+from stewart_drake.lqi import LqiOptions, Measurement, Setpoint
+from stewart_drake.metrics import run_metrics
+from stewart_drake.plotting import plot_states, plot_torques
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.simulation import run
+from stewart_drake.systems.computed_torque import ComputedTorque
+from stewart_drake.systems.joint_pid import JointPid
+
+GRAVITY = 9.81
+HOME = np.array(ROBOT.home_pose)
+MEASURED = np.concatenate([HOME + [0.01, 0, 0, 0, 0, 0.001], np.full(6, 0.02)])
+WANTED = np.concatenate([HOME, np.zeros(12)])
+SPLIT = Measurement(MEASURED[:6], MEASURED[6:]), Setpoint(WANTED[:6], WANTED[6:12], WANTED[12:])
+KINDS = ("pid", "computed_torque")
+
+
+def scenario(**changes):
+    return Scenario.from_dict({"duration": 0.4, "reference": {"kind": "sine"}} | changes)
+
+
+@pytest.mark.parametrize(
+    ("system", "tick", "memory"),
+    [
+        (
+            JointPid(ROBOT, PidOptions(), GRAVITY),
+            lambda memory: pid_tick(ROBOT, PidOptions(), GRAVITY, *SPLIT, memory),
+            PidMemory(np.zeros(6), np.zeros(6)),
+        ),
+        (
+            ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
+            lambda memory: computed_torque_tick(ROBOT, ComputedTorqueOptions(), GRAVITY, *SPLIT, memory),
+            ComputedTorqueMemory(np.zeros(6), np.zeros(6), np.zeros(6)),
+        ),
+    ],
+    ids=KINDS,
+)
+def test_a_tick_is_the_pure_function_and_answers_at_once(system, tick, memory):
+    context = system.CreateDefaultContext()
+    system.measurement.FixValue(context, MEASURED)
+    system.reference.FixValue(context, WANTED)
+    expected = tick(memory)
+    np.testing.assert_array_equal(system.torque.Eval(context), expected.torque)
+    stored = system.EvalUniquePeriodicDiscreteUpdate(context).value()
+    np.testing.assert_array_equal(stored[:-1], np.concatenate(expected))
+    context.get_mutable_discrete_state(0).set_value(stored)
+    context.SetTime(system.period)
+    np.testing.assert_array_equal(system.torque.Eval(context), tick(expected).torque)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_the_loop_the_motion_is_followed_and_the_log_is_whole(kind):
+    log = run(scenario(controller={"kind": kind}))
+    assert log.status == "completed"
+    assert np.abs(log["pose"] - log["reference"])[:, 3:].max() < 2e-5
+    assert "weights" not in log.signals
+    assert "density" not in log.signals
+    np.testing.assert_allclose(log["error"], log["pose"] - log["reference"], atol=1e-15)
+    assert log["integral"].any() == (kind == "computed_torque")
+    assert run_metrics(log)["omega_q"] is None
+    assert plot_states(log) is not None
+    assert plot_torques(log) is not None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_with_encoders_and_delay_the_error_is_that_of_the_measured_pose(kind):
+    sensors = {"kind": "encoders", "rate_cutoff": 150.0}
+    log = run(scenario(duration=0.2, controller={"kind": kind}, sensors=sensors, command_delay=1))
+    assert log.status == "completed"
+    np.testing.assert_allclose(log["error"], log["measured_pose"] - log["reference"], atol=1e-15)
+
+
+def test_an_unknown_payload_leaves_a_pd_loop_off_and_an_integral_does_not():
+    def sag(**controller):
+        chosen = {"kind": "computed_torque", **controller}
+        heavy = scenario(duration=1.5, reference={"kind": "hold"}, plant={"payload_mass": 0.3}, controller=chosen)
+        return run(heavy)["pose"][-1, 5] - 0.3
+
+    # In heave the payload adds weight and inertia: M z'' = -M_believed omega^2 z - 0.3 g.
+    from stewart_drake.rigid_body_model import task_inertia
+
+    still = -0.3 * GRAVITY / (task_inertia(ROBOT, HOME)[5, 5] * 93.8**2)
+    assert sag(integral_frequency=0.0) == pytest.approx(still, rel=0.02)
+    assert abs(sag()) < 0.01 * abs(still)
+
+
+def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
+    base = load_scenario("exact_fig7")
+    pid = base.replace({"controller.kind": "pid"})
+    assert pid.controller == PidOptions(period=0.001, compiled=True)
+    assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
+    assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
+    assert Scenario.from_dict(pid.to_dict()) == pid
+
+
+def test_what_needs_the_lqi_says_so():
+    with pytest.raises(ConfigurationError) as caught:
+        scenario(controller={"kind": "pid"}).control_law()
+    assert caught.value.key == "controller.kind"
+
+
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        ({"kind": "pdi"}, ["controller.kind", "'pdi'", "lqi, pid, computed_torque or python"]),
+        ({"kind": "pid", "kpp": 1.0}, ["controller.kpp", "did you mean kp?"]),
+        ({"kind": "pid", "kp": "a"}, ["controller.kp", "a number"]),
+        ({"kind": "computed_torque", "damping": -1.0}, ["controller.damping", "a positive number"]),
+        ({"kind": "python"}, ["controller.system", "this key is required"]),
+    ],
+)
+def test_bad_sections_name_the_key(controller, words):
+    with pytest.raises(ConfigurationError) as caught:
+        scenario(controller=controller)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_the_diagram_names_its_ports():
+    loop = ClosedLoop(scenario(controller={"kind": "pid"}))
+    names = {loop.get_output_port(i).get_name() for i in range(loop.num_output_ports())}
+    assert {"torque", "error", "integral"} <= names
+    assert not {"weights", "density"} & names
