@@ -11,6 +11,7 @@ import click
 
 from stewart_drake.cli_check import check
 from stewart_drake.cli_compare import compare
+from stewart_drake.cli_faults import faults
 from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
@@ -197,6 +198,7 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
 
 cli.add_command(check)
 cli.add_command(compare)
+cli.add_command(faults)
 cli.add_command(sweep)
 cli.add_command(workspace)
 

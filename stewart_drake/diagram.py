@@ -120,6 +120,7 @@ class ClosedLoop(Diagram):
             push = add("push", PlatformWrench(self.plant, scenario.disturbances))
             builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
         options, believed = scenario.controller, scenario.believed_robot
+        angles: OutputPort | None = None
         if isinstance(scenario.sensors, EncoderOptions):
             encoders = add("encoders", MotorEncoders(self.plant, scenario.sensors, period, options.compiled))
             start = scenario.start()[0]
@@ -127,7 +128,8 @@ class ClosedLoop(Diagram):
                 "estimator", PoseEstimator(believed, scenario.sensors, period, start, options.compiled, guarded)
             )
             builder.Connect(self.plant.state_output_port, encoders.plant_state)
-            builder.Connect(with_faults(encoders.angles), estimator.angles)
+            angles = with_faults(encoders.angles)
+            builder.Connect(angles, estimator.angles)
             (measurement,) = parts("estimate", estimator, 12)
         else:
             sensor = add("sensor", TaskSpaceSensor(self.plant))
@@ -200,12 +202,16 @@ class ClosedLoop(Diagram):
         self.safety: SafetyLayer | None = None
         if scenario.safety is not None:
             still = _standing_torque(scenario)
+            quantum = scenario.sensors.quantum if isinstance(scenario.sensors, EncoderOptions) else 0.0
             self.safety = add(
-                "safety", SafetyLayer(believed, scenario.safety, scenario.gravity, period, still, options.compiled)
+                "safety",
+                SafetyLayer(believed, scenario.safety, scenario.gravity, period, still, options.compiled, quantum),
             )
             builder.Connect(applied, self.safety.command)
             builder.Connect(measurement, self.safety.measurement)
             builder.Connect(reference.reference, self.safety.reference)
+            if angles is not None:
+                builder.Connect(angles, self.safety.angles)
             if age is not None:
                 builder.Connect(age, self.safety.age)
             for name, port in (("estimate", self.safety.sensor_health), ("command", self.safety.controller_health)):

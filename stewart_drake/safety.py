@@ -82,6 +82,12 @@ class SafetyOptions:
     """A tick of estimator or controller that fails is held like a late one; otherwise it ends the run at once."""
     deadline: Count | None = 2
     """Ticks that a command may be old."""
+    frozen_encoder: Real | None = 0.04
+    """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
+    bit."""
+    frozen_pose: tuple[Real, Real] | None = (0.01, 0.001)
+    """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
+    stays the same to the last bit."""
     torque_limit: Real | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
     torque_limit_time: Real = 0.1
@@ -91,11 +97,11 @@ class SafetyOptions:
     what comes next is led after at that rate."""
     torque_rate_time: Real = 0.01
     """[s] for which commands may jump further, in sum; good ticks take away from the sum."""
-    workspace: tuple[Real, Real] | None = (1.0, 0.12)
+    workspace: tuple[Real, Real] | None = (1.2, 0.12)
     """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
     transmission: Real | None = 0.1
     """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
-    conditioning: Real | None = 0.03
+    conditioning: Real | None = 0.04
     """[-] smallest sigma_min / sigma_max of the rods' lines, without crossing zero (parallel singularity)."""
     horizon: Real = 0.01
     """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
@@ -109,8 +115,8 @@ class SafetyOptions:
     """[s] for which it is, at most, up to 0.03."""
     ramp_time: Real = 0.02
     """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
-    damping: Real = 0.05
-    """[N m s/rad] of each crank while ramping and in the safe hold."""
+    damping: Real | None = None
+    """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Real = 0.5
     """[s] after which a safe hold ends the run."""
     runaway: Real = 2.0
@@ -118,7 +124,7 @@ class SafetyOptions:
     the run ends at once."""
 
     def __post_init__(self) -> None:
-        for name in ("torque_limit", "torque_rate", "transmission", "conditioning", "crank_speed"):
+        for name in ("torque_limit", "torque_rate", "transmission", "conditioning", "crank_speed", "frozen_encoder"):
             value = getattr(self, name)
             if value is not None and not (is_finite(value) and value > 0.0):
                 raise ConfigurationError(f"safety.{name}", value, "a positive number, or null")
@@ -128,7 +134,7 @@ class SafetyOptions:
                 raise ConfigurationError(f"safety.{name}", value, "a number below 1, or null")
         if self.torque_limit is not None and self.torque_limit > 1.0:
             raise ConfigurationError("safety.torque_limit", self.torque_limit, "at most 1, or null")
-        for name in ("workspace", "following_error"):
+        for name in ("workspace", "following_error", "frozen_pose"):
             pair = getattr(self, name)
             if pair is not None and not (len(pair) == 2 and all(is_finite(x) and x > 0.0 for x in pair)):
                 raise ConfigurationError(f"safety.{name}", pair, "two positive numbers [rad, m], or null")
@@ -138,8 +144,10 @@ class SafetyOptions:
             raise ConfigurationError("safety.hold_ticks", self.hold_ticks, "a whole number from 0 to 20")
         if not (is_finite(self.hold_time) and 0.0 <= self.hold_time <= 0.03):
             raise ConfigurationError("safety.hold_time", self.hold_time, "a number from 0 to 0.03 s")
-        for name in ("torque_limit_time", "torque_rate_time", "horizon", "damping"):
+        for name in ("torque_limit_time", "torque_rate_time", "horizon"):
             check_real(f"safety.{name}", getattr(self, name))
+        if self.damping is not None:
+            check_real("safety.damping", self.damping)
         for name in ("ramp_time", "safe_hold_time"):
             check_positive(f"safety.{name}", getattr(self, name))
         check_real("safety.runaway", self.runaway, 1.0, "a number, at least 1")
@@ -392,6 +400,53 @@ def flat_tick(
     return tick
 
 
+FROZEN_SIZE = 42
+"""Readings of the tick before, and for each of the six what it is compared with as it was when the reading changed."""
+
+
+def frozen_tick(
+    options: SafetyOptions,
+    quantum: float,
+    angles: np.ndarray | None,
+    pose: np.ndarray,
+    reference: np.ndarray,
+    memory: np.ndarray,
+) -> tuple[int | None, np.ndarray]:
+    """Looks for a sensor that repeats itself while things move.
+
+    In a robot that stands still nobody can tell: the six encoders of six freedoms contradict each other never.
+
+    Args:
+        options: Limits.
+        quantum: [rad] of an encoder's count.
+        angles: (6,) [rad] readings of encoders; None where there are none.
+        pose: (6,) [rad, m] measured.
+        reference: (6,) [rad, m].
+        memory: (42,) of the tick before, NaN before the first; see `FROZEN_SIZE`.
+
+    Returns:
+        Leg whose encoder is frozen, -1 for the pose as a whole, None for nothing; and the memory (42,) of this tick.
+    """
+    readings, compared = (pose, reference) if angles is None else (angles, angles)
+    # What is not a number is another monitor's affair, and no repetition.
+    same = readings == memory[:6]
+    if angles is None:
+        same[:] = same.all()
+    anchors = np.where(same[:, None], memory[6:].reshape(6, 6), compared)
+    after = np.concatenate([readings, anchors.ravel()])
+    moved = np.abs(compared - anchors)
+    if angles is None:
+        bound = options.frozen_pose
+        far = bound is not None and bool((moved[0] > np.repeat(bound, 3)).any())
+        return (-1 if far else None), after
+    if options.frozen_encoder is None:
+        return None, after
+    # Two others: one that jumps would make all that stand still look frozen.
+    travel = np.sort(moved, axis=1)[:, -2]
+    leg = int(travel.argmax())
+    return (leg if travel[leg] > options.frozen_encoder + 50.0 * quantum else None), after
+
+
 def refuse_motion(
     robot: RobotParameters, options: SafetyOptions, time: np.ndarray, pose: np.ndarray, pose_rate: np.ndarray
 ) -> None:
@@ -481,8 +536,10 @@ def _look(robot: RobotParameters, options: SafetyOptions, gravity: float, inputs
         legs = leg_geometry(robot, ahead)
     except UnreachablePoseError as error:
         # A crank carried across its dead centre: reach ends there.
-        serial = Trip(MONITORS.index("serial_singularity"), RAMP, -1 if error.leg is None else error.leg)
-        return _View(still, None, side, beyond or (None if options.transmission is None else serial))
+        trip = beyond or _too_fast(robot, options, pose, rate)
+        if trip is None and options.transmission is not None:
+            trip = Trip(MONITORS.index("serial_singularity"), RAMP, -1 if error.leg is None else error.leg)
+        return _View(still, None, side, trip)
     transmission = np.abs(legs.transmission)
     lines = rod_lines(legs)
     conditioning, now = float(line_conditioning(robot, legs)), float(np.sign(np.linalg.det(lines)))
@@ -492,19 +549,33 @@ def _look(robot: RobotParameters, options: SafetyOptions, gravity: float, inputs
     usable = smallest > _USABLE_TRANSMISSION and conditioning > _USABLE_CONDITIONING
     weight = static_torque_of_legs(robot, legs, gravity) if usable else None
     trip = beyond
+    if trip is None and options.crank_speed is not None and not np.abs(speed).max() <= options.crank_speed:
+        trip = Trip(MONITORS.index("crank_speed"), RAMP, int(np.abs(speed).argmax()))
     if trip is None and options.transmission is not None and not smallest >= options.transmission:
         trip = Trip(MONITORS.index("serial_singularity"), RAMP, int(transmission.argmin()))
     across = side != 0.0 and now != side
     if trip is None and options.conditioning is not None and (not conditioning >= options.conditioning or across):
         trip = Trip(MONITORS.index("parallel_singularity"), RAMP)
-    if trip is None and options.crank_speed is not None and not np.abs(speed).max() <= options.crank_speed:
-        trip = Trip(MONITORS.index("crank_speed"), RAMP, int(np.abs(speed).argmax()))
     if trip is None and options.following_error is not None:
         off = rotation_matrix(pose[:3]) @ rotation_matrix(inputs.reference[:3]).T
         away = float(rotation_angle(off)), float(np.linalg.norm(pose[3:] - inputs.reference[3:]))
         if _beyond(away, options.following_error):
             trip = Trip(MONITORS.index("following_error"), RAMP)
     return _View(speed, weight, now, trip)
+
+
+def _too_fast(robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, rate: np.ndarray) -> Trip | None:
+    """Whether the cranks turn too fast at a pose of which only what lies ahead of it is out of reach."""
+    if options.crank_speed is None:
+        return None
+    try:
+        legs = leg_geometry(robot, pose)
+    except UnreachablePoseError:
+        return None
+    speed = np.abs(rod_lines(legs) @ pose_rate_to_twist(pose, rate) / (robot.crank_length * legs.transmission))
+    return (
+        None if speed.max() <= options.crank_speed else Trip(MONITORS.index("crank_speed"), RAMP, int(speed.argmax()))
+    )
 
 
 def _beyond(values: tuple[float, float], limits: tuple[float, float]) -> bool:
@@ -572,7 +643,8 @@ def _stopping(
         raise _stop(memory, period, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
     share = min(1.0, since * period / options.ramp_time)
     level = SAFE_HOLD if share >= 1.0 else RAMP
-    torque = (1.0 - share) * memory.good + share * memory.weight - options.damping * speed
+    damping = 0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping
+    torque = (1.0 - share) * memory.good + share * memory.weight - damping * speed
     limit = robot.effort_limit * (1.0 if options.torque_limit is None else options.torque_limit)
     return memory._replace(
         torque=np.clip(torque, -limit, limit),

@@ -333,7 +333,7 @@ class Scenario(_Section):
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
             largest = self.safety.largest_damping(self.believed_robot, self.controller.period)
-            if self.safety.damping > largest:
+            if self.safety.damping is not None and self.safety.damping > largest:
                 allowed = f"at most {largest:.3g} N m s/rad at this control period"
                 raise ConfigurationError("safety.damping", self.safety.damping, allowed)
         if self.log_period is not None:

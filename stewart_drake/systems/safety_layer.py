@@ -7,13 +7,17 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
+from stewart_drake.errors import failure_code
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import (
+    FROZEN_SIZE,
+    MEMORY_SIZE,
     SafetyInputs,
     SafetyMemory,
     SafetyOptions,
     first_trip,
     flat_tick,
+    frozen_tick,
     initial_memory,
 )
 from stewart_drake.systems.ticked import TickedSystem
@@ -31,8 +35,9 @@ class SafetyLayer(TickedSystem):
         options: Limits and reactions.
         gravity: [m/s^2].
         period: [s] tick period.
-        compiled: See `LqiOptions.compiled`.
         initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
+        compiled: See `LqiOptions.compiled`.
+        quantum: [rad] of a count of the encoders.
 
     Ports:
         command: in (6,) [N m], the controller's.
@@ -41,6 +46,7 @@ class SafetyLayer(TickedSystem):
         age: in (1,) [ticks] of the command; may be left unconnected.
         sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `TickedSystem`; may be
             left unconnected.
+        angles: in (6,) [rad], readings of the encoders; may be left unconnected.
         torque: out (6,) [N m], for the motors.
         state: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
     """
@@ -53,8 +59,10 @@ class SafetyLayer(TickedSystem):
         period: float,
         initial: np.ndarray,
         compiled: bool = False,
+        quantum: float = 0.0,
     ) -> None:
-        super().__init__(period, initial_memory(initial).flat())
+        super().__init__(period, np.concatenate([initial_memory(initial).flat(), np.full(FROZEN_SIZE, np.nan)]))
+        self._options, self._quantum = options, quantum
         self._tick, self._nominal = flat_tick(robot, options, gravity, period, compiled), period
         self.command = self.DeclareVectorInputPort("command", 6)
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
@@ -62,6 +70,7 @@ class SafetyLayer(TickedSystem):
         self.age = self.DeclareVectorInputPort("age", 1)
         self.sensor_health = self.DeclareVectorInputPort("sensor_health", 2)
         self.controller_health = self.DeclareVectorInputPort("controller_health", 2)
+        self.angles = self.DeclareVectorInputPort("angles", 6)
         self._declare_result()
         self.torque = self._declare_output("torque", 0, 6)
         self.state = self._declare_output("state", 6, 3)
@@ -74,18 +83,25 @@ class SafetyLayer(TickedSystem):
             port.Eval(context) if port.HasValue(context) else _WELL
             for port in (self.sensor_health, self.controller_health)
         )
+        reference = self.reference.Eval(context)[:6]
+        angles = self.angles.Eval(context) if self.angles.HasValue(context) else None
+        frozen, seen = frozen_tick(
+            self._options, self._quantum, angles, measured[:6], reference, previous[MEMORY_SIZE:]
+        )
+        if frozen is not None:
+            sensor = np.array([failure_code("frozen"), frozen])
         inputs = SafetyInputs(
             self.command.Eval(context),
             measured[:6],
             measured[6:],
-            self.reference.Eval(context)[:6],
+            reference,
             float(age),
             (float(sensor[0]), float(sensor[1])),
             (float(controller[0]), float(controller[1])),
         )
-        return self._tick(inputs, previous)
+        return np.concatenate([self._tick(inputs, previous[:MEMORY_SIZE]), seen])
 
     def first_trip(self, context: Context) -> dict[str, Any] | None:
         """See `safety.first_trip`; `context` is that of the whole Diagram."""
         values = self.GetMyContextFromRoot(context).get_discrete_state(0).value()
-        return first_trip(SafetyMemory.from_flat(values[:-1]), self._nominal)
+        return first_trip(SafetyMemory.from_flat(values[:MEMORY_SIZE]), self._nominal)

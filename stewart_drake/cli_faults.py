@@ -1,0 +1,41 @@
+"""The command `faults`: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from stewart_drake.terminal import ProgressBar, console
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/faults"), show_default=True)
+@click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8].")
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
+    """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, faults.md."""
+    from stewart_drake.experiments.faults.rows import all_rows
+    from stewart_drake.experiments.faults.table import HEADERS, QUICK_MOTIONS, holdable_lines, make_table, short_rows
+
+    total = sum(1 for _, motion in all_rows() if not quick or motion in QUICK_MOTIONS)
+    with ProgressBar("faults", float(total), quiet, unit="runs") as advance:
+        table = make_table(out, quick, workers, advance)
+    if quiet:
+        return
+
+    from rich.markup import escape
+    from rich.table import Table
+
+    shown = Table(title="faults", title_justify="left")
+    for name in HEADERS:
+        shown.add_column(name, overflow="fold")
+    for line in short_rows(table.rows):
+        shown.add_row(*map(escape, line))
+    terminal = console()
+    terminal.print(shown)
+    terminal.print("with a dead motor, the wrench that the other five hold at rest:")
+    for text in holdable_lines(table.rows):
+        terminal.print(f"  {escape(text)}", highlight=False)
+    terminal.print(f"table in {escape(str(table.markdown))}", highlight=False)

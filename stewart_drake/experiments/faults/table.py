@@ -1,0 +1,179 @@
+"""The fault table: all runs, as Parquet and Markdown."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stewart_drake.experiments.faults.catalogue import DURATION, FAULTS, MOTIONS, ONSET
+from stewart_drake.experiments.faults.rows import FaultRow, all_rows, named_row
+from stewart_drake.experiments.sweeps.executors import LocalProcesses
+from stewart_drake.files import write_atomically
+from stewart_drake.outputs import prepare_folder
+
+QUICK_MOTIONS = ("hold",)
+
+
+@dataclass(frozen=True)
+class FaultTable:
+    """The rows and where they are kept.
+
+    Attributes:
+        rows: In the order of `catalogue.FAULTS`, motion by motion.
+        parquet: File with all columns of `FaultRow`.
+        markdown: File with the short form and an explanation.
+    """
+
+    rows: tuple[FaultRow, ...]
+    parquet: Path
+    markdown: Path
+
+
+def make_table(
+    folder: str | Path,
+    quick: bool = False,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> FaultTable:
+    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`.
+
+    With more than one worker the calling script is imported anew, see `sweeps.executors.LocalProcesses`.
+
+    Args:
+        folder: Where to.
+        quick: The held platform alone.
+        workers: Processes; None for one per core, at most 8.
+        progress: Called with the number of rows done.
+
+    Raises:
+        ConfigurationError: The folder cannot be written to.
+    """
+    folder = prepare_folder(folder)
+    wanted = [pair for pair in all_rows() if not quick or pair[1] in QUICK_MOTIONS]
+    rows = tuple(_run(wanted, LocalProcesses(workers), progress))
+    parquet, markdown = folder / "faults.parquet", folder / "faults.md"
+    write_atomically(parquet, _parquet(rows))
+    write_atomically(markdown, markdown_table(rows).encode())
+    return FaultTable(rows, parquet, markdown)
+
+
+def _run(
+    wanted: Sequence[tuple[str, str]], where: LocalProcesses, progress: Callable[[float], None] | None
+) -> list[FaultRow]:
+    executor = where.open()
+    aborted = True
+    try:
+        futures = {executor.submit(named_row, *pair): pair for pair in wanted}
+        done: dict[tuple[str, str], FaultRow] = {}
+        for future in as_completed(futures):
+            done[futures[future]] = future.result()
+            if progress is not None:
+                progress(float(len(done)))
+        aborted = False
+    finally:
+        where.close(executor, aborted)
+    return [done[pair] for pair in wanted]
+
+
+HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")
+
+
+def short_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
+    """A line per fault, see `HEADERS`: how each motion ends, and the worst figures over the motions."""
+    lines = []
+    for fault in FAULTS:
+        mine = {row.motion: row for row in rows if row.fault == fault.name}
+        if mine:
+            worst = [
+                _largest(mine, names) for names in (("peak_error_deg", "peak_error_mm"), ("travel_deg", "travel_mm"))
+            ]
+            torque = _largest(mine, ("peak_torque",))
+            ends = [_end(mine[motion]) if motion in mine else "-" for motion in MOTIONS]
+            lines.append((fault.name, *ends, *worst, torque))
+    return lines
+
+
+def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
+    """What five motors hold, a line per dead motor and motion."""
+    lines = []
+    for row in rows:
+        if row.holds_weight is None or row.support_newton is None:
+            continue
+        held = "none: not even the weight; smallest force from outside with which it would stand: "
+        held += f"{row.support_newton:.1f} N"
+        if row.holds_weight:
+            held = f"{row.force_newton:.0f} N or {row.moment_newton_metre:.1f} N m"
+        lines.append(f"{row.fault}, {row.motion}: {held}")
+    return lines
+
+
+def markdown_table(rows: Sequence[FaultRow]) -> str:
+    """The table as a Markdown page."""
+    texts = {fault.name: fault.text for fault in FAULTS}
+    page = [
+        "# Fault table",
+        "",
+        f"{len(rows)} runs of {DURATION:g} s; faults begin at {ONSET:g} s, or are there from the start. Exact-model LQI",
+        "at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg. Peak error: largest",
+        "distance of the true pose from the reference while the controller was in charge. Travel: largest way after the",
+        "safety layer took over. Worst of the motions.",
+        "",
+        "| " + " | ".join(HEADERS) + " |",
+        "|" + " --- |" * len(HEADERS),
+        *("| " + " | ".join(line) + " |" for line in short_rows(rows)),
+        "",
+        "With a dead motor, the wrench that the other five hold at rest:",
+        "",
+        *(f"- {line}" for line in holdable_lines(rows)),
+        "",
+        "What the faults are:",
+        "",
+        *(f"- `{name}`: {texts[name]}" for name in dict.fromkeys(row.fault for row in rows)),
+        "",
+        "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
+        "",
+    ]
+    return "\n".join(page)
+
+
+def _end(row: FaultRow) -> str:
+    if row.monitor is None or row.latency_ms is None:
+        return row.reaction
+    leg = "" if row.leg is None else f", leg {row.leg}"
+    # What chance brings, such as ticks lost in a row, has a time but no latency.
+    when = f", {row.latency_ms:.0f} ms" if _begins(row.fault) else ""
+    return f"{row.reaction} ({row.monitor}{when}{leg})"
+
+
+def _begins(name: str) -> bool:
+    return next(fault for fault in FAULTS if fault.name == name).since > 0.0
+
+
+def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
+    units = {"deg": "deg", "mm": "mm", "torque": "N m"}
+    parts = []
+    for name in names:
+        values = [value for row in rows.values() if (value := getattr(row, name)) is not None]
+        if values:
+            parts.append(f"{max(values):.2f} {units[name.rpartition('_')[2]]}")
+    return ", ".join(parts) or "-"
+
+
+def _parquet(rows: Sequence[FaultRow]) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    kinds: dict[str, Any] = {"leg": pa.int64(), "holds_weight": pa.bool_()}
+    texts = ("fault", "motion", "reaction", "monitor", "cause", "status", "reason", "message")
+    plain = [row.plain() for row in rows]
+    columns = list(plain[0])
+    schema = pa.schema(
+        [pa.field(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in columns]
+    )
+    stream = io.BytesIO()
+    pq.write_table(pa.Table.from_pylist(plain, schema=schema), stream, compression="zstd")
+    return stream.getvalue()
