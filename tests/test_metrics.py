@@ -5,7 +5,18 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.log import SimulationLog
-from stewart_drake.metrics import integral_at, run_metrics, second_half, tracking_error
+from stewart_drake.metrics import (
+    error_norms,
+    integral_at,
+    rms,
+    run_metrics,
+    second_half,
+    settling_time,
+    sine_response,
+    torque_change_rms,
+    tracking_error,
+    worst_half_rms,
+)
 from stewart_drake.scenario import Scenario
 
 PROMISED = {
@@ -141,3 +152,67 @@ def test_metrics_change_nothing_in_the_log():
     assert log.versions == {"python": "3", "git_revision": "abc"}
     assert isinstance(log, SimulationLog)
     assert isinstance(log.scenario, Scenario)
+
+
+def test_norms_of_the_error_are_lengths_in_degrees_and_millimetres():
+    pose = np.zeros((101, 6))
+    pose[:, 0], pose[:, 1], pose[:, 3], pose[:, 5] = 0.03, 0.04, 0.001, 0.002
+    rotation, position = error_norms(made_log(pose=pose))
+    np.testing.assert_allclose(rotation, np.degrees(0.05))
+    np.testing.assert_allclose(position, np.sqrt(5.0))
+
+
+def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reached():
+    time, values = 0.1 * np.arange(101), np.ones(101)
+    values[:50] = 3.0
+    assert worst_half_rms(time, values, 10.0) == pytest.approx(3.0)
+    assert worst_half_rms(time, values[::-1], 10.0) == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
+    assert worst_half_rms(time[:50], values[:50], 10.0) is None
+    assert rms(np.empty(0)) is None
+
+
+@pytest.mark.parametrize("rate", [0.5, 2.0])
+@pytest.mark.parametrize("start", [0.0, 3.0])
+def test_settling_of_an_exponential_decay_is_known(rate, start):
+    time = 0.001 * np.arange(12001)
+    size = np.where(time < start, 9.0, np.exp(-rate * (time - start)))
+    assert settling_time(time, size, 0.05, start) == pytest.approx(np.log(20.0) / rate, abs=2e-3)
+
+
+def test_settling_counts_the_last_time_outside_the_band():
+    time = np.arange(6.0)
+    assert settling_time(time, np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0]), 1.0) == 3.0
+    assert settling_time(time, np.zeros(6), 1.0) == 0.0
+    assert settling_time(time, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]), 1.0) is None
+    assert settling_time(time, np.full(6, np.nan), 1.0) is None
+    assert settling_time(time, np.zeros(6), 1.0, start=9.0) is None
+
+
+def test_torque_change_is_taken_from_tick_to_tick_within_the_limit():
+    torque = np.zeros((101, 6))
+    torque[::2] = 0.5
+    scenario = {"controller": {"period": 0.1}, "plant": {"time_step": 0.1}}
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(0.5)
+    torque[::2] = 1e9
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(5.0)
+    # Two rows a tick: the torque stands still between them, and that is no tick.
+    scenario = {"controller": {"period": 0.2}, "plant": {"time_step": 0.1}, "log_period": 0.1}
+    torque = np.repeat(np.arange(51.0) % 2.0, 2)[:101, None] * np.ones(6)
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(1.0)
+    # Every second tick is not every tick.
+    scenario = {"controller": {"period": 0.05}, "plant": {"time_step": 0.05}, "log_period": 0.1}
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) is None
+    rows = np.zeros(101, dtype=bool)
+    assert torque_change_rms(made_log(torque=torque), rows) is None
+
+
+@pytest.mark.parametrize(("ratio", "lag"), [(1.0, 0.0), (0.25, 2.0), (1.3, -0.4)])
+def test_the_response_to_a_sine_is_found_in_spite_of_offset_and_harmonics(ratio, lag):
+    time = 0.001 * np.arange(2000)
+    angle = 2.0 * np.pi * 5.0 * time
+    reference = 0.3 + 0.01 * np.sin(angle + 0.7)
+    response = 0.31 + 0.01 * ratio * (np.sin(angle + 0.7 - lag) + 0.1 * np.sin(3.0 * angle))
+    got, rest = sine_response(time, reference, response, 5.0)
+    assert abs(got) == pytest.approx(ratio, rel=1e-9)
+    assert np.angle(got) == pytest.approx(-lag, abs=1e-9)
+    assert rest == pytest.approx(0.1, rel=1e-9)

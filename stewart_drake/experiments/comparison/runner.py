@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -123,7 +124,11 @@ def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Pat
 def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dict[str, Any]:
     """What the rows depend on."""
     texts: dict[str, None] = {}
-    for index in range(comparison.runs):
+    different: dict[str, int] = {}
+    for index, cell in enumerate(comparison.cells):
+        files = {key: value for key, value in cell.changes.items() if key.split(".")[0] in ("tuner", "controller")}
+        different.setdefault(json.dumps(files, sort_keys=True), index)
+    for index in different.values():
         scenario = comparison.scenario(index)
         if isinstance(scenario.tuner, AnnTuner):
             texts[hashlib.sha256(weights_text(scenario.tuner).encode()).hexdigest()[:24]] = None

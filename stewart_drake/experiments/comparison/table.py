@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -104,6 +105,8 @@ def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
             if row["controller"] in best.of:
                 groups.setdefault((row["reference"], row["condition"], row["seed"]), []).append(row)
         for group in groups.values():
+            if {row["controller"] for row in group} != set(best.of):
+                continue
             completed = [row for row in group if row.get("pose_rmse_mm") is not None and row["status"] == "completed"]
             # All failed: the one that got furthest.
             chosen = (
@@ -164,12 +167,17 @@ def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) ->
         bands: See `band_rows`.
     """
     hidden = {name for best in comparison.file.best_of.values() for name in best.of}
-    asked = {name for product in comparison.file.runs or () for name in product.controllers}
+    asked = {
+        key
+        for product in comparison.file.runs or ()
+        for key in itertools.product(product.controllers, product.references, product.conditions)
+    }
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for name in order(comparison):
         for row in rows:
-            if row["controller"] == name and (name not in hidden or name in asked):
-                groups.setdefault((row["controller"], row["reference"], row["condition"]), []).append(row)
+            key = (row["controller"], row["reference"], row["condition"])
+            if name == key[0] and (key in asked if asked else name not in hidden):
+                groups.setdefault(key, []).append(row)
     made = [_list(comparison, groups)] if comparison.file.layout == "rows" else _grids(groups)
     return made + [_band_sheet(axis, bands) for axis in dict.fromkeys(row["reference"] for row in bands)]
 

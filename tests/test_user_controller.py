@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+from strategies import ROBOT
+
+from stewart_drake.diagram import ClosedLoop
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.experiments.comparison.spec import comparison_folder
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.simulation import run
+from stewart_drake.user_controller import PythonOptions, construct, load_class
+
+HEAD = """
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+
+
+class Mine(LeafSystem):
+    def __init__(self, scale=1.0):
+        super().__init__()
+        self.scale = scale
+"""
+GOOD = (
+    HEAD
+    + """
+        self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorInputPort("reference", 18)
+        self.DeclareVectorOutputPort("torque", 6, self.calc)
+
+    def calc(self, context, output):
+        output.SetFromVector(np.full(6, 0.33 * self.scale))
+"""
+)
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "mine.py"
+        path.write_text(text)
+        return {"kind": "python", "system": f"{path}:Mine"}
+
+    return write
+
+
+def scenario(controller, **changes):
+    return Scenario.from_dict({"duration": 0.1, "reference": {"kind": "hold"}, "controller": controller} | changes)
+
+
+def test_a_system_of_the_users_own_runs_in_the_loop(written):
+    log = run(scenario({**written(GOOD), "arguments": {"scale": 0.5}}))
+    assert log.status == "completed"
+    np.testing.assert_allclose(log["torque"], 0.165)
+    np.testing.assert_allclose(log["error"], log["pose"] - log["reference"], atol=1e-15)
+    assert not log["integral"].any()
+    assert "weights" not in log.signals
+
+
+def test_weights_error_and_integral_are_connected_where_they_are_there(written):
+    more = GOOD.replace(
+        '        self.DeclareVectorInputPort("reference", 18)\n',
+        '        self.DeclareVectorInputPort("reference", 18)\n'
+        '        self.weights = self.DeclareVectorInputPort("weights", 2)\n'
+        '        self.DeclareVectorOutputPort("error", 6, lambda c, o: o.SetFromVector(np.full(6, 0.25)))\n'
+        '        self.DeclareVectorOutputPort("integral", 6, lambda c, o: o.SetFromVector(np.full(6, 0.75)))\n',
+    ).replace("0.33 * self.scale", "0.1 * self.weights.Eval(context)[0]")
+    log = run(scenario(written(more), tuner={"kind": "fixed", "omega_q": 3.0}))
+    np.testing.assert_allclose(log["torque"], 0.3)
+    np.testing.assert_allclose(log["weights"], [[3.0, 1.0]] * len(log.time))
+    assert (log["error"] == 0.25).all()
+    assert (log["integral"] == 0.75).all()
+    assert log["density"].shape[1] == 12
+
+
+def test_an_import_path_works_as_a_file_does_and_context_is_handed_over():
+    controller = {"kind": "python", "system": "stewart_drake.systems.joint_pid:JointPid"}
+    with pytest.raises(ConfigurationError, match="options"):
+        ClosedLoop(scenario(controller))
+    path = "stewart_drake.systems.tracking_error:TrackingError"
+    made = construct(PythonOptions(system=path), {"period": 0.25, "robot": ROBOT})
+    assert made.period == pytest.approx(0.25)
+    made = construct(PythonOptions(system=path, arguments={"period": 0.5}), {"period": 0.25})
+    assert made.period == pytest.approx(0.5)
+    assert load_class(PythonOptions(system="stewart_drake.systems.joint_pid:JointPid")).__name__ == "JointPid"
+
+
+def test_a_file_is_found_beside_the_scenario(tmp_path):
+    (tmp_path / "mine.py").write_text(GOOD)
+    text = "duration: 0.05\nreference: {kind: hold}\ncontroller: {kind: python, system: 'mine.py:Mine'}\n"
+    (tmp_path / "scenario.yaml").write_text(text)
+    loaded = load_scenario(tmp_path / "scenario.yaml")
+    assert loaded.controller.file == tmp_path / "mine.py"
+    assert run(loaded).status == "completed"
+    before = loaded.controller.digest()
+    (tmp_path / "mine.py").write_text(GOOD.replace("0.33", "0.11"))
+    assert loaded.controller.digest() != before
+    np.testing.assert_allclose(run(loaded)["torque"], 0.11)
+
+
+BAD = [
+    ("import nothing_of_this_name\n", "ModuleNotFoundError"),
+    ("class Other: pass\n", "has no attribute 'Mine'"),
+    ("def broken(:\n", "SyntaxError"),
+    ("import sys\nsys.exit(3)\n", "SystemExit"),
+    ("Mine = 3\n", "a class; Mine is a int"),
+    ("class Mine: pass\n", "a LeafSystem of pydrake"),
+    (GOOD.replace("self.scale = scale", "raise ZeroDivisionError('no')"), "ZeroDivisionError: no"),
+    (GOOD.replace("scale=1.0", "needed"), "missing a required argument|missing 1 required"),
+    (GOOD.replace('"measurement", 12', '"measured", 12'), "input port measurement (12,); it has none"),
+    (GOOD.replace('"reference", 18', '"reference", 6'), "input port reference (18,); its own is (6,)"),
+    (GOOD.replace('"torque", 6', '"torque", 3'), "output port torque (6,); its own is (3,)"),
+    (GOOD.replace('"torque", 6', '"force", 6'), "output port torque (6,); it has none"),
+    (
+        GOOD.replace('DeclareVectorInputPort("reference", 18)', 'DeclareAbstractInputPort("reference", Value(""))'),
+        "its own is abstract",
+    ),
+    (
+        GOOD.replace('"reference", 18)\n', '"reference", 18)\n        self.DeclareVectorInputPort("weights", 3)\n'),
+        "input port weights (2,); its own is (3,)",
+    ),
+    (
+        GOOD.replace("    def calc", '        self.DeclareVectorOutputPort("error", 6, self.calc)\n\n    def calc'),
+        "output port integral (6,); it has none",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "words"), BAD, ids=[words for _, words in BAD])
+def test_one_clear_error_before_the_run(written, text, words):
+    with pytest.raises(ConfigurationError) as caught:
+        run(scenario(written(text)))
+    assert caught.value.key == "controller.system"
+    assert any(option in str(caught.value) for option in words.split("|")), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"system": "no_colon"}, "system"),
+        ({"system": "a b:C"}, "system"),
+        ({"system": "x.py:C", "period": 0.0}, "period"),
+        ({"system": "x.py:C", "arguments": {"a": float("nan")}}, "arguments"),
+        ({"system": "x.py:C", "arguments": {"a": object()}}, "arguments"),
+    ],
+)
+def test_bad_options_name_the_key(changes, key):
+    with pytest.raises(ConfigurationError) as caught:
+        PythonOptions(**changes)
+    assert caught.value.key == f"controller.{key}"
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="FileNotFoundError"):
+        load_class(PythonOptions(system=f"{tmp_path / 'none.py'}:Mine"))
+
+
+def test_what_it_raises_in_the_run_ends_the_run_and_keeps_the_log(written):
+    late = GOOD.replace(
+        "        output.Set", "        if context.get_time() > 0.05:\n            {}['far']\n        output.Set"
+    )
+    log = run(scenario(written(late)))
+    assert (log.status, log.reason) == ("failed", "controller_raised")
+    assert "KeyError: 'far'" in log.message
+    assert 0.04 < log.time[-1] < 0.06
+
+
+def test_the_shipped_example_follows_the_reference():
+    system = f"{comparison_folder() / 'task_space_pd.py'}:TaskSpacePd"
+    log = run(scenario({"kind": "python", "system": system}, duration=0.4, reference={"kind": "sine"}))
+    assert log.status == "completed"
+    assert np.abs(log["pose"] - log["reference"]).max() < 1e-3
