@@ -2,7 +2,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
@@ -291,6 +291,9 @@ def both_chain_gains(s, period, blocks, method):
 
 
 @settings(max_examples=80)
+@example(1.0, 0.1, 1.0, 0.01, 1e6, 1.0, "exact")  # Long periods: what a hold adds to Euler's terms is felt.
+@example(1.0, 0.1, 1e6, 0.01, 1.0, 1.0, "exact")
+@example(1e3, 0.02, 1e4, 1.0, 1e6, 1.0, "euler")
 @given(
     s=logs(-2.0, 4.0),
     period=logs(-4.0, -1.0),
