@@ -132,11 +132,11 @@ class SingularityLimits(Protocol):
 
     @property
     def min_transmission(self) -> float:
-        """[-]"""
+        """[-] As in `LqiOptions`."""
 
     @property
     def min_conditioning(self) -> float:
-        """[-]"""
+        """[-] As in `LqiOptions`."""
 
 
 class Measurement(NamedTuple):
