@@ -135,11 +135,11 @@ def _members(annotation: Any) -> list[Any]:
 
 
 def _kind(section: Any) -> Any:
-    """Value of `kind` in a section's class; None where it has none."""
+    """Value of `kind` in a section's class; None where it has none, or several to choose from."""
     if "kind" not in keys_of(section):
         return None
-    (kind,) = get_args(get_type_hints(section)["kind"])
-    return kind
+    kinds = get_args(get_type_hints(section)["kind"])
+    return kinds[0] if len(kinds) == 1 else None
 
 
 def _kinds(annotation: Any) -> str:
