@@ -318,7 +318,7 @@ def test_no_key_takes_a_value_that_means_nothing_there(whole, junk):
     text = {"name", "weights_file", "motion_file"}
     for path, value in leaves(whole.to_dict()):
         fits = (isinstance(junk, str) and path[-1] in text) or (junk is True and isinstance(value, bool))
-        section = path[-1] == "model_robot" and junk == {}
+        section = path[-1] in ("model_robot", "safety") and junk == {}
         if fits or section:
             continue
         error = refusal(put(whole.to_dict(), path, junk))
