@@ -38,7 +38,8 @@ class ComputedTorqueOptions:
     integral_frequency: Real = 8.47
     """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
     saturation: Literal["none", "clamp"] = "clamp"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile."""
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
+    meanwhile."""
     min_transmission: Real = 0.02
     """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
     min_conditioning: Real = 0.005

@@ -350,8 +350,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     """Reads a scenario file.
 
     Args:
-        path: YAML file; `weights_file` and `motion_file` in it are relative to its folder. A bare name such as
-            `paper_fig7` is looked up among the scenarios of the package.
+        path: YAML file; `weights_file`, `motion_file` and a controller's file in it are relative to its folder. A bare
+            name such as `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` or `motion_file` among them is
             relative to the current folder. Another `kind` of reference, tuner, sensors or controller drops the keys
             that only the old kind has.

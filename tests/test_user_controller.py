@@ -5,6 +5,7 @@ from strategies import ROBOT
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.comparison.spec import comparison_folder
+from stewart_drake.experiments.runs import run_key
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import run
 from stewart_drake.user_controller import PythonOptions, construct, load_class
@@ -91,9 +92,10 @@ def test_a_file_is_found_beside_the_scenario(tmp_path):
     loaded = load_scenario(tmp_path / "scenario.yaml")
     assert loaded.controller.file == tmp_path / "mine.py"
     assert run(loaded).status == "completed"
-    before = loaded.controller.digest()
+    before = loaded.controller.digest(), run_key(loaded)
     (tmp_path / "mine.py").write_text(GOOD.replace("0.33", "0.11"))
-    assert loaded.controller.digest() != before
+    assert loaded.controller.digest() != before[0]
+    assert run_key(loaded) != before[1]
     np.testing.assert_allclose(run(loaded)["torque"], 0.11)
 
 
