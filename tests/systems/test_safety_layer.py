@@ -1,0 +1,266 @@
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from strategies import ROBOT
+
+from stewart_drake import simulation
+from stewart_drake.diagram import ClosedLoop
+from stewart_drake.errors import ConfigurationError, NotFiniteError, SafetyStop
+from stewart_drake.kinematics import pose_jacobian
+from stewart_drake.log import load_log
+from stewart_drake.metrics import run_metrics
+from stewart_drake.outputs import write_run
+from stewart_drake.plant import add_plant
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
+from stewart_drake.safety import HOLD, LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
+from stewart_drake.scenario import Scenario, load_scenario, scenario_folder
+from stewart_drake.simulation import check_scenario, run
+from stewart_drake.systems.reference_source import ReferenceSource
+from stewart_drake.systems.safety_layer import SafetyLayer
+from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+
+BASE = {
+    "duration": 0.12,
+    "reference": {"kind": "sine"},
+    "controller": {
+        "period": 0.001,
+        "model": "exact",
+        "feedforward": "full",
+        "weight_length": 0.11,
+        "solver": "split",
+        "saturation": "clamp",
+    },
+    "tuner": {"kind": "block", "q_pose": 4e5, "q_rate": 30.0, "q_integral": 4e7},
+    "safety": {},
+}
+NAN = {"faults": [{"kind": "nan", "leg": 3, "time": 0.05}]}
+
+
+def scenario(**changes):
+    return Scenario.from_dict(BASE | changes)
+
+
+def test_ports():
+    layer = SafetyLayer(ROBOT, SafetyOptions(), 9.81, 0.001, np.zeros(6))
+    inputs = {
+        layer.get_input_port(i).get_name(): layer.get_input_port(i).size() for i in range(layer.num_input_ports())
+    }
+    assert inputs == {
+        "command": 6,
+        "measurement": 12,
+        "reference": 18,
+        "age": 1,
+        "sensor_health": 2,
+        "controller_health": 2,
+        "angles": 6,
+    }
+    assert (layer.GetOutputPort("torque").size(), layer.GetOutputPort("state").size()) == (6, 3)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("sensors", ["ideal", "encoders"])
+def test_a_run_in_which_nothing_is_wrong_is_the_run_without(compiled, sensors):
+    changes = {"controller": BASE["controller"] | {"compiled": compiled}, "sensors": {"kind": sensors}}
+    plain, guarded = (run(scenario(safety=safety, **changes)) for safety in (None, {}))
+    assert guarded.safety is None
+    for name in plain.signals:
+        np.testing.assert_array_equal(guarded[name], plain[name], err_msg=name)
+    np.testing.assert_array_equal(guarded["safety"], np.tile([0.0, 0.0, -1.0], (121, 1)))
+    assert "safety" not in plain.signals
+
+
+def test_level_monitor_and_leg_are_logged_and_told_in_the_metrics(tmp_path):
+    log = run(scenario(link=NAN, duration=1.0))
+    level, monitor, leg = log["safety"].T
+    assert [LEVELS[int(x)] for x in (level[49], level[50], level[69], level[70], level[-1])] == [
+        "none",
+        "hold",
+        "hold",
+        "ramp",
+        "safe_hold",
+    ]
+    assert {MONITORS[int(x)] for x in monitor[50:]} == {"command_not_finite"}
+    assert set(leg[50:]) == {3.0}
+    # In torques: held, then carried over to those of the weight.
+    np.testing.assert_array_equal(log["torque_applied"][50:70], np.tile(log["torque_applied"][49], (20, 1)))
+    metrics = run_metrics(log)
+    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "command_not_finite", 3)
+    assert metrics["end_time"] == pytest.approx(0.05 + 0.02 + 0.02 + 0.5, abs=0.002)
+    assert metrics["safety"] == {
+        "monitor": "command_not_finite",
+        "level": "hold",
+        "time": 0.05,
+        "leg": 3,
+        "cause": None,
+        "worst": "safe_hold",
+    }
+    write_run(log, tmp_path, pictures=False)
+    again = load_log(tmp_path)
+    assert again.safety == log.safety
+    np.testing.assert_array_equal(again["safety"], log["safety"])
+
+
+def test_the_safe_hold_slows_the_robot_down():
+    log = run(scenario(link=NAN, duration=1.0))
+    rate = np.linalg.norm(log["pose_rate"][:, 3:], axis=1)
+    safe = log["safety"][:, 0] == SAFE_HOLD
+    assert rate[49] > 0.09
+    assert rate[safe][-1] < 0.02
+    assert log["loop_gap"].max() < 1e-5
+    speed = np.einsum("nij,nj->ni", pose_jacobian(ROBOT, log["pose"]), log["pose_rate"])
+    weight = static_torque(ROBOT, log["pose"])
+    power = np.sum((log["torque_applied"] - weight) * speed, axis=1)[safe]
+    assert power.max() < 1e-3
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause(compiled):
+    controller = BASE["controller"] | {"compiled": compiled}
+    encoders = {
+        "kind": "encoders",
+        "hold_ticks": 2,
+        "faults": [{"kind": "nan", "leg": 1, "time": 0.05, "duration": 0.01}],
+    }
+    log = run(scenario(sensors=encoders, controller=controller))
+    assert log.status == "completed"
+    assert (log.safety["monitor"], log.safety["cause"], log.safety["worst"]) == ("sensor_failed", "encoder", "hold")
+    assert log.safety["time"] == 0.052
+    # A limit of the controller's own that the motion soon breaks.
+    bad = controller | {"min_transmission": 0.97}
+    log = run(scenario(controller=bad, duration=0.3), check=False)
+    assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
+
+
+def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
+    bad = BASE["controller"] | {"min_transmission": 0.97}
+    log = run(scenario(controller=bad, safety={"failures": False}, duration=0.3), check=False)
+    assert (log.status, log.reason) == ("failed", "crank_dead_centre")
+    assert log.safety is None
+
+
+def test_ctrl_c_keeps_the_log_and_what_the_layer_saw():
+    def stop(time):
+        if time > 0.08:
+            raise KeyboardInterrupt
+
+    log = run(scenario(link={"faults": [{"kind": "nan", "time": 0.05, "duration": 0.004}]}), progress=stop)
+    assert (log.status, log.reason) == ("interrupted", "interrupted")
+    assert log.safety["monitor"] == "command_not_finite"
+    assert len(log.time) > 80
+    assert run_metrics(log)["safety"]["worst"] == "hold"
+
+
+def test_a_context_cloned_midway_goes_on_identically():
+    loop = ClosedLoop(scenario(link={"drop_probability": 0.5, "seed": 1}))
+    simulator = Simulator(loop, loop.create_start_context())
+    simulator.AdvanceTo(0.0505)
+    clone = Simulator(loop, simulator.get_context().Clone())
+    for one in (simulator, clone):
+        one.AdvanceTo(0.1)
+    logs = [loop.sinks["safety"].FindLog(s.get_context()).data() for s in (simulator, clone)]
+    np.testing.assert_array_equal(*logs)
+    assert (logs[0][0] == HOLD).any()
+
+
+# --- any controller -------------------------------------------------------------------------------------------------
+
+
+class UsersController(LeafSystem):
+    """PD in the joints and the weight's torque, until it goes mad."""
+
+    def __init__(self, mad_from, what):
+        super().__init__()
+        self.measurement = self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorOutputPort("torque", 6, self._calc)
+        self.mad_from, self.what = mad_from, what
+
+    def _calc(self, context, output):
+        pose = self.measurement.Eval(context)[:6]
+        jacobian = pose_jacobian(ROBOT, pose)
+        error = jacobian @ (pose - ROBOT.home_pose)
+        rate = jacobian @ self.measurement.Eval(context)[6:]
+        torque = static_torque(ROBOT, pose) - 20.0 * error - 0.5 * rate
+        if context.get_time() >= self.mad_from:
+            torque = torque + self.what
+        output.SetFromVector(torque)
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"), [(np.nan, "command_not_finite"), (np.inf, "command_not_finite"), (1e5, "torque_limit")]
+)
+def test_a_users_own_system_runs_behind_it(what, reason):
+    builder = DiagramBuilder()
+    plant = add_plant(builder, ROBOT)
+    sensor = builder.AddSystem(TaskSpaceSensor(plant))
+    reference = builder.AddSystem(ReferenceSource(Scenario.from_dict({"reference": {"kind": "hold"}}).reference))
+    user = builder.AddSystem(UsersController(0.1, what))
+    still = static_torque(ROBOT, ROBOT.home_pose)
+    layer = builder.AddSystem(SafetyLayer(ROBOT, SafetyOptions(), STANDARD_GRAVITY, 0.001, still))
+    builder.Connect(plant.state_output_port, sensor.plant_state)
+    for port in (user.measurement, layer.measurement):
+        builder.Connect(sensor.measurement, port)
+    builder.Connect(reference.reference, layer.reference)
+    builder.Connect(user.get_output_port(), layer.command)
+    builder.Connect(layer.torque, plant.torque_input_port)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.1)
+    assert layer.first_trip(simulator.get_context()) is None
+    with pytest.raises(SafetyStop) as caught:
+        simulator.AdvanceTo(2.0)
+    assert caught.value.reason == reason
+    assert caught.value.trip["time"] == 0.1
+    pose = plant.pose_and_rate(plant.state_output_port.Eval(plant.plant.GetMyContextFromRoot(simulator.get_context())))[
+        0
+    ]
+    np.testing.assert_allclose(pose, ROBOT.home_pose, atol=1e-3)
+
+
+# --- before the start -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"safety": {"crank_speed": 1.0}, "duration": 2.0}, "safety.crank_speed"),
+        ({"safety": {"workspace": [1.0, 0.04]}, "duration": 2.0}, "safety.workspace"),
+        ({"safety": {"transmission": 0.9}, "duration": 2.0}, "safety.transmission"),
+        ({"initial_offset": [0, 0, 0, 0.03, 0, 0]}, "initial_offset"),
+        ({"safety": {"damping": 1.0}}, "safety.damping"),
+    ],
+)
+def test_what_would_trip_is_refused_before_the_start(changes, key):
+    with pytest.raises(ConfigurationError) as caught:
+        check_scenario(scenario(**changes))
+    assert caught.value.key == key
+
+
+def test_a_believed_robot_that_cannot_do_the_motion_is_refused():
+    low = {"model_robot": {"rod_length": 0.36, "home_height": 0.25}, "duration": 2.0}
+    with pytest.raises(ConfigurationError, match="model_robot"):
+        check_scenario(scenario(**low))
+
+
+def test_errors_inside_a_tick_carry_its_time(monkeypatch):
+    monkeypatch.setattr(simulation, "check_scenario", lambda _: None)
+    log = run(scenario(link=NAN, duration=1.0))
+    assert log.end_time == pytest.approx(0.59, abs=0.003)
+    assert log.message.startswith("command_not_finite: stopped, and held for 0.5 s")
+    assert not issubclass(SafetyStop, NotFiniteError)
+
+
+# --- no false alarms ------------------------------------------------------------------------------------------------
+
+# That one falls over on purpose.
+NOMINAL = sorted({path.stem for path in scenario_folder().glob("*.yaml")} - {"paper_fig7_uncompensated"})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOMINAL)
+def test_no_nominal_scenario_trips_anything(name):
+    case = load_scenario(name)
+    # The half in which the most happens; each has gone through its fastest motion by then.
+    log = run(case.replace({"safety": {}, "duration": min(5.0, case.duration)}))
+    assert (log.status, log.safety) == ("completed", None)
+    assert (log["safety"][:, 0] == 0.0).all()
