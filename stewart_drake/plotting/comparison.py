@@ -21,7 +21,7 @@ _STYLES = (
     (BLUE, "o"),
     (PURPLE, "s"),
     (GREEN, ">"),
-    (TEXT, "X"),
+    (TEXT, "h"),
     (SKY, "*"),
 )
 _BAND = "#F4F6F8"
@@ -47,13 +47,15 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
         if row["reference"] not in here:
             here.append(row["reference"])
     beside = 1 < len(shown) <= _BESIDE and len(set(map(tuple, shown.values()))) == 1
-    sizes = [len(references) for references in shown.values()]
-    lane = 0.14 * max(3, len(styles))
+    lanes = {
+        condition: len(references) * max(2.5, len({r["controller"] for r in rows if r["condition"] == condition}))
+        for condition, references in shown.items()
+    }
     if beside:
-        figure, axes = panels(1, len(shown), 1.5 + lane * sizes[0], sharex=True, sharey=True)
+        figure, axes = panels(1, len(shown), 1.5 + 0.14 * max(lanes.values()), sharex=True, sharey=True)
     else:
-        height = 1.4 + lane * sum(sizes) + 0.55 * len(shown)
-        figure, axes = panels(len(shown), 1, height, sharex=True, height_ratios=sizes)
+        height = 1.4 + 0.2 * sum(lanes.values()) + 0.55 * len(shown)
+        figure, axes = panels(len(shown), 1, height, sharex=True, height_ratios=list(lanes.values()))
     values = [max(row["pose_rmse_mm"], _SMALLEST) for row in rows if _done(row)]
     low, high = (min(values) / 2.0, max(values) * 2.0) if values else (0.1, 10.0)
     edge = high * (high / low) ** 0.05

@@ -7,6 +7,7 @@ import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -231,7 +232,7 @@ def number(value: float | None) -> str:
         return "-"
     if 0.0 < abs(value) < SMALLEST:
         return f"<{SMALLEST:.5f}"
-    return np.format_float_positional(value, 3, unique=False, fractional=False, trim="k").rstrip(".")
+    return format(Decimal(f"{value:.2e}"), "f")
 
 
 _LIST: Sequence[tuple[str, str, Callable[[float | None], str]]] = (
