@@ -261,7 +261,8 @@ def test_the_tables_are_the_same_for_one_worker_and_two(done, tmp_path):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "-"), (0.0, "0.00"), (0.01234, "0.0123"), (0.33, "0.330"), (0.000123, "0.000123"), (12.34, "12.3"), (1234.5, "1230"),
+    [(None, "-"), (0.0, "0.00"), (0.01234, "0.0123"), (0.33, "0.330"), (0.000123, "0.000123"),
+     (12.34, "12.3"), (1234.5, "1230"),
      (4e-7, "<0.00001"), (math.pi, "3.14")],
 )  # fmt: skip
 def test_numbers_have_three_digits(value, text):
