@@ -96,7 +96,8 @@ def test_a_finite_blow_up_ends_the_run_by_name_before_it_is_one():
     assert tamed.safety["time"] < 0.07
     far = [np.linalg.norm(log["pose"][:, 3:] - log["reference"][:, 3:], axis=1).max() for log in (wild, tamed)]
     assert far[1] < 0.05
-    assert far[0] > 0.1
+    assert wild.status == "completed"
+    assert far[0] > 0.06
 
 
 @pytest.mark.parametrize("spoil", ["nan", "broadcast", "scalar"])
