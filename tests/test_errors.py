@@ -6,13 +6,16 @@ import pytest
 
 from stewart_drake import errors
 from stewart_drake.errors import (
+    AssemblyModeError,
     ConfigurationError,
     DrakeCheckError,
+    EncoderError,
     ForwardKinematicsError,
     InfeasibleReferenceError,
     NotFiniteError,
     RiccatiError,
     RunFailure,
+    SafetyStop,
     SingularPoseError,
     StewartDrakeError,
     UnreachablePoseError,
@@ -29,6 +32,9 @@ EXAMPLES = [
     SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),
     SingularPoseError("parallel", POSE, 1e-4, 0.01),
     ForwardKinematicsError(0.02, 30),
+    EncoderError("not finite", POSE),
+    AssemblyModeError(POSE, 1.1 * POSE),
+    SafetyStop("deadline", "deadline: stopped", None, {"monitor": "deadline", "time": 0.5}),
     RiccatiError("no solution"),
     NotFiniteError("torque", np.array([1.0, np.nan])),
     DrakeCheckError("Simulator: condition failed"),
