@@ -17,7 +17,13 @@ from stewart_drake.terminal import ProgressBar, console
 def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, faults.md."""
     from stewart_drake.experiments.faults.rows import all_rows
-    from stewart_drake.experiments.faults.table import HEADERS, QUICK_MOTIONS, holdable_lines, make_table, short_rows
+    from stewart_drake.experiments.faults.table import (
+        QUICK_MOTIONS,
+        TERSE_HEADERS,
+        holdable_lines,
+        make_table,
+        terse_rows,
+    )
 
     total = sum(1 for _, motion in all_rows() if not quick or motion in QUICK_MOTIONS)
     with ProgressBar("faults", float(total), quiet, unit="runs") as advance:
@@ -28,10 +34,12 @@ def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(title="faults", title_justify="left")
-    for name in HEADERS:
-        shown.add_column(name, overflow="fold")
-    for line in short_rows(table.rows):
+    motions = ", ".join(dict.fromkeys(row.motion for row in table.rows))
+    shown = Table(title=f"faults during {motions}: latency, peak error, peak torque", title_justify="left")
+    for name in TERSE_HEADERS:
+        shown.add_column(name, justify="right" if name in ("ms", "deg", "mm", "N m") else "left", overflow="fold")
+    shown.columns[0].no_wrap = True
+    for line in terse_rows(table.rows):
         shown.add_row(*map(escape, line))
     terminal = console()
     terminal.print(shown)

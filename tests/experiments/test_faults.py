@@ -12,7 +12,7 @@ from stewart_drake.experiments.faults import rows as rows_module
 from stewart_drake.experiments.faults import table as table_module
 from stewart_drake.experiments.faults.catalogue import DURATION, FAULTS, MOTIONS, ONSET, base
 from stewart_drake.experiments.faults.rows import FaultRow, all_rows, fault_row, measured_row, named_row
-from stewart_drake.experiments.faults.table import holdable_lines, make_table, markdown_table, short_rows
+from stewart_drake.experiments.faults.table import holdable_lines, make_table, markdown_table, short_rows, terse_rows
 from stewart_drake.safety import MONITORS
 from stewart_drake.simulation import run
 
@@ -222,6 +222,22 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_anything_runs(tmp_pa
     file.write_text("")
     with pytest.raises(ConfigurationError, match="--out"):
         make_table(file)
+
+
+def test_a_terse_line_sets_side_by_side_what_differs():
+    rows = [
+        FaultRow("dead_motor_0", "hold", "ended", monitor="following_error", latency_ms=81.0, peak_error_mm=9.0),
+        FaultRow("dead_motor_0", "paper", "ended", monitor="following_error", latency_ms=74.4, peak_error_mm=9.125),
+        FaultRow("encoder_frozen", "hold", "unnoticed"),
+        FaultRow("encoder_frozen", "paper", "ended", monitor="sensor_failed", latency_ms=54.0),
+        # There from the start: a time of its trip is no latency.
+        FaultRow("dropped_10_percent", "hold", "held", monitor="deadline", latency_ms=1181.0),
+    ]
+    assert terse_rows(rows) == [
+        ("dead_motor_0", "ended", "following_error", "74-81", "-", "9.12", "-"),
+        ("encoder_frozen", "unnoticed / ended", "- / sensor_failed", "54", "-", "-", "-"),
+        ("dropped_10_percent", "held", "deadline", "-", "-", "-", "-"),
+    ]
 
 
 def test_what_five_motors_hold_is_told_in_words():

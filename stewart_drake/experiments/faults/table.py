@@ -97,6 +97,29 @@ def short_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
     return lines
 
 
+TERSE_HEADERS = ("fault", "reaction", "monitor", "ms", "deg", "mm", "N m")
+
+
+def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
+    """A short line per fault for a terminal, see `TERSE_HEADERS`: what differs between motions stands side by side.
+
+    Latency [ms] from the smallest to the largest; worst peak error [deg, mm] and torque [N m].
+    """
+    lines = []
+    for name in dict.fromkeys(row.fault for row in rows):
+        mine = [row for row in rows if row.fault == name]
+        waits = [row.latency_ms for row in mine if row.latency_ms is not None] if _begins(name) else []
+        ends = sorted({f"{wait:.0f}" for wait in (min(waits), max(waits))}, key=float) if waits else ["-"]
+        figures = []
+        for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
+            values = [value for row in mine if (value := getattr(row, figure)) is not None]
+            figures.append(f"{max(values):.2f}" if values else "-")
+        reactions, monitors = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "monitor"))
+        both = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in (reactions, monitors))
+        lines.append((name, *both, "-".join(ends), *figures))
+    return lines
+
+
 def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
     """What five motors hold, a line per dead motor and motion."""
     lines = []
