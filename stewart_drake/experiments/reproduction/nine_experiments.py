@@ -238,9 +238,7 @@ def _ratio_only(section: Section, study: Study, logs: dict[Cell, SimulationLog])
 
 def _time_to_failure(section: Section, study: Study) -> None:
     time_step = study.base.plant.time_step
-    periods = [p for p in study.pick((0.005, 0.001), (0.005,)) if _ticks(p, time_step)] or [
-        study.base.lqi.period
-    ]
+    periods = [p for p in study.pick((0.005, 0.001), (0.005,)) if _ticks(p, time_step)] or [study.base.lqi.period]
     maps: tuple[ForceMapKind, ...] = ("statics", "printed")
     gravity = _gravity(study)
     cells = list(itertools.product(periods, maps, RATIOS))
