@@ -88,7 +88,8 @@ class LqiOptions:
     solver: RiccatiSolver = "drake"
     """drake: one equation of 18 states. split: six of 3 states, without Drake."""
     compiled: Flag = False
-    """Ticks compiled by numba, twenty times faster; needs `solver: split`. The first run on a machine compiles for half a minute."""
+    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for half
+    a minute."""
     saturation: Saturation = "none"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
     back_calculation: it is limited, and z is led back by what was cut off."""
