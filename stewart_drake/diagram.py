@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
@@ -76,179 +76,23 @@ class ClosedLoop(Diagram):
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         super().__init__()
         self.scenario = scenario
-        period = scenario.controller.period
-        sampled = on_grid(period)
-        builder = DiagramBuilder()
-
-        self.plant: StewartPlant = add_plant(
-            builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
-        )
-        if meshcat is not None:
-            # Half a second to import; only a live view pays it.
-            from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
-
-            config = VisualizationConfig(publish_contacts=False, enable_alpha_sliders=False)
-            ApplyVisualizationConfig(config, builder=builder, meshcat=meshcat)
-
-        def add(name: str, system: _System) -> _System:
-            return cast(_System, builder.AddNamedSystem(name, system))
-
-        # Behind a safety layer a tick that fails says so in its result.
-        guarded = scenario.safety is not None and scenario.safety.failures
-        health: dict[str, OutputPort] = {}
-
-        def parts(name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
-            """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
-            rest = system.result.size() - sum(sizes)
-            split = add(
-                name, Demultiplexer(output_ports_sizes=[*sizes, *([rest - 3, 2, 1] if system.guarded else [rest])])
-            )
-            builder.Connect(system.result, split.get_input_port())
-            if system.guarded:
-                health[name] = split.get_output_port(len(sizes) + 1)
-            return [split.get_output_port(k) for k in range(len(sizes))]
-
-        def with_faults(reading: OutputPort) -> OutputPort:
-            """A reading, by way of a sensor that fails where the scenario asks for one."""
-            if not scenario.sensors.faults:
-                return reading
-            faulty = add("faulty_sensor", FaultySensor(scenario.sensors.faults, reading.size(), period))
-            builder.Connect(reading, faulty.reading)
-            return parts("reading", faulty, reading.size())[0]
-
-        if scenario.disturbances:
-            push = add("push", PlatformWrench(self.plant, scenario.disturbances))
-            builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
-        options, believed = scenario.controller, scenario.believed_robot
-        angles: OutputPort | None = None
-        if isinstance(scenario.sensors, EncoderOptions):
-            encoders = add("encoders", MotorEncoders(self.plant, scenario.sensors, period, options.compiled))
-            start = scenario.start()[0]
-            estimator = add(
-                "estimator", PoseEstimator(believed, scenario.sensors, period, start, options.compiled, guarded)
-            )
-            builder.Connect(self.plant.state_output_port, encoders.plant_state)
-            angles = with_faults(encoders.angles)
-            builder.Connect(angles, estimator.angles)
-            (measurement,) = parts("estimate", estimator, 12)
-        else:
-            sensor = add("sensor", TaskSpaceSensor(self.plant))
-            builder.Connect(self.plant.state_output_port, sensor.plant_state)
-            measurement = with_faults(sensor.measurement)
-        reference = add("reference", ReferenceSource(scenario.reference, scenario.plant.time_step))
-        initial = scenario.tuner.weights
-        takes_weights = isinstance(options, LqiOptions)
-        if isinstance(options, LqiOptions):
-            lqi = LqiController(believed, options, scenario.gravity, len(initial), guarded)
-            self.controller = add("controller", lqi)
-            torque, error, integral = parts("command", lqi, 6, 6, 6)
-        elif isinstance(options, ComputedTorqueOptions):
-            computed_torque = ComputedTorque(believed, options, scenario.gravity)
-            self.controller = add("controller", computed_torque)
-            torque, error, integral = parts("command", computed_torque, 6, 6, 6)
-        else:
-            if isinstance(options, PidOptions):
-                pid = JointPid(believed, options, scenario.gravity)
-                self.controller = add("controller", pid)
-                (torque,) = parts("command", pid, 6)
-            else:
-                user = load_user_controller(options, believed, scenario.gravity, weights=len(initial))
-                self.controller = add("controller", user)
-                torque, takes_weights = user.GetOutputPort("torque"), user.HasInputPort("weights")
-            if self.controller.HasOutputPort("error"):
-                error, integral = (self.controller.GetOutputPort(name) for name in ("error", "integral"))
-            else:
-                errors = add("tracking_error", TrackingError(period))
-                builder.Connect(measurement, errors.measurement)
-                builder.Connect(reference.reference, errors.reference)
-                error, integral = parts("errors", errors, 6, 6)
-        tuning: dict[str, OutputPort] = {}
-        if takes_weights:
-            network = scenario.load_tuner_network()
-            features = add(
-                "density", DensityFeatures(scenario.tuner.window, period, scenario.tuner.density, options.compiled)
-            )
-            (density,) = parts("densities", features, 12)
-            if network is None:
-                weights = add("tuner", ConstantVectorSource(initial)).get_output_port()
-            else:
-                tuner = add("tuner", AnnTuner(network, period, initial, options.compiled))
-                builder.Connect(density, tuner.density)
-                weights = tuner.weights
-            builder.Connect(weights, self.controller.GetInputPort("weights"))
-            builder.Connect(error, features.error)
-            builder.Connect(torque, features.torque)
-            tuning = {"weights": weights, "density": density}
-
-        builder.Connect(measurement, self.controller.GetInputPort("measurement"))
-        builder.Connect(reference.reference, self.controller.GetInputPort("reference"))
-        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
-        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
-        # ticks to the last bit need it taken clear of both.
-        applied = torque
-        step = on_grid(scenario.plant.time_step)
-        ratio = round(sampled / step)
-        taken = sampled - (step if ratio * step == sampled else 0.5 * step)
-        self._delays = [add(f"delay_{k}", ZeroOrderHold(sampled, 6, taken)) for k in range(scenario.command_delay)]
-        for hold in self._delays:
-            builder.Connect(applied, hold.get_input_port())
-            applied = hold.get_output_port()
-        age: OutputPort | None = None
-        if not scenario.link.perfect:
-            steps = steps_per("controller.period", period, scenario.plant.time_step)
-            link = add("link", CommandLink(scenario.link, scenario.plant.time_step, steps, _standing_torque(scenario)))
-            builder.Connect(applied, link.torque)
-            applied, age = parts("arrived", link, 6, 1)
-        self.safety: SafetyLayer | None = None
-        if scenario.safety is not None:
-            still = _standing_torque(scenario)
-            quantum = scenario.sensors.quantum if isinstance(scenario.sensors, EncoderOptions) else 0.0
-            self.safety = add(
-                "safety",
-                SafetyLayer(believed, scenario.safety, scenario.gravity, period, still, options.compiled, quantum),
-            )
-            builder.Connect(applied, self.safety.command)
-            builder.Connect(measurement, self.safety.measurement)
-            builder.Connect(reference.reference, self.safety.reference)
-            if angles is not None:
-                builder.Connect(angles, self.safety.angles)
-            if age is not None:
-                builder.Connect(age, self.safety.age)
-            for name, port in (("estimate", self.safety.sensor_health), ("command", self.safety.controller_health)):
-                if name in health:
-                    builder.Connect(health[name], port)
-            applied, safety_state = parts("guarded", self.safety, 6, 3)
-        if not scenario.motors.perfect:
-            drive = add("drive", MotorDrive(self.plant, scenario.motors))
-            builder.Connect(applied, drive.torque)
-            builder.Connect(self.plant.state_output_port, drive.plant_state)
-            applied = drive.torque_applied
-        builder.Connect(applied, self.plant.torque_input_port)
-
-        ports: dict[str, OutputPort] = {
-            "plant_state": self.plant.state_output_port,
-            "measurement": measurement,
-            "reference": reference.reference,
-            "torque": torque,
-            "error": error,
-            "integral": integral,
-            **tuning,
-        }
-        if applied is not torque:
-            ports["torque_applied"] = applied
-        if self.safety is not None:
-            ports["safety"] = safety_state
-        if scenario.disturbances:
-            ports["disturbance"] = push.wrench
-        log_period = on_grid(scenario.effective_log_period)
-        self.sinks: dict[str, VectorLogSink] = {}
-        for name, port in ports.items():
-            builder.ExportOutput(port, name)
-            self.sinks[name] = LogVectorOutput(port, builder, publish_period=log_period)
-            self.sinks[name].set_name(f"log_{name}")
+        wiring = _Wiring(scenario, meshcat)
+        wiring.add_disturbances()
+        wiring.add_sensors()
+        wiring.add_reference()
+        wiring.add_controller()
+        wiring.add_tuner()
+        wiring.add_delay_and_link()
+        wiring.add_safety()
+        wiring.add_motors()
+        self.sinks = wiring.add_log()
         with drake_guard("building the diagram"):
-            builder.BuildInto(self)
+            wiring.builder.BuildInto(self)
         self.set_name(scenario.name)
+        self.plant = wiring.plant
+        self.controller = wiring.controller
+        self.safety = wiring.safety
+        self._delays = wiring.delays
 
     def create_start_context(self) -> Context:
         """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
@@ -270,6 +114,195 @@ class ClosedLoop(Diagram):
     def graph(self) -> str:
         """Graphviz text of the diagram, with plain class names."""
         return re.sub(r"stewart_drake\.[a-z_.]+\.(?=[A-Z])", "", self.GetGraphvizString())
+
+
+class _Wiring:
+    """A closed loop under construction. The steps are taken in the order in which signals run.
+
+    Attributes:
+        signals: Exported and logged so far, by name.
+        command: Torques as far as they have come on their way to the motors.
+        health: What guarded systems say of their last tick, by name.
+    """
+
+    controller: Any
+    command: OutputPort
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
+        self.scenario, self.believed = scenario, scenario.believed_robot
+        self.options, self.period = scenario.controller, scenario.controller.period
+        self.builder = DiagramBuilder()
+        self.plant: StewartPlant = add_plant(
+            self.builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
+        )
+        if meshcat is not None:
+            # Half a second to import; only a live view pays it.
+            from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+
+            config = VisualizationConfig(publish_contacts=False, enable_alpha_sliders=False)
+            ApplyVisualizationConfig(config, builder=self.builder, meshcat=meshcat)
+        self.signals: dict[str, OutputPort] = {"plant_state": self.plant.state_output_port}
+        # Behind a safety layer a tick that fails says so in its result.
+        self.guarded = scenario.safety is not None and scenario.safety.failures
+        self.health: dict[str, OutputPort] = {}
+        self.angles: OutputPort | None = None
+        self.age: OutputPort | None = None
+        self.safety: SafetyLayer | None = None
+        self.delays: list[ZeroOrderHold] = []
+
+    def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
+        """Adds a system and connects its input ports, by name."""
+        added = cast(_System, self.builder.AddNamedSystem(name, system))
+        for port, source in inputs.items():
+            self.builder.Connect(source, cast(Any, added).GetInputPort(port))
+        return added
+
+    def parts(self, name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
+        """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
+        rest = system.result.size() - sum(sizes)
+        sizes_of_rest = [rest - 3, 2, 1] if system.guarded else [rest]
+        split = self.add(name, Demultiplexer(output_ports_sizes=[*sizes, *sizes_of_rest]), u0=system.result)
+        if system.guarded:
+            self.health[name] = split.get_output_port(len(sizes) + 1)
+        return [split.get_output_port(k) for k in range(len(sizes))]
+
+    def add_disturbances(self) -> None:
+        """Wrenches on the platform."""
+        if self.scenario.disturbances:
+            push = self.add("push", PlatformWrench(self.plant, self.scenario.disturbances))
+            self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
+            self.signals["disturbance"] = push.wrench
+
+    def add_sensors(self) -> None:
+        """From the plant's state to what the controller sees of it."""
+        sensors, state = self.scenario.sensors, self.plant.state_output_port
+        if isinstance(sensors, EncoderOptions):
+            compiled = self.options.compiled
+            encoders = self.add(
+                "encoders", MotorEncoders(self.plant, sensors, self.period, compiled), plant_state=state
+            )
+            self.angles = self._with_faults(encoders.angles)
+            start = self.scenario.start()[0]
+            estimator = PoseEstimator(self.believed, sensors, self.period, start, compiled, self.guarded)
+            self.add("estimator", estimator, angles=self.angles)
+            (self.signals["measurement"],) = self.parts("estimate", estimator, 12)
+        else:
+            sensor = self.add("sensor", TaskSpaceSensor(self.plant), plant_state=state)
+            self.signals["measurement"] = self._with_faults(sensor.measurement)
+
+    def _with_faults(self, reading: OutputPort) -> OutputPort:
+        """A reading, by way of a sensor that fails where the scenario asks for one."""
+        if not self.scenario.sensors.faults:
+            return reading
+        faulty = FaultySensor(self.scenario.sensors.faults, reading.size(), self.period)
+        self.add("faulty_sensor", faulty, reading=reading)
+        return self.parts("reading", faulty, reading.size())[0]
+
+    def add_reference(self) -> None:
+        """Where the platform should be."""
+        source = self.add("reference", ReferenceSource(self.scenario.reference, self.scenario.plant.time_step))
+        self.signals["reference"] = source.reference
+
+    def add_controller(self) -> None:
+        """From measurement and reference to torques, and what else the controller tells of itself."""
+        options, gravity = self.options, self.scenario.gravity
+        seen = {name: self.signals[name] for name in ("measurement", "reference")}
+        sizes: tuple[int, ...] = (6, 6, 6)
+        if isinstance(options, LqiOptions):
+            weights = len(self.scenario.tuner.weights)
+            system: Any = LqiController(self.believed, options, gravity, weights, self.guarded)
+        elif isinstance(options, ComputedTorqueOptions):
+            system = ComputedTorque(self.believed, options, gravity)
+        elif isinstance(options, PidOptions):
+            system, sizes = JointPid(self.believed, options, gravity), (6,)
+        else:
+            system = load_user_controller(options, self.believed, gravity, weights=len(self.scenario.tuner.weights))
+            sizes = ()
+        self.controller = self.add("controller", system, **seen)
+        told = self.parts("command", system, *sizes) if sizes else [system.GetOutputPort("torque")]
+        self.command, *errors = told
+        if not errors:
+            if system.HasOutputPort("error"):
+                errors = [system.GetOutputPort(name) for name in ("error", "integral")]
+            else:
+                tracking = self.add("tracking_error", TrackingError(self.period), **seen)
+                errors = self.parts("errors", tracking, 6, 6)
+        self.signals["torque"] = self.command
+        self.signals["error"], self.signals["integral"] = errors
+
+    def add_tuner(self) -> None:
+        """Densities, and the weights that a controller takes; nothing for one that takes none."""
+        if not self.controller.HasInputPort("weights"):
+            return
+        section, compiled = self.scenario.tuner, self.options.compiled
+        network = self.scenario.load_tuner_network()
+        features = DensityFeatures(section.window, self.period, section.density, compiled)
+        self.add("density", features, error=self.signals["error"], torque=self.signals["torque"])
+        (density,) = self.parts("densities", features, 12)
+        if network is None:
+            weights = self.add("tuner", ConstantVectorSource(section.weights)).get_output_port()
+        else:
+            tuner = AnnTuner(network, self.period, section.weights, compiled)
+            weights = self.add("tuner", tuner, density=density).weights
+        self.builder.Connect(weights, self.controller.GetInputPort("weights"))
+        self.signals |= {"weights": weights, "density": density}
+
+    def add_delay_and_link(self) -> None:
+        """What lies between the controller's computer and the motors'."""
+        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
+        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
+        # ticks to the last bit need it taken clear of both.
+        sampled, time_step = on_grid(self.period), self.scenario.plant.time_step
+        step = on_grid(time_step)
+        taken = sampled - (step if round(sampled / step) * step == sampled else 0.5 * step)
+        for k in range(self.scenario.command_delay):
+            self.delays.append(self.add(f"delay_{k}", ZeroOrderHold(sampled, 6, taken), u=self.command))
+            self.command = self.delays[-1].get_output_port()
+        if not self.scenario.link.perfect:
+            steps = steps_per("controller.period", self.period, time_step)
+            link = CommandLink(self.scenario.link, time_step, steps, _standing_torque(self.scenario))
+            self.add("link", link, torque=self.command)
+            self.command, self.age = self.parts("arrived", link, 6, 1)
+
+    def add_safety(self) -> None:
+        """The layer that lets no command through unseen."""
+        scenario = self.scenario
+        if scenario.safety is None:
+            return
+        quantum = scenario.sensors.quantum if isinstance(scenario.sensors, EncoderOptions) else 0.0
+        still, compiled = _standing_torque(scenario), self.options.compiled
+        layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
+        seen = {name: self.signals[name] for name in ("measurement", "reference")}
+        self.safety = self.add("safety", layer, command=self.command, **seen)
+        for port, source in (
+            (layer.angles, self.angles),
+            (layer.age, self.age),
+            (layer.sensor_health, self.health.get("estimate")),
+            (layer.controller_health, self.health.get("command")),
+        ):
+            if source is not None:
+                self.builder.Connect(source, port)
+        self.command, self.signals["safety"] = self.parts("guarded", layer, 6, 3)
+
+    def add_motors(self) -> None:
+        """The last of the way: imperfect motors, where the scenario has them, and the plant."""
+        if not self.scenario.motors.perfect:
+            drive = MotorDrive(self.plant, self.scenario.motors)
+            self.add("drive", drive, torque=self.command, plant_state=self.plant.state_output_port)
+            self.command = drive.torque_applied
+        self.builder.Connect(self.command, self.plant.torque_input_port)
+        if self.command is not self.signals["torque"]:
+            self.signals["torque_applied"] = self.command
+
+    def add_log(self) -> dict[str, VectorLogSink]:
+        """Exports and logs all signals."""
+        log_period = on_grid(self.scenario.effective_log_period)
+        sinks: dict[str, VectorLogSink] = {}
+        for name, port in self.signals.items():
+            self.builder.ExportOutput(port, name)
+            sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
+            sinks[name].set_name(f"log_{name}")
+        return sinks
 
 
 def _standing_torque(scenario: Scenario) -> np.ndarray:
