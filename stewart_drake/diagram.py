@@ -30,6 +30,7 @@ from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
+from stewart_drake.systems.finite_check import FiniteCheck
 from stewart_drake.systems.joint_pid import JointPid
 from stewart_drake.systems.lqi_controller import LqiController
 from stewart_drake.systems.motor_drive import MotorDrive
@@ -42,6 +43,7 @@ from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 from stewart_drake.systems.ticked import TickedSystem
 from stewart_drake.systems.tracking_error import TrackingError
 from stewart_drake.systems.user_controller import load_user_controller
+from stewart_drake.user_controller import PythonOptions
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -290,9 +292,13 @@ class _Wiring:
             drive = MotorDrive(self.plant, self.scenario.motors)
             self.add("drive", drive, torque=self.command, plant_state=self.plant.state_output_port)
             self.command = drive.torque_applied
-        self.builder.Connect(self.command, self.plant.torque_input_port)
         if self.command is not self.signals["torque"]:
             self.signals["torque_applied"] = self.command
+        spoilt = isinstance(self.options, PythonOptions) or self.scenario.link.faults
+        if self.scenario.safety is None and spoilt:
+            # The plant would cut an infinite torque to one that looks sound; our own controllers see to theirs.
+            self.command = self.add("finite", FiniteCheck(), torque=self.command).checked
+        self.builder.Connect(self.command, self.plant.torque_input_port)
 
     def add_log(self) -> dict[str, VectorLogSink]:
         """Exports and logs all signals."""

@@ -21,7 +21,7 @@ from stewart_drake.force_map import ForceMapKind, force_map_of_legs
 from stewart_drake.kinematics import LegGeometry, leg_geometry, line_conditioning
 from stewart_drake.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain
 from stewart_drake.rigid_body_model import inverse_dynamics, pose_acceleration_map, static_torque_of_legs
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import LARGEST, RobotParameters
 from stewart_drake.scalars import SECTION, Count, Flag, Real, is_finite
 from stewart_drake.state_space import (
     AXES,
@@ -88,8 +88,8 @@ class LqiOptions:
     solver: RiccatiSolver = "drake"
     """drake: one equation of 18 states. split: six of 3 states, without Drake."""
     compiled: Flag = False
-    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for half
-    a minute."""
+    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for
+    half a minute."""
     saturation: Saturation = "none"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
     back_calculation: it is limited, and z is led back by what was cut off."""
@@ -112,6 +112,8 @@ class LqiOptions:
             value = getattr(self, name)
             if not (is_finite(value) and value > 0.0):
                 raise ConfigurationError(f"controller.{name}", value, "a positive number")
+        if self.weight_length > LARGEST:
+            raise ConfigurationError("controller.weight_length", self.weight_length, f"at most {LARGEST:g} m")
         for name, options in _CHOICES.items():
             if getattr(self, name) not in options:
                 raise ConfigurationError(f"controller.{name}", getattr(self, name), " or ".join(options))

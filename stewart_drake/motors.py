@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.robot import LEGS
+from stewart_drake.robot import LEGS, SMALLEST
 from stewart_drake.scalars import SECTION, Count, Real
 from stewart_drake.seeded import check_leg, check_real
 
@@ -56,6 +56,9 @@ class MotorOptions:
     def __post_init__(self) -> None:
         check_real("motors.ripple", self.ripple)
         check_real("motors.resolution", self.resolution)
+        # In steps yet smaller every torque is infinitely many.
+        if 0.0 < self.resolution < SMALLEST:
+            raise ConfigurationError("motors.resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
         if type(self.ripple_periods) is not int or not 1 <= self.ripple_periods <= 10_000:
             raise ConfigurationError("motors.ripple_periods", self.ripple_periods, "a whole number from 1 to 10000")
 

@@ -83,8 +83,8 @@ class PlantOptions:
             value = getattr(self, name)
             if not is_finite(value) or value < 0.0:
                 raise ConfigurationError(f"plant.{name}", value, "a finite number, zero or positive")
-        if self.payload_mass > LARGEST:
-            raise ConfigurationError("plant.payload_mass", self.payload_mass, f"at most {LARGEST:g} kg")
+            if value > LARGEST:
+                raise ConfigurationError(f"plant.{name}", value, f"at most {LARGEST:g}")
         at = self.payload_position
         if len(at) != 3 or not all(is_finite(x) and abs(x) <= LARGEST for x in at):
             raise ConfigurationError("plant.payload_position", at, "3 finite numbers [m]")

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context
 
 from stewart_drake.diagram import ClosedLoop
@@ -21,7 +21,7 @@ from stewart_drake.motion_fit import motion_report
 from stewart_drake.safety import refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
-from stewart_drake.user_controller import PythonOptions, user_code
+from stewart_drake.user_controller import ControllerStop, PythonOptions, user_code
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def run(
         for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is the caller's own affair, so it stays outside of the guard.
             with drake_guard("simulation"), users_own():
-                simulator.AdvanceTo(done * step)
+                _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
                 loop.plant.break_rod(simulator.get_mutable_context(), breaks[done])
             if progress is not None:
@@ -135,6 +135,12 @@ def check_scenario(scenario: Scenario) -> None:
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
 
 
+def _refuse_early_end(status: SimulatorStatus) -> None:
+    """A run that a system of the user's ended is none that completed."""
+    if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
+        raise ControllerStop(" ".join(status.FormatMessage().split()))
+
+
 def _nominal(time_on_grid: float, time_step: float) -> float:
     """Simulated time without the rounding of `sampling.on_grid`."""
     return float(np.round(time_on_grid / time_step) * time_step)
@@ -143,7 +149,7 @@ def _nominal(time_on_grid: float, time_step: float) -> float:
 def _breaks(scenario: Scenario, total: int) -> dict[int, int]:
     """Step of the plant before which a rod breaks -> its leg; from the first step that begins at the time or later."""
     rod = scenario.plant.broken_rod
-    if rod is None:
+    if rod is None or rod.time > scenario.duration:
         return {}
     step = math.ceil(rod.time / scenario.plant.time_step - 1e-6)
     return {step: rod.leg} if step < total else {}

@@ -28,6 +28,12 @@ class ControllerError(RunFailure):
     reason = "controller_raised"
 
 
+class ControllerStop(RunFailure):
+    """A controller of the user's own asked for the end of the run before its time."""
+
+    reason = "controller_stopped"
+
+
 @dataclass(frozen=True, kw_only=True)
 class PythonOptions:
     """A user's LeafSystem by import path.
@@ -113,16 +119,19 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
 def user_code() -> Iterator[None]:
     """Turns what a user's controller raises in a run into `ControllerError`, which ends the run and keeps its log.
 
-    Drake's own verdicts (`SystemExit`, `RuntimeError`) pass to `drake_guard`.
+    Drake's own verdicts (`SystemExit`, `RuntimeError`) pass to `drake_guard`; Python's kinds of RuntimeError, such as
+    RecursionError, are none.
 
     Raises:
         ControllerError: In place of what was raised.
     """
     try:
         yield
-    except (StewartDrakeError, RuntimeError):
+    except (StewartDrakeError, KeyboardInterrupt, SystemExit):
         raise
-    except Exception as error:
+    except BaseException as error:
+        if type(error) is RuntimeError:
+            raise
         raise ControllerError(
             f"the controller raised {type(error).__name__}: {' '.join(str(error).split())}"
         ) from error

@@ -211,8 +211,9 @@ def test_a_rod_breaks_at_its_time_and_alone(time):
     assert log["loop_gap"][-1, 3] > 1e-4
 
 
-def test_one_that_would_break_after_the_end_does_not():
-    plain, log = run(scenario()), run(scenario(plant={"broken_rod": {"leg": 3, "time": 0.1}}))
+@pytest.mark.parametrize("time", [0.1, 1e308])
+def test_one_that_would_break_after_the_end_does_not(time):
+    plain, log = run(scenario()), run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}))
     np.testing.assert_array_equal(log["plant_state"], plain["plant_state"])
 
 
@@ -229,6 +230,7 @@ def test_what_is_off_is_not_there():
         (lambda: PlantOptions(payload_mass=-0.1), "plant.payload_mass"),
         (lambda: PlantOptions(payload_mass=np.nan), "plant.payload_mass"),
         (lambda: PlantOptions(payload_mass=1e9), "plant.payload_mass"),
+        (lambda: PlantOptions(motor_friction=1e308), "plant.motor_friction"),
         (lambda: PlantOptions(payload_position=(0.0, 0.0)), "plant.payload_position"),
         (lambda: PlantOptions(payload_position=(0.0, 0.0, np.inf)), "plant.payload_position"),
         (lambda: BrokenRod(leg=6, time=0.0), "plant.broken_rod.leg"),

@@ -203,7 +203,7 @@ BAD_OPTIONS = {
     "feedforward": "some",
     "feedforward_at": "home",
     "saturation": "soft",
-    "weight_length": 0.0,
+    "weight_length": 1e308,
     "reset_time": -1.0,
     "integral_limit": [0.1, 0.0],
     "hold_ticks": -1,

@@ -48,6 +48,7 @@ def test_a_motor_dies_at_its_time_and_alone():
         (lambda: MotorOptions(ripple_periods=0), "motors.ripple_periods"),
         (lambda: MotorOptions(ripple_periods=1.5), "motors.ripple_periods"),
         (lambda: MotorOptions(resolution=np.inf), "motors.resolution"),
+        (lambda: MotorOptions(resolution=5e-324), "motors.resolution"),
         (lambda: DeadMotor(leg=6), "motors.dead.leg"),
         (lambda: DeadMotor(leg=0, time=-1.0), "motors.dead.time"),
     ],

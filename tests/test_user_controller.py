@@ -166,6 +166,34 @@ def test_what_it_raises_in_the_run_ends_the_run_and_keeps_the_log(written):
     assert 0.04 < log.time[-1] < 0.06
 
 
+RAISED = ["NotImplementedError('later')", "RecursionError('deep')", "type('Own', (BaseException,), {})('own')"]
+
+
+@pytest.mark.parametrize("error", RAISED)
+def test_kinds_of_runtime_error_and_of_base_exception_are_no_traceback(written, error):
+    log = run(scenario(written(GOOD.replace("        output.Set", f"        raise {error}\n        output.Set"))))
+    assert (log.status, log.reason) == ("failed", "controller_raised")
+
+
+@pytest.mark.parametrize("value", ["np.nan", "np.inf", "-np.inf"])
+def test_a_torque_that_is_no_number_ends_the_run_without_a_safety_layer_too(written, value):
+    log = run(scenario(written(GOOD.replace("0.33 * self.scale", f"{value} if context.get_time() > 0.05 else 0.33"))))
+    assert (log.status, log.reason) == ("failed", "not_finite")
+    assert 0.04 < log.end_time < 0.06
+
+
+def test_a_run_that_it_ends_before_its_time_is_not_completed(written):
+    stop = "lambda c: EventStatus.ReachedTermination(self, 'enough')"
+    text = GOOD.replace("import LeafSystem", "import EventStatus, LeafSystem").replace(
+        "        self.scale = scale\n",
+        f"        self.scale = scale\n        self.DeclarePeriodicPublishEvent(0.001, 0.05, {stop})\n",
+    )
+    log = run(scenario(written(text)))
+    assert (log.status, log.reason) == ("failed", "controller_stopped")
+    assert "enough" in log.message
+    assert 0.04 < log.end_time < 0.06
+
+
 def test_the_shipped_example_follows_the_reference():
     system = f"{comparison_folder() / 'task_space_pd.py'}:TaskSpacePd"
     log = run(scenario({"kind": "python", "system": system}, duration=0.4, reference={"kind": "sine"}))

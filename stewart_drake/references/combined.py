@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import Reference, check_numbers, check_positive, check_vectors, smoothstep
+from stewart_drake.references.base import Reference, check_numbers, check_vectors, smoothstep
 from stewart_drake.references.basic import HoldReference, SineBurstsReference, SineReference
 from stewart_drake.references.paths import MinimumJerkReference, SplineReference
 from stewart_drake.references.recorded import RecordedReference
@@ -106,15 +106,15 @@ class AdjustedReference:
     scale: Real = 1.0
     """[-] size of the motion about the centre, at least 0."""
     slowdown: Real = 1.0
-    """[-] by how much longer the motion takes, above 0."""
+    """[-] by how much longer the motion takes, 1e-6 to 1e6."""
     fade_in: Real = 0.0
     """[s] of the motion's own time over which it grows from rest in the centre, a quintic; 0 for none."""
     center: Vector6 | None = None
     """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""
 
     def __post_init__(self) -> None:
-        check_positive(self, "slowdown")
-        check_numbers(self, 0.0, np.inf, "a number of at least 0", "scale", "fade_in")
+        check_numbers(self, 1e-6, 1e6, "a number from 1e-06 to 1e+06", "slowdown")
+        check_numbers(self, 0.0, 1e6, "a number from 0 to 1e+06", "scale", "fade_in")
         if self.center is not None:
             check_vectors(self, "center")
 

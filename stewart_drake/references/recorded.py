@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import StrictStr
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import check_positive
+from stewart_drake.references.base import check_numbers, check_positive
 from stewart_drake.scalars import SECTION, Real
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
@@ -43,7 +43,8 @@ class RecordedReference:
     def __post_init__(self) -> None:
         if not isinstance(self.motion_file, str):
             raise ConfigurationError("reference.motion_file", self.motion_file, "a text")
-        check_positive(self, "time_scale", "settle")
+        check_positive(self, "time_scale")
+        check_numbers(self, 1e-6, 1e6, "a number from 1e-06 to 1e+06", "settle")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`.

@@ -92,6 +92,8 @@ def test_conditions_win_over_controllers_and_these_over_references():
         ({"controllers": {"a": 3}}, "controllers.a"),
         ({"runs": [{"controllers": ["x"], "references": ["sine"], "conditions": ["nominal"]}]}, "runs.0.controllers"),
         ({"runs": [{"controllers": ["pid"], "references": ["x"], "conditions": ["nominal"]}]}, "runs.0.references"),
+        ({"runs": []}, "runs"),
+        ({"runs": [{"controllers": ["pid"], "references": ["sine"], "conditions": []}]}, "runs.0.conditions"),
         ({"best_of": {"pid": {"of": ["soft"]}}}, "best_of.pid"),
         ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),
         ({"best_of": {"b": {"of": []}}}, "best_of.b.of"),

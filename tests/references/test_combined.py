@@ -140,8 +140,8 @@ def test_motions_within_motions_are_checked_and_become_plain_as_the_rest_of_a_sc
         (SumReference, {"parts": ()}, "parts"),
         (SumReference, {"parts": (PATH,), "center": (0.0,) * 5}, "center"),
         *[(AdjustedReference, {"motion": PATH, "scale": bad}, "scale") for bad in (-1.0, math.nan, "1")],
-        *[(AdjustedReference, {"motion": PATH, "slowdown": bad}, "slowdown") for bad in (0.0, -1.0, math.inf)],
-        *[(AdjustedReference, {"motion": PATH, "fade_in": bad}, "fade_in") for bad in (-1.0, math.inf)],
+        *[(AdjustedReference, {"motion": PATH, "slowdown": bad}, "slowdown") for bad in (0.0, -1.0, 1e-300, 1e308)],
+        *[(AdjustedReference, {"motion": PATH, "fade_in": bad}, "fade_in") for bad in (-1.0, 1e308)],
         (AdjustedReference, {"motion": PATH, "center": (math.nan,) * 6}, "center"),
     ],
 )

@@ -181,6 +181,7 @@ def test_times_too_close_for_numbers_are_refused(tmp_path):
             for name in ("time_scale", "settle")
             for bad in (0.0, -1.0, math.nan)
         ],
+        ({"motion_file": "a.csv", "settle": 1e308}, "settle"),
     ],
 )
 def test_what_makes_no_sense_is_refused_by_name(keys, key):

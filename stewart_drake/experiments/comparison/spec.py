@@ -96,7 +96,7 @@ class CompareFile(BaseModel):
     best_of: dict[StrictStr, BestOf] = {}
     """Name -> the controllers that it is the best of."""
     runs: tuple[Product, ...] | None = None
-    """What is run; null for all controllers on all references under all conditions."""
+    """What is run, at least one; null for all controllers on all references under all conditions."""
     seeds: Annotated[tuple[Annotated[Count, Field(ge=0, lt=2**63)], ...], Field(min_length=1)] = (0,)
     """A run with the text {seed} among its values is done once with each, any other once with the first."""
     layout: Literal["rows", "grid"] = "rows"
@@ -320,7 +320,12 @@ def _check_names(file: CompareFile, parts: _Parts) -> None:
         if not best.of:
             raise ConfigurationError(f"best_of.{shown(name)}.of", list(best.of), "at least one controller")
         known(f"best_of.{shown(name)}.of", best.of, "controllers")
+    if file.runs == ():
+        raise ConfigurationError("runs", [], "at least one product, or null")
     for index, product in enumerate(file.runs or ()):
+        for kind in _KINDS:
+            if not getattr(product, kind):
+                raise ConfigurationError(f"runs.{index}.{kind}", [], "at least one name")
         known(f"runs.{index}.controllers", product.controllers, "controllers", list(file.best_of))
         known(f"runs.{index}.references", product.references, "references")
         known(f"runs.{index}.conditions", product.conditions, "conditions")
