@@ -1,6 +1,8 @@
 import os
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -51,3 +53,8 @@ def make_network(seed=0, window=49, density="magnitude", gain=1.0):
 @pytest.fixture
 def network():
     return make_network()
+
+
+if threading.current_thread() is threading.main_thread():
+    # A shell's background job ignores Ctrl-C, and so would all that it starts: the tests of Ctrl-C would wait in vain.
+    signal.signal(signal.SIGINT, signal.default_int_handler)

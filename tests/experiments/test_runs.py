@@ -1,3 +1,4 @@
+import contextlib
 import dataclasses
 import io
 import json
@@ -317,12 +318,23 @@ from stewart_drake.scenario import Scenario
 """
 
 
-def start(tmp_path, guard, duration):
-    (tmp_path / "script.py").write_text(SCRIPT.format(guard=guard, duration=duration))
-    command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "runs")]
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, env=env, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+@pytest.fixture
+def start(tmp_path):
+    """Starts the script in a session of its own, of which nothing outlives the test."""
+    started = []
+
+    def run(guard, duration):
+        (tmp_path / "script.py").write_text(SCRIPT.format(guard=guard, duration=duration))
+        command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "runs")]
+        env = os.environ | {"PYTHONPATH": str(ROOT)}
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen(command, env=env, stdout=pipe, stderr=pipe, text=True, start_new_session=True))
+        return started[-1]
+
+    yield run
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def alive(group):
@@ -340,9 +352,9 @@ def alive(group):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
-def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_tracebacks(tmp_path):
+def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_tracebacks(tmp_path, start):
     # Each run lasts minutes, so nothing here can end by itself.
-    process = start(tmp_path, 'if __name__ == "__main__":', 2000.0)
+    process = start('if __name__ == "__main__":', 2000.0)
     runs = tmp_path / "runs"
     deadline = time.monotonic() + 60.0
     while not runs.is_dir() and time.monotonic() < deadline:
@@ -363,8 +375,8 @@ def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_traceba
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
-def test_workers_do_not_outlive_a_caller_that_is_killed(tmp_path):
-    process = start(tmp_path, 'if __name__ == "__main__":', 2000.0)
+def test_workers_do_not_outlive_a_caller_that_is_killed(start):
+    process = start('if __name__ == "__main__":', 2000.0)
     deadline = time.monotonic() + 60.0
     while len(alive(process.pid)) < 4 and time.monotonic() < deadline:  # the caller, a tracker, two workers
         time.sleep(0.1)
@@ -378,8 +390,8 @@ def test_workers_do_not_outlive_a_caller_that_is_killed(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_script_without_its_guard_is_told_of_it(tmp_path):
-    process = start(tmp_path, "if True:", 0.02)
+def test_a_script_without_its_guard_is_told_of_it(start):
+    process = start("if True:", 0.02)
     _, err = process.communicate(timeout=120)
     assert process.returncode != 0
     name = f"{StewartDrakeError.__module__}.{StewartDrakeError.__name__}"
