@@ -269,3 +269,11 @@ def test_the_tables_are_the_same_for_one_worker_and_two(done, tmp_path):
 )  # fmt: skip
 def test_numbers_have_three_digits(value, text):
     assert number(value) == text
+
+
+def test_a_users_class_that_does_not_exist_is_refused_before_anything_runs(tmp_path):
+    missing = {"controller": {"kind": "python", "system": "json:NoSuchController"}}
+    comparison = small(controllers={**SMALL["controllers"], "mine": missing, "pid": missing}, bands=None)
+    with pytest.raises(ConfigurationError, match="NoSuchController"):
+        run_comparison(comparison, tmp_path, SerialExecutor())
+    assert list(tmp_path.iterdir()) == []

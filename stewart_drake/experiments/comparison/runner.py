@@ -30,7 +30,7 @@ from stewart_drake.experiments.sweeps.store import RowStore
 from stewart_drake.experiments.sweeps.table import to_parquet
 from stewart_drake.files import write_atomically
 from stewart_drake.scenario import AnnTuner
-from stewart_drake.user_controller import PythonOptions
+from stewart_drake.user_controller import PythonOptions, load_class
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -77,8 +77,8 @@ def run_comparison(
         function: Simulates one scenario; for tests.
 
     Raises:
-        ConfigurationError: The folder holds another comparison, is in use or cannot be written to; a weights file that
-            cannot be read.
+        ConfigurationError: The folder holds another comparison, is in use or cannot be written to; a weights file or
+            a user's controller that cannot be read.
         StewartDrakeError: There are no workers (any more); rows done are kept.
         KeyboardInterrupt: Rows done are kept.
     """
@@ -133,6 +133,8 @@ def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dic
         if isinstance(scenario.tuner, AnnTuner):
             texts[hashlib.sha256(weights_text(scenario.tuner).encode()).hexdigest()[:24]] = None
         if isinstance(scenario.controller, PythonOptions):
+            # Otherwise a class that does not exist would show after everything has run.
+            load_class(scenario.controller)
             texts[str(scenario.controller.digest())] = None
     return {
         **comparison.to_dict(),
