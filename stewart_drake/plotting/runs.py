@@ -183,12 +183,12 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
 
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
     both, ratio = panels
-    if "block_weights" in log.signals:
-        _plot_block_weights(panels, log)
-        return
     if "weights" not in log.signals:
-        for panel in panels:
-            panel.axis("off")
+        if "block_weights" in log.signals:
+            _plot_block_weights(panels, log)
+        else:
+            for panel in panels:
+                panel.axis("off")
         return
     weights = log["weights"]
     # A thin line on a thick one: both are seen where they coincide, as at (1, 1).

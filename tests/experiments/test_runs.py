@@ -185,6 +185,12 @@ CHANGES = {
     "tuner.window": 9,
     "limits.reach": 0.97,
     "log_period": 0.01,
+    "sensors.kind": "encoders",
+    "command_delay": 1,
+    "disturbances": [{"kind": "constant", "wrench": [0, 0, 0, 1, 0, 0]}],
+    "motors.ripple": 0.01,
+    "link.drop_probability": 0.1,
+    "safety": {},
 }
 
 
