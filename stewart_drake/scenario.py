@@ -456,7 +456,8 @@ def _anchor_files(data: Any, folder: Path) -> None:
             continue
         waiting.extend(section.values())
         for key in _FILE_KEYS:
-            if isinstance(section.get(key), str):
+            # A path that is absolute stays as written.
+            if isinstance(section.get(key), str) and not Path(section[key]).is_absolute():
                 section[key] = str((folder / section[key]).absolute())
         if section.get("kind") == "python" and ".py:" in str(section.get("system")):
             section["system"] = str((folder / section["system"]).absolute())

@@ -723,6 +723,7 @@ documents = st.fixed_dictionaries(
 
 @given(documents)
 @settings(max_examples=60)
+@example({"tuner": {"kind": "ann", "weights_file": "/."}})
 def test_yaml_as_run_loads_back_to_the_same_scenario(tmp_path_factory, document):
     scenario = Scenario.from_dict(document)
     path = write(tmp_path_factory.getbasetemp(), scenario.to_yaml(), "again.yaml")
