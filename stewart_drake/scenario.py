@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
-import warnings
 from collections.abc import Iterable, Mapping
 from io import StringIO
 from pathlib import Path
@@ -25,7 +23,6 @@ from pydantic import (
     model_validator,
 )
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError
 
 from stewart_drake.command_link import LinkOptions
 from stewart_drake.computed_torque import ComputedTorqueOptions
@@ -49,8 +46,7 @@ from stewart_drake.scalars import SECTION, Count, Real, Vector6
 from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
 from stewart_drake.sensor_faults import PoseFault
 from stewart_drake.user_controller import PythonOptions
-
-MAX_SCENARIO_BYTES = 1_000_000
+from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder
 
 _FILE_KEYS = ("weights_file", "motion_file")
 
@@ -359,43 +355,21 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
-    path = find_scenario(path)
-    data = _read_yaml(path)
+    path = find_file("scenario", path)
+    data = read_mapping("scenario", path, 100)
     _anchor_files(data, path.parent)
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
-        _assign(data, key.strip(), _parse_yaml(value, f"--set {shown(key.strip())}"))
+        _assign(data, key.strip(), parse_yaml(value, f"--set {shown(key.strip())}"))
     _anchor_files(data, Path())
-    # The name of a file may hold what the name of a scenario may not.
-    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:100])
     return Scenario.from_dict(data)
 
 
 def scenario_folder() -> Path:
     """Folder of the scenarios that the package carries (in a checkout: diagrams/scenarios)."""
-    inside = Path(__file__).parent / "scenarios"
-    return inside if inside.is_dir() else Path(__file__).parent.parent / "diagrams" / "scenarios"
-
-
-def find_scenario(name: str | Path) -> Path:
-    """The file that `name` means: a path, or the stem of a scenario of the package.
-
-    Raises:
-        ConfigurationError: Neither.
-    """
-    path = Path(name)
-    try:
-        if path.is_file():
-            return path
-        shipped = scenario_folder() / f"{name}.yaml"
-        if path.name == str(name) and shipped.is_file():
-            return shipped
-    except OSError as error:
-        raise ConfigurationError("scenario file", str(name), f"a path that can be read ({error.strerror})") from None
-    known = ", ".join(sorted(p.stem for p in scenario_folder().glob("*.yaml")))
-    raise ConfigurationError("scenario file", str(name), f"an existing file, or one of {known}")
+    return shipped_folder("scenarios")
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -403,42 +377,6 @@ def scenario_schema() -> dict[str, Any]:
     schema = Scenario.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     return schema
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        size = path.stat().st_size
-        if size > MAX_SCENARIO_BYTES:
-            raise ConfigurationError(f"scenario file {path}", f"{size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(f"scenario file {path}", error.strerror or str(error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(
-            f"scenario file {path}", f"byte {error.object[error.start]:#04x} at {error.start}", "a YAML text in UTF-8"
-        ) from None
-    data = _parse_yaml(text, f"scenario file {path}")
-    if not isinstance(data, dict):
-        found = "an empty file" if data is None else data
-        raise ConfigurationError(f"scenario file {path}", found, "a mapping of keys to values")
-    return data
-
-
-def _parse_yaml(text: str, key: str) -> Any:
-    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            return YAML(typ="safe", pure=True).load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        what = " ".join(str(error.problem).removeprefix("but ").split())
-        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags") from None
-    except Exception as error:
-        # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
-        text = " ".join(str(error).split())
-        raise ConfigurationError(key, f"{type(error).__name__}: {text}", "well-formed YAML without tags") from None
 
 
 def _anchor_files(data: Any, folder: Path) -> None:

@@ -19,15 +19,14 @@ from stewart_drake.references import HoldReference, SineReference
 from stewart_drake.rigid_body_model import static_torque
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import (
-    MAX_SCENARIO_BYTES,
     AnnTuner,
     FixedTuner,
     Scenario,
-    find_scenario,
     load_scenario,
     scenario_folder,
     scenario_schema,
 )
+from stewart_drake.yaml_files import MAX_BYTES, find_file
 
 PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
 SHIPPED = (*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path")
@@ -441,7 +440,7 @@ def test_the_message_counts_further_problems():
         (b"{{a: 1}: 2}: 3", "unhashable"),
         (b"duration: " + b"9" * 5000, "well-formed"),
         (b"[" * 1000, "well-formed"),
-        (b"# " + b"x" * MAX_SCENARIO_BYTES, f"at most {MAX_SCENARIO_BYTES} bytes"),
+        (b"# " + b"x" * MAX_BYTES, f"at most {MAX_BYTES} bytes"),
     ],
     ids=lambda v: repr(v[:24]) if isinstance(v, bytes) else None,
 )
@@ -463,14 +462,14 @@ def test_a_document_that_contains_itself_is_refused(tmp_path):
 def test_a_scenario_that_is_not_there_is_named(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigurationError) as caught:
-        find_scenario(name)
+        find_file("scenario", name)
     assert one_line(caught.value).key == "scenario file"
     assert name[:50] in str(caught.value)
 
 
 def test_a_bare_name_means_a_shipped_scenario_unless_there_is_such_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert find_scenario("paper_fig7") == scenario_folder() / "paper_fig7.yaml"
+    assert find_file("scenario", "paper_fig7") == scenario_folder() / "paper_fig7.yaml"
     write(tmp_path, "duration: 3\n", "paper_fig7")
     assert load_scenario("paper_fig7").duration == 3.0
 

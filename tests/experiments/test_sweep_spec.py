@@ -3,8 +3,9 @@ import pytest
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.sweeps.distributions import parse_distribution
-from stewart_drake.experiments.sweeps.spec import Sweep, find_sweep, load_sweep, sweep_folder, vary
+from stewart_drake.experiments.sweeps.spec import Sweep, load_sweep, sweep_folder, vary
 from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.yaml_files import find_file
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
 PLAIN = {"scenario": "paper_fig7", "runs": 4, "distributions": {"initial_offset[0]": UNIFORM}}
@@ -169,7 +170,7 @@ def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
     assert "initial_offset" in names
     for name in names:
         s = load_sweep(name)
-        assert find_sweep(name) == sweep_folder() / f"{name}.yaml"
+        assert find_file("sweep", name) == sweep_folder() / f"{name}.yaml"
         assert all(s.scenario(index).name == f"{name} {index}" for index in range(s.runs))
 
 

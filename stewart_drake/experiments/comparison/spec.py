@@ -21,8 +21,9 @@ from stewart_drake.experiments.sweeps.one_run import Measure
 from stewart_drake.experiments.sweeps.spec import _load_base, vary
 from stewart_drake.feasibility import largest_amplitude
 from stewart_drake.scalars import SECTION, Count, Real
-from stewart_drake.scenario import MAX_SCENARIO_BYTES, Scenario, _anchor_files, _parse_yaml, scenario_folder
+from stewart_drake.scenario import Scenario, _anchor_files
 from stewart_drake.scenario_errors import explain, shown
+from stewart_drake.yaml_files import find_file, read_mapping, shipped_folder
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
@@ -241,44 +242,14 @@ def load_comparison(path: str | Path, quick: bool = False) -> Comparison:
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
-    path = find_comparison(path)
-    what = f"comparison file {path}"
-    try:
-        if path.stat().st_size > MAX_SCENARIO_BYTES:
-            raise ConfigurationError(what, f"{path.stat().st_size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
-        data = _parse_yaml(path.read_text(encoding="utf-8"), what)
-    except OSError as error:
-        raise ConfigurationError(what, error.strerror or str(error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(what, f"{error.reason} at {error.start}", "a YAML text in UTF-8") from None
-    if not isinstance(data, dict):
-        raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
-    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:80])
+    path = find_file("comparison", path)
+    data = read_mapping("comparison", path, 80)
     return Comparison.from_dict(data, path.parent, quick)
 
 
 def comparison_folder() -> Path:
     """Folder of the comparisons that the package carries (in a checkout: diagrams/comparisons)."""
-    return scenario_folder().parent / "comparisons"
-
-
-def find_comparison(name: str | Path) -> Path:
-    """The file that `name` means: a path, or the stem of a comparison of the package.
-
-    Raises:
-        ConfigurationError: Neither.
-    """
-    path = Path(name)
-    try:
-        if path.is_file():
-            return path
-        shipped = comparison_folder() / f"{name}.yaml"
-        if path.name == str(name) and shipped.is_file():
-            return shipped
-    except OSError as error:
-        raise ConfigurationError("comparison file", str(name), f"a path that can be read ({error.strerror})") from None
-    known = ", ".join(sorted(p.stem for p in comparison_folder().glob("*.yaml")))
-    raise ConfigurationError("comparison file", str(name), f"an existing file, or one of {known}")
+    return shipped_folder("comparisons")
 
 
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
@@ -33,9 +34,9 @@ class _Distribution(BaseModel):
 
     column: ClassVar[Column] = "number"
 
+    @abstractmethod
     def at(self, quantile: float) -> Any:
         """The value below which the share `quantile`, 0 to 1, of the distribution lies."""
-        raise NotImplementedError
 
 
 class _Between(_Distribution):

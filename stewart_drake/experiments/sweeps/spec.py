@@ -20,8 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, StrictStr, ValidationError
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.sweeps.distributions import Choice, Distribution, Grid, column_of, parse_distribution
 from stewart_drake.scalars import SECTION, Count, Flag
-from stewart_drake.scenario import MAX_SCENARIO_BYTES, Scenario, _parse_yaml, load_scenario, scenario_folder
+from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.scenario_errors import explain, shown
+from stewart_drake.yaml_files import find_file, read_mapping, shipped_folder
 
 MAX_RUNS = 1_000_000
 Sampler = Literal["random", "sobol"]
@@ -251,19 +252,8 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
-    path = find_sweep(path)
-    what = f"sweep file {path}"
-    try:
-        if path.stat().st_size > MAX_SCENARIO_BYTES:
-            raise ConfigurationError(what, f"{path.stat().st_size} bytes", f"at most {MAX_SCENARIO_BYTES} bytes")
-        data = _parse_yaml(path.read_text(encoding="utf-8"), what)
-    except OSError as error:
-        raise ConfigurationError(what, error.strerror or str(error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(what, f"{error.reason} at {error.start}", "a YAML text in UTF-8") from None
-    if not isinstance(data, dict):
-        raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
-    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:80])
+    path = find_file("sweep", path)
+    data = read_mapping("sweep", path, 80)
     if runs is not None:
         data["runs"] = runs
     return Sweep.from_dict(data, path.parent)
@@ -271,26 +261,7 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
 
 def sweep_folder() -> Path:
     """Folder of the sweeps that the package carries (in a checkout: diagrams/sweeps)."""
-    return scenario_folder().parent / "sweeps"
-
-
-def find_sweep(name: str | Path) -> Path:
-    """The file that `name` means: a path, or the stem of a sweep of the package.
-
-    Raises:
-        ConfigurationError: Neither.
-    """
-    path = Path(name)
-    try:
-        if path.is_file():
-            return path
-        shipped = sweep_folder() / f"{name}.yaml"
-        if path.name == str(name) and shipped.is_file():
-            return shipped
-    except OSError as error:
-        raise ConfigurationError("sweep file", str(name), f"a path that can be read ({error.strerror})") from None
-    known = ", ".join(sorted(p.stem for p in sweep_folder().glob("*.yaml")))
-    raise ConfigurationError("sweep file", str(name), f"an existing file, or one of {known}")
+    return shipped_folder("sweeps")
 
 
 def vary(base: Scenario, changes: Mapping[str, Any], section: str = "") -> Scenario:

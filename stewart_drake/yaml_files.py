@@ -1,0 +1,96 @@
+"""The package's YAML files: scenarios, sweeps, comparisons; found by path or by name, and read as plain values."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+
+from stewart_drake.errors import ConfigurationError
+
+MAX_BYTES = 1_000_000
+
+
+def shipped_folder(kind: str) -> Path:
+    """Folder of the files of a kind, such as `scenarios`, that the package carries (in a checkout: diagrams/KIND)."""
+    inside = Path(__file__).parent / kind
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "diagrams" / kind
+
+
+def find_file(kind: str, name: str | Path) -> Path:
+    """The file that `name` means: a path, or the stem of a file of the package.
+
+    Args:
+        kind: `scenario`, `sweep` or `comparison`.
+        name: What the user gave.
+
+    Raises:
+        ConfigurationError: Neither.
+    """
+    path, folder, what = Path(name), shipped_folder(f"{kind}s"), f"{kind} file"
+    try:
+        if path.is_file():
+            return path
+        shipped = folder / f"{name}.yaml"
+        if path.name == str(name) and shipped.is_file():
+            return shipped
+    except OSError as error:
+        raise ConfigurationError(what, str(name), f"a path that can be read ({error.strerror})") from None
+    known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
+    raise ConfigurationError(what, str(name), f"an existing file, or one of {known}")
+
+
+def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
+    """Keys and values of a file; `name` is its stem where it has none.
+
+    Args:
+        kind: As in `find_file`, for messages.
+        path: The file.
+        longest_name: A name is cut to this.
+
+    Raises:
+        ConfigurationError: Unreadable, too large, malformed, or no mapping.
+    """
+    what = f"{kind} file {path}"
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ConfigurationError(what, f"{size} bytes", f"at most {MAX_BYTES} bytes")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(what, error.strerror or str(error), "a readable file") from None
+    except UnicodeDecodeError as error:
+        found = f"byte {error.object[error.start]:#04x} at {error.start}"
+        raise ConfigurationError(what, found, "a YAML text in UTF-8") from None
+    data = parse_yaml(text, what)
+    if not isinstance(data, dict):
+        raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
+    # The name of a file may hold what the name of a scenario may not.
+    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:longest_name])
+    return data
+
+
+def parse_yaml(text: str, key: str) -> Any:
+    """Plain values from a YAML text.
+
+    Raises:
+        ConfigurationError: `key` is not well-formed YAML, or has tags.
+    """
+    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return YAML(typ="safe", pure=True).load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        what = " ".join(str(error.problem).removeprefix("but ").split())
+        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags") from None
+    except Exception as error:
+        # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
+        text = " ".join(str(error).split())
+        raise ConfigurationError(key, f"{type(error).__name__}: {text}", "well-formed YAML without tags") from None
