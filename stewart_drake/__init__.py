@@ -12,6 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stewart_drake.control_inputs import Measurement as Measurement
+    from stewart_drake.control_inputs import Setpoint as Setpoint
     from stewart_drake.control_law import ControlLaw as ControlLaw
     from stewart_drake.diagram import ClosedLoop as ClosedLoop
     from stewart_drake.diagram import build_diagram as build_diagram
@@ -24,9 +26,7 @@ if TYPE_CHECKING:
     from stewart_drake.limits import Limits as Limits
     from stewart_drake.log import SimulationLog as SimulationLog
     from stewart_drake.log import load_log as load_log
-    from stewart_drake.lqi import LqiOptions as LqiOptions
-    from stewart_drake.lqi import Measurement as Measurement
-    from stewart_drake.lqi import Setpoint as Setpoint
+    from stewart_drake.lqi_options import LqiOptions as LqiOptions
     from stewart_drake.metrics import run_metrics as run_metrics
     from stewart_drake.network import load_network as load_network
     from stewart_drake.plant import StewartPlant as StewartPlant

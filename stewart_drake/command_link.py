@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Real, is_finite
-from stewart_drake.seeded import check_leg, check_real, check_seed, tick_uniform
+from stewart_drake.option_checks import check_choice, check_leg, check_positive, check_real, check_seed, check_whole
+from stewart_drake.scalars import SECTION, Count, Real
+from stewart_drake.seeded import tick_uniform
 
 CommandFaultKind = Literal["nan", "inf", "offset", "chatter"]
 
@@ -43,13 +44,12 @@ class CommandFault:
     """[N m] of offset and chatter."""
 
     def __post_init__(self) -> None:
-        if self.kind not in ("nan", "inf", "offset", "chatter"):
-            raise ConfigurationError("link.faults.kind", self.kind, "nan, inf, offset or chatter")
+        check_choice("link.faults.kind", self.kind, "nan", "inf", "offset", "chatter")
         if self.leg is not None:
             check_leg("link.faults.leg", self.leg)
         check_real("link.faults.time", self.time)
-        if self.duration is not None and not (is_finite(self.duration) and self.duration > 0.0):
-            raise ConfigurationError("link.faults.duration", self.duration, "a positive number [s], or null")
+        if self.duration is not None:
+            check_positive("link.faults.duration", self.duration, allowed="a positive number [s], or null")
         check_real("link.faults.size", self.size, -math.inf, "a finite number [N m]")
 
     def spoil(self, command: np.ndarray, tick: int, time: float) -> None:
@@ -97,17 +97,14 @@ class LinkOptions:
 
     def __post_init__(self) -> None:
         for name in ("drop_probability", "late_probability"):
-            value = getattr(self, name)
-            if not (is_finite(value) and 0.0 <= value <= 1.0):
-                raise ConfigurationError(f"link.{name}", value, "a number from 0 to 1")
+            check_real(f"link.{name}", getattr(self, name), 0.0, "a number from 0 to 1", 1.0)
         for name in ("dropped", "late"):
             ticks = getattr(self, name)
             if not all(type(tick) is int and tick >= 0 for tick in ticks):
                 raise ConfigurationError(f"link.{name}", ticks, "numbers of ticks: whole, zero or positive")
         if self.stop_time is not None:
             check_real("link.stop_time", self.stop_time)
-        if type(self.late_steps) is not int or not 1 <= self.late_steps <= 100_000:
-            raise ConfigurationError("link.late_steps", self.late_steps, "a whole number, at least 1")
+        check_whole("link.late_steps", self.late_steps, 1, 100_000)
         check_seed("link.seed", self.seed)
 
     @cached_property

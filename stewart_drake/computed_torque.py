@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.joint_pid import check_limits, check_sign
-from stewart_drake.lqi import Measurement, Setpoint, checked_legs
+from stewart_drake.control_inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.errors import NotFiniteError
+from stewart_drake.option_checks import check_choice, check_fraction, check_positive, check_real
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scalars import SECTION, Flag, Real
@@ -48,11 +48,12 @@ class ComputedTorqueOptions:
     """The pose estimator beside the controller is compiled by numba."""
 
     def __post_init__(self) -> None:
-        check_sign(self, "period", "natural_frequency", "damping", positive=True)
-        check_sign(self, "integral_frequency", positive=False)
-        check_limits(self)
-        if self.saturation not in ("none", "clamp"):
-            raise ConfigurationError("controller.saturation", self.saturation, "none or clamp")
+        for name in ("period", "natural_frequency", "damping"):
+            check_positive(f"controller.{name}", getattr(self, name))
+        check_real("controller.integral_frequency", self.integral_frequency)
+        for name in ("min_transmission", "min_conditioning"):
+            check_fraction(f"controller.{name}", getattr(self, name))
+        check_choice("controller.saturation", self.saturation, "none", "clamp")
 
 
 class ComputedTorqueMemory(NamedTuple):
@@ -90,7 +91,7 @@ def computed_torque_tick(
         memory: Of the tick before; zeros at first.
 
     Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `lqi.checked_legs`.
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`.
     """
     if not np.isfinite(measurement.pose_rate).all():
         raise NotFiniteError("measured pose rate", measurement.pose_rate)

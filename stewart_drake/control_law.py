@@ -10,8 +10,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.density import DensityKind, density, push
-from stewart_drake.lqi import LqiMemory, LqiOptions, Measurement, Setpoint, held_tick, initial_memory
+from stewart_drake.lqi import LqiMemory, held_tick, initial_memory
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.network import TunerNetwork
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters

@@ -20,7 +20,7 @@ from stewart_drake.computed_torque import ComputedTorqueOptions
 from stewart_drake.errors import UnreachablePoseError, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.joint_pid import PidOptions
-from stewart_drake.lqi import LqiOptions
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.plant import StewartPlant, add_plant
 from stewart_drake.rigid_body_model import static_torque
 from stewart_drake.sampling import on_grid, steps_per

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.option_checks import check_numbers, check_positive, check_real, check_seed
 from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
-from stewart_drake.seeded import check_positive, check_real, check_seed
 
 _SINES = 64
 """Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed."""
@@ -207,5 +207,4 @@ def _within(time: float | np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def _check_vector(name: str, vector: Any) -> None:
-    if len(vector) != 6 or not all(is_finite(x) for x in vector):
-        raise ConfigurationError(f"disturbances.{name}", vector, "6 finite numbers [N m, N]")
+    check_numbers(f"disturbances.{name}", vector, 6, "6 finite numbers [N m, N]")

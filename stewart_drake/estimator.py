@@ -12,16 +12,23 @@ import numpy as np
 
 from stewart_drake.errors import (
     AssemblyModeError,
-    ConfigurationError,
     EncoderError,
     RunFailure,
     SingularPoseError,
     UnreachablePoseError,
 )
 from stewart_drake.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
+from stewart_drake.option_checks import (
+    check_numbers,
+    check_positive,
+    check_positive_pair,
+    check_real,
+    check_seed,
+    check_whole,
+)
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
-from stewart_drake.seeded import check_real, check_seed, tick_normal
+from stewart_drake.scalars import SECTION, Count, Real, Vector6
+from stewart_drake.seeded import tick_normal
 from stewart_drake.sensor_faults import EncoderFault
 
 MEMORY_SIZE = 27
@@ -70,20 +77,15 @@ class EncoderOptions:
     """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
 
     def __post_init__(self) -> None:
-        if type(self.resolution_bits) is not int or not 0 <= self.resolution_bits <= 40:
-            raise ConfigurationError("sensors.resolution_bits", self.resolution_bits, "a whole number from 0 to 40")
-        if len(self.offset) != 6 or not all(is_finite(x) for x in self.offset):
-            raise ConfigurationError("sensors.offset", self.offset, "6 finite numbers [rad]")
+        check_whole("sensors.resolution_bits", self.resolution_bits, 0, 40)
+        check_numbers("sensors.offset", self.offset, 6, "6 finite numbers [rad]")
         check_real("sensors.noise", self.noise)
         check_seed("sensors.noise_seed", self.noise_seed)
-        if self.rate_cutoff is not None and not (is_finite(self.rate_cutoff) and self.rate_cutoff > 0.0):
-            raise ConfigurationError("sensors.rate_cutoff", self.rate_cutoff, "a positive number [Hz], or null")
-        if not (is_finite(self.max_speed) and self.max_speed > 0.0):
-            raise ConfigurationError("sensors.max_speed", self.max_speed, "a positive number [rad/s]")
-        if len(self.max_step) != 2 or not all(is_finite(x) and x > 0.0 for x in self.max_step):
-            raise ConfigurationError("sensors.max_step", self.max_step, "two positive numbers [rad, m]")
-        if type(self.hold_ticks) is not int or not 0 <= self.hold_ticks <= 1000:
-            raise ConfigurationError("sensors.hold_ticks", self.hold_ticks, "a whole number from 0 to 1000")
+        if self.rate_cutoff is not None:
+            check_positive("sensors.rate_cutoff", self.rate_cutoff, allowed="a positive number [Hz], or null")
+        check_positive("sensors.max_speed", self.max_speed, allowed="a positive number [rad/s]")
+        check_positive_pair("sensors.max_step", self.max_step, "two positive numbers [rad, m]")
+        check_whole("sensors.hold_ticks", self.hold_ticks, 0, 1000)
 
     @cached_property
     def quantum(self) -> float:

@@ -7,14 +7,14 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, NotFiniteError
+from stewart_drake.control_inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.errors import NotFiniteError
 from stewart_drake.kinematics import LegGeometry, leg_geometry, pose_rate_to_twist, rod_lines
-from stewart_drake.lqi import Measurement, Saturation, Setpoint, checked_legs
+from stewart_drake.lqi_options import SATURATIONS, Saturation
+from stewart_drake.option_checks import check_choice, check_fraction, check_positive, check_real
 from stewart_drake.rigid_body_model import static_torque_of_legs
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Flag, Real, is_finite
-
-_CHOICES = {"feedforward": ("none", "gravity"), "saturation": ("none", "clamp", "back_calculation")}
+from stewart_drake.scalars import SECTION, Flag, Real
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,14 +57,16 @@ class PidOptions:
     """The pose estimator beside the controller is compiled by numba."""
 
     def __post_init__(self) -> None:
-        check_sign(self, "period", "reset_time", positive=True)
-        check_sign(self, "kp", "ki", "kd", positive=False)
-        check_limits(self)
-        for name, options in _CHOICES.items():
-            if getattr(self, name) not in options:
-                raise ConfigurationError(f"controller.{name}", getattr(self, name), " or ".join(options))
+        for name in ("period", "reset_time"):
+            check_positive(f"controller.{name}", getattr(self, name))
+        for name in ("kp", "ki", "kd"):
+            check_real(f"controller.{name}", getattr(self, name))
+        for name in ("min_transmission", "min_conditioning"):
+            check_fraction(f"controller.{name}", getattr(self, name))
+        check_choice("controller.feedforward", self.feedforward, "none", "gravity")
+        check_choice("controller.saturation", self.saturation, *SATURATIONS)
         if self.torque_limit is not None:
-            check_sign(self, "torque_limit", positive=True)
+            check_positive("controller.torque_limit", self.torque_limit)
 
     def limit(self, robot: RobotParameters) -> float:
         """[N m] of a motor's torque."""
@@ -105,8 +107,8 @@ def pid_tick(
         memory: Of the tick before; zeros at first.
 
     Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `lqi.checked_legs`; UnreachablePoseError also where
-            the reference is out of reach.
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`; UnreachablePoseError
+            also where the reference is out of reach.
     """
     if not np.isfinite(measurement.pose_rate).all():
         raise NotFiniteError("measured pose rate", measurement.pose_rate)
@@ -131,31 +133,6 @@ def pid_tick(
         elif options.ki > 0.0:
             growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
     return PidMemory(torque, integral + growth)
-
-
-def check_sign(options: Any, *names: str, positive: bool) -> None:
-    """Refuses keys of `controller` that are not finite, negative or, with `positive`, zero.
-
-    Raises:
-        ConfigurationError: Names the key.
-    """
-    for name in names:
-        value = getattr(options, name)
-        if not (is_finite(value) and (value > 0.0 if positive else value >= 0.0)):
-            allowed = "a positive number" if positive else "a finite number, zero or positive"
-            raise ConfigurationError(f"controller.{name}", value, allowed)
-
-
-def check_limits(options: Any) -> None:
-    """Refuses `min_transmission` and `min_conditioning` outside of 0 to 1.
-
-    Raises:
-        ConfigurationError: Names the key.
-    """
-    for name in ("min_transmission", "min_conditioning"):
-        value = getattr(options, name)
-        if not (is_finite(value) and 0.0 < value < 1.0):
-            raise ConfigurationError(f"controller.{name}", value, "a number between 0 and 1")
 
 
 def _crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:

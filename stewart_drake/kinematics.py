@@ -40,6 +40,11 @@ def rotation_matrix(rpy: np.ndarray) -> np.ndarray:
     return matrix
 
 
+def rotation_angle(rotation: np.ndarray) -> np.ndarray:
+    """Angle (...) [rad] of rotations (..., 3, 3)."""
+    return np.arccos(np.clip(0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0), -1.0, 1.0))
+
+
 def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw of a rotation matrix; pitch in [-pi/2, pi/2].
 

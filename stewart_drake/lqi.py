@@ -3,158 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
+from stewart_drake.control_inputs import Measurement, Setpoint, checked_legs, out_of_reach
 from stewart_drake.errors import (
-    ConfigurationError,
     NotFiniteError,
     RiccatiError,
     RunFailure,
     SingularPoseError,
     UnreachablePoseError,
 )
-from stewart_drake.force_map import ForceMapKind, force_map_of_legs
-from stewart_drake.kinematics import LegGeometry, leg_geometry, line_conditioning
-from stewart_drake.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain
+from stewart_drake.force_map import force_map_of_legs
+from stewart_drake.lqi_options import CHOICES, LqiOptions
+from stewart_drake.riccati import riccati_gain, solve_drake, split_gain
 from stewart_drake.rigid_body_model import inverse_dynamics, pose_acceleration_map, static_torque_of_legs
-from stewart_drake.robot import LARGEST, RobotParameters
-from stewart_drake.scalars import SECTION, Count, Flag, Real, is_finite
+from stewart_drake.robot import RobotParameters
 from stewart_drake.state_space import (
     AXES,
     INTEGRAL,
     POSITION,
     RATE,
     STATES,
-    Discretization,
     discretize,
     input_matrix,
     mass_diagonal,
     state_matrix,
 )
-
-Model = Literal["paper", "exact"]
-Feedforward = Literal["none", "gravity", "platform", "full"]
-FeedforwardAt = Literal["measured", "reference"]
-Saturation = Literal["none", "clamp", "back_calculation"]
-
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "model": ("paper", "exact"),
-    "force_map": ("statics", "printed"),
-    "feedforward": ("none", "gravity", "platform", "full"),
-    "feedforward_at": ("measured", "reference"),
-    "discretization": ("exact", "euler"),
-    "solver": ("drake", "split"),
-    "saturation": ("none", "clamp", "back_calculation"),
-}
-
-_DEAD_CENTRE_SLACK = 0.05
-"""[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LqiOptions:
-    """Options of the LQI controller; the defaults are the paper's, with gravity compensated.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    kind: Literal["lqi"] = "lqi"
-    """Taken where the key is absent."""
-    period: Real = 0.005
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
-    model: Model = "paper"
-    """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
-    closed chain at the measured pose."""
-    force_map: ForceMapKind = "statics"
-    """tau_2 of (15) as printed, or by statics; the exact model has its own map."""
-    feedforward: Feedforward = "gravity"
-    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
-    to that M q''_d of (9) through the force map at the measured pose. full: inverse dynamics of the exact model for the
-    reference's acceleration."""
-    feedforward_at: FeedforwardAt = "measured"
-    """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
-    weight_length: Real = 1.0
-    """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
-    radius 0.11 makes an error of the joints count alike in both."""
-    discretization: Discretization = "exact"
-    """Zero-order hold of (25): exact, or first order (euler)."""
-    solver: RiccatiSolver = "drake"
-    """drake: one equation of 18 states. split: six of 3 states, without Drake."""
-    compiled: Flag = False
-    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for
-    half a minute."""
-    saturation: Saturation = "none"
-    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
-    back_calculation: it is limited, and z is led back by what was cut off."""
-    reset_time: Real = 0.05
-    """[s] time in which back-calculation takes z back."""
-    integral_limit: tuple[Real, Real] | None = None
-    """[rad s, m s] largest |z| of rotations and translations; null for none."""
-    bumpless: Flag = False
-    """When the weights change, z changes too, so that the torque by z does not."""
-    min_transmission: Real = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Real = 0.005
-    """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity."""
-    hold_ticks: Count = 0
-    """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
-    finite is bridged by the last good gain and torque, before the run ends."""
-
-    def __post_init__(self) -> None:
-        for name in ("period", "weight_length", "reset_time"):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0.0):
-                raise ConfigurationError(f"controller.{name}", value, "a positive number")
-        if self.weight_length > LARGEST:
-            raise ConfigurationError("controller.weight_length", self.weight_length, f"at most {LARGEST:g} m")
-        for name, options in _CHOICES.items():
-            if getattr(self, name) not in options:
-                raise ConfigurationError(f"controller.{name}", getattr(self, name), " or ".join(options))
-        for name in ("min_transmission", "min_conditioning"):
-            value = getattr(self, name)
-            if not (is_finite(value) and 0.0 < value < 1.0):
-                raise ConfigurationError(f"controller.{name}", value, "a number between 0 and 1")
-        limit = self.integral_limit
-        if limit is not None and not (len(limit) == 2 and all(is_finite(x) and x > 0.0 for x in limit)):
-            raise ConfigurationError("controller.integral_limit", limit, "two positive numbers [rad s, m s], or null")
-        if type(self.hold_ticks) is not int or not 0 <= self.hold_ticks <= 1000:
-            raise ConfigurationError("controller.hold_ticks", self.hold_ticks, "a whole number from 0 to 1000")
-        if self.compiled and self.solver != "split":
-            raise ConfigurationError("controller.compiled", self.compiled, "true only with solver: split")
-
-
-class SingularityLimits(Protocol):
-    """How near to a singularity a controller goes, see `LqiOptions`."""
-
-    @property
-    def min_transmission(self) -> float:
-        """[-] As in `LqiOptions`."""
-
-    @property
-    def min_conditioning(self) -> float:
-        """[-] As in `LqiOptions`."""
-
-
-class Measurement(NamedTuple):
-    """What the sensor reports: pose (6,) [rad, m] and pose_rate (6,) [rad/s, m/s] of P in B, Euler rates."""
-
-    pose: np.ndarray
-    pose_rate: np.ndarray
-
-
-class Setpoint(NamedTuple):
-    """Where the platform should be: pose, pose_rate, pose_acceleration, each (6,)."""
-
-    pose: np.ndarray
-    pose_rate: np.ndarray
-    pose_acceleration: np.ndarray
 
 
 class LqiMemory(NamedTuple):
@@ -217,37 +94,6 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
     if weights.shape != (4,) or not (np.isfinite(weights) & (weights > 0.0)).all():
         raise RiccatiError(f"no gain for weights {weights.tolist()}: two or four are needed, positive and finite")
     return weights
-
-
-def checked_legs(robot: RobotParameters, options: SingularityLimits, pose: np.ndarray) -> LegGeometry:
-    """Leg vectors at a measured pose, refused near singularities, where the force map loses its meaning.
-
-    Raises:
-        NotFiniteError: The pose is not finite.
-        UnreachablePoseError: The pose cannot be assembled.
-        SingularPoseError: A crank near its dead centre, or rods near a parallel singularity.
-    """
-    if not np.isfinite(pose).all():
-        raise NotFiniteError("measured pose", pose)
-    try:
-        legs = leg_geometry(robot, pose)
-    except UnreachablePoseError as error:
-        raise _out_of_reach(error, options) from error
-    transmission = np.abs(legs.transmission)
-    leg = int(transmission.argmin())
-    if transmission[leg] < options.min_transmission:
-        raise SingularPoseError("serial", pose, float(transmission[leg]), options.min_transmission, leg)
-    ratio = float(line_conditioning(robot, legs))
-    if ratio < options.min_conditioning:
-        raise SingularPoseError("parallel", pose, ratio, options.min_conditioning)
-    return legs
-
-
-def _out_of_reach(error: UnreachablePoseError, options: SingularityLimits) -> RunFailure:
-    if not error.margin >= -_DEAD_CENTRE_SLACK:
-        return error
-    # The robot stands there, so it can: the crank has been carried across its dead centre, where reach ends.
-    return SingularPoseError("serial", error.pose, 0.0, options.min_transmission, error.leg)
 
 
 def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray) -> np.ndarray:
@@ -446,10 +292,10 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         [
             options.model == "exact",
             options.force_map == "printed",
-            _CHOICES["feedforward"].index(options.feedforward),
+            CHOICES["feedforward"].index(options.feedforward),
             options.feedforward_at == "reference",
             options.discretization == "exact",
-            _CHOICES["saturation"].index(options.saturation),
+            CHOICES["saturation"].index(options.saturation),
             options.bumpless,
         ],
         dtype=np.int64,
@@ -485,7 +331,7 @@ def _failure(
         return NotFiniteError(names[leg], (pose, measured[6:], wanted, value)[leg])
     if status == mechanism.UNREACHABLE:
         error = UnreachablePoseError(pose, leg, value)
-        return error if at_reference else _out_of_reach(error, options)
+        return error if at_reference else out_of_reach(error, options)
     if status == mechanism.SERIAL:
         return SingularPoseError("serial", pose, value, options.min_transmission, leg)
     if status == mechanism.PARALLEL:

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.option_checks import check_leg, check_real
 from stewart_drake.robot import LEGS, SMALLEST
 from stewart_drake.scalars import SECTION, Count, Real
-from stewart_drake.seeded import check_leg, check_real
 
 
 @dataclass(frozen=True, kw_only=True)

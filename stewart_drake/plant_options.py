@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.option_checks import are_numbers, check_choice, check_leg, check_real
 from stewart_drake.robot import LARGEST, RobotParameters
 from stewart_drake.scalars import SECTION, Count, Flag, Real, Vector3, is_finite
 from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
-from stewart_drake.seeded import check_leg, check_real
 
 STICTION_SPEED = 1e-4
 """[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
@@ -75,18 +75,16 @@ class PlantOptions:
             raise ConfigurationError(
                 "plant.time_step", self.time_step, f"{MIN_TIME_STEP:g} to {MAX_TIME_STEP:g} s (discrete time only)"
             )
-        if self.rod_joint not in ROD_JOINTS:
-            raise ConfigurationError("plant.rod_joint", self.rod_joint, " or ".join(ROD_JOINTS))
+        check_choice("plant.rod_joint", self.rod_joint, *ROD_JOINTS)
         if not isinstance(self.collision, bool):
             raise ConfigurationError("plant.collision", self.collision, "true or false")
         for name in ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction", "payload_mass"):
             value = getattr(self, name)
-            if not is_finite(value) or value < 0.0:
-                raise ConfigurationError(f"plant.{name}", value, "a finite number, zero or positive")
+            check_real(f"plant.{name}", value)
             if value > LARGEST:
                 raise ConfigurationError(f"plant.{name}", value, f"at most {LARGEST:g}")
         at = self.payload_position
-        if len(at) != 3 or not all(is_finite(x) and abs(x) <= LARGEST for x in at):
+        if not (are_numbers(at, 3) and all(abs(x) <= LARGEST for x in at)):
             raise ConfigurationError("plant.payload_position", at, "3 finite numbers [m]")
 
 

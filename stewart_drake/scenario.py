@@ -33,7 +33,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.joint_pid import PidOptions
 from stewart_drake.limits import Limits
-from stewart_drake.lqi import LqiOptions
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motors import MotorOptions
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions

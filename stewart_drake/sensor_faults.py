@@ -9,9 +9,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Real, is_finite
-from stewart_drake.seeded import check_leg, check_real
+from stewart_drake.option_checks import check_choice, check_leg, check_positive, check_real
+from stewart_drake.scalars import SECTION, Count, Real
 
 EncoderFaultKind = Literal["freeze", "nan", "jump"]
 PoseFaultKind = Literal["freeze", "nan"]
@@ -39,8 +38,7 @@ class EncoderFault:
     """[rad] of a jump."""
 
     def __post_init__(self) -> None:
-        if self.kind not in ("freeze", "nan", "jump"):
-            raise ConfigurationError("sensors.faults.kind", self.kind, "freeze, nan or jump")
+        check_choice("sensors.faults.kind", self.kind, "freeze", "nan", "jump")
         check_leg("sensors.faults.leg", self.leg)
         _check_times(self.time, self.duration)
         check_real("sensors.faults.size", self.size, -math.inf, "a finite number [rad]")
@@ -69,8 +67,7 @@ class PoseFault:
     """[s] after which the sensor is well again; null for never."""
 
     def __post_init__(self) -> None:
-        if self.kind not in ("freeze", "nan"):
-            raise ConfigurationError("sensors.faults.kind", self.kind, "freeze or nan")
+        check_choice("sensors.faults.kind", self.kind, "freeze", "nan")
         _check_times(self.time, self.duration)
 
     @property
@@ -109,5 +106,5 @@ def faulty_reading(
 
 def _check_times(time: Any, duration: Any) -> None:
     check_real("sensors.faults.time", time)
-    if duration is not None and not (is_finite(duration) and duration > 0.0):
-        raise ConfigurationError("sensors.faults.duration", duration, "a positive number [s], or null")
+    if duration is not None:
+        check_positive("sensors.faults.duration", duration, allowed="a positive number [s], or null")

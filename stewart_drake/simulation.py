@@ -12,11 +12,12 @@ import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context
 
+from stewart_drake.control_inputs import checked_legs
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop, UnreachablePoseError, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.log import SimulationLog, Status
-from stewart_drake.lqi import LqiOptions, checked_legs
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motion_fit import motion_report
 from stewart_drake.safety import refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid

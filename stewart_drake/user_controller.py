@@ -17,7 +17,8 @@ from types import ModuleType
 from typing import Any, ClassVar, Literal
 
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
-from stewart_drake.scalars import SECTION, Flag, Real, is_finite
+from stewart_drake.option_checks import check_positive
+from stewart_drake.scalars import SECTION, Flag, Real
 
 _PATH = re.compile(r"(?P<file>.+\.py):(?P<class>[A-Za-z_]\w*)|(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
@@ -62,8 +63,7 @@ class PythonOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.system, str) or _PATH.fullmatch(self.system) is None:
             raise ConfigurationError("controller.system", self.system, "module:Class or path/to/file.py:Class")
-        if not (is_finite(self.period) and self.period > 0.0):
-            raise ConfigurationError("controller.period", self.period, "a positive number")
+        check_positive("controller.period", self.period)
         try:
             json.dumps(self.arguments, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:

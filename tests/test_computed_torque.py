@@ -6,9 +6,11 @@ from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.kinematics import pose_rate_to_twist, twist_jacobian
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, lqi_gain
+from stewart_drake.lqi import lqi_gain
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.rigid_body_model import euler_acceleration, pose_acceleration_map, task_bias, task_inertia
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE
 

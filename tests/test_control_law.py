@@ -11,6 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
+from stewart_drake.control_inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control_law import ControlLaw
 from stewart_drake.density import density
 from stewart_drake.errors import (
@@ -21,7 +22,8 @@ from stewart_drake.errors import (
     UnreachablePoseError,
 )
 from stewart_drake.kinematics import conditioning, leg_geometry, pose_jacobian, reach_margin, twist_jacobian
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, checked_legs, initial_memory, lqi_tick
+from stewart_drake.lqi import initial_memory, lqi_tick
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.rigid_body_model import static_torque
 
 GRAVITY = 9.81
@@ -369,7 +371,8 @@ def test_the_law_runs_where_drake_is_not_installed(tmp_path, network):
         "sys.modules.update(pydrake=None, torch=None, pyarrow=None, matplotlib=None)\n"
         "import numpy as np\n"
         "from stewart_drake.control_law import ControlLaw\n"
-        "from stewart_drake.lqi import LqiOptions, Measurement, Setpoint\n"
+        "from stewart_drake.control_inputs import Measurement, Setpoint\n"
+        "from stewart_drake.lqi_options import LqiOptions\n"
         "from stewart_drake.network import load_network\n"
         "from stewart_drake.robot import RobotParameters\n"
         "robot = RobotParameters()\n"

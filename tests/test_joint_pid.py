@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.joint_pid import PidMemory, PidOptions, pid_tick
 from stewart_drake.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, lqi_gain
+from stewart_drake.lqi import lqi_gain
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.rigid_body_model import pose_acceleration_map, static_torque, task_inertia
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE
 

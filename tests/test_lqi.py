@@ -4,19 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError, RiccatiError, SingularPoseError
-from stewart_drake.lqi import (
-    LqiMemory,
-    LqiOptions,
-    Measurement,
-    Setpoint,
-    block_weights,
-    flat_tick,
-    held_tick,
-    initial_memory,
-    lqi_gain,
-    lqi_tick,
-)
+from stewart_drake.lqi import LqiMemory, block_weights, flat_tick, held_tick, initial_memory, lqi_gain, lqi_tick
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.rigid_body_model import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.scenario import Scenario
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE, acceleration_map, discretize, input_matrix, state_matrix

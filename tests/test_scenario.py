@@ -9,10 +9,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.control_law import ControlLaw
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.limits import Limits
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.network import default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineReference

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from stewart_drake import simulation
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError, UnreachablePoseError
 from stewart_drake.kinematics import inverse_kinematics, leg_geometry
 from stewart_drake.log import OPTIONAL, SIGNALS, load_log
-from stewart_drake.lqi import Measurement, Setpoint
 from stewart_drake.metrics import run_metrics
 from stewart_drake.network import default_network_path, load_network
 from stewart_drake.scenario import Scenario, load_scenario

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SIGNALS, SimulationLog
-from stewart_drake.lqi import LqiOptions
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 
 DPI = 150

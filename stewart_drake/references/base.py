@@ -6,8 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stewart_drake import option_checks
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import Vector6, is_finite
+from stewart_drake.scalars import Vector6
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -53,22 +54,19 @@ def check_vectors(reference: object, *names: str) -> None:
 def check_numbers(reference: object, low: float, high: float, allowed: str, *names: str) -> None:
     """Raises a `ConfigurationError` for the first of these keys that is not a finite number from `low` to `high`."""
     for name in names:
-        value = getattr(reference, name)
-        if not (is_finite(value) and low <= value <= high):
-            raise ConfigurationError(f"reference.{name}", value, allowed)
+        option_checks.check_real(f"reference.{name}", getattr(reference, name), low, allowed, high)
 
 
 def check_positive(reference: object, *names: str) -> None:
     """Raises a `ConfigurationError` for the first of these keys that is not a finite number above 0."""
-    check_numbers(reference, np.finfo(float).tiny, np.inf, "a positive number", *names)
+    for name in names:
+        option_checks.check_positive(f"reference.{name}", getattr(reference, name))
 
 
 def check_whole(reference: object, low: int, high: int, *names: str) -> None:
     """Raises a `ConfigurationError` for the first of these keys that is not a whole number from `low` to `high`."""
     for name in names:
-        value = getattr(reference, name)
-        if type(value) is not int or not low <= value <= high:
-            raise ConfigurationError(f"reference.{name}", value, f"a whole number from {low} to {high}")
+        option_checks.check_whole(f"reference.{name}", getattr(reference, name), low, high)
 
 
 def check_poses(reference: object, name: str, least: int) -> None:

@@ -11,10 +11,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.option_checks import check_seed
 from stewart_drake.references.base import HOME, check_numbers, check_positive, check_vectors, check_whole, smoothstep
 from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
 
-MAX_SEED = 2**63 - 1
 _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""
 _SLOW_SINES = 3
@@ -125,7 +125,7 @@ class HeartbeatReference:
         if self.respiratory_variation + self.slow_variation >= 1.0:
             allowed = "below 1 together with respiratory_variation: a heart does not beat backwards"
             raise ConfigurationError("reference.slow_variation", self.slow_variation, allowed)
-        check_whole(self, 0, MAX_SEED, "seed")
+        check_seed("reference.seed", self.seed)
         beats = self.premature_beats
         if not all(type(beat) is int and 1 <= beat <= 10**6 for beat in beats):
             raise ConfigurationError("reference.premature_beats", beats, "whole numbers from 1 to 1000000")
@@ -235,7 +235,7 @@ class TremorReference:
         check_positive(self, "low", "high")
         if self.high <= self.low:
             raise ConfigurationError("reference.high", self.high, f"above reference.low, {self.low:g} Hz")
-        check_whole(self, 0, MAX_SEED, "seed")
+        check_seed("reference.seed", self.seed)
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""

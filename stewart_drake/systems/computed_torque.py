@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
-from stewart_drake.lqi import Measurement, Setpoint
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
 

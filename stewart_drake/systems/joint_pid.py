@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.joint_pid import PidMemory, PidOptions, pid_tick
-from stewart_drake.lqi import Measurement, Setpoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
 

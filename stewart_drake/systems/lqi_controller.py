@@ -6,7 +6,8 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.lqi import MEMORY_SIZE, LqiOptions, flat_tick
+from stewart_drake.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
 

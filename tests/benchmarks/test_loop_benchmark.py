@@ -13,7 +13,8 @@ from stewart_drake import RobotParameters, build_diagram, build_plant, load_netw
 from stewart_drake.compiled import control
 from stewart_drake.estimator import flat_estimate, initial_memory
 from stewart_drake.kinematics import inverse_kinematics
-from stewart_drake.lqi import MEMORY_SIZE, LqiOptions, flat_tick
+from stewart_drake.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.riccati import riccati_gain
 from stewart_drake.rigid_body_model import pose_acceleration_map, static_torque
 from stewart_drake.sampling import on_grid

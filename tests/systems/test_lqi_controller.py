@@ -5,9 +5,11 @@ from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT, poses, vectors
 
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import NotFiniteError, SingularPoseError
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint, initial_memory, lqi_tick
+from stewart_drake.lqi import initial_memory, lqi_tick
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario

@@ -3,10 +3,11 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
+from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.joint_pid import PidMemory, PidOptions, pid_tick
-from stewart_drake.lqi import LqiOptions, Measurement, Setpoint
+from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques
 from stewart_drake.scenario import Scenario, load_scenario

@@ -9,11 +9,11 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.experiments.faults.catalogue import FAULTS, MOTIONS, Fault, Reaction
-from stewart_drake.kinematics import rotation_matrix, twist_jacobian
+from stewart_drake.kinematics import rotation_angle, rotation_matrix, twist_jacobian
 from stewart_drake.log import SimulationLog
 from stewart_drake.motors import HoldableLoad, holdable_load
 from stewart_drake.rigid_body_model import static_torque
-from stewart_drake.safety import RAMP, rotation_angle
+from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario
 
 
