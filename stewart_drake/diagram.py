@@ -20,6 +20,7 @@ from stewart_drake.computed_torque import ComputedTorqueOptions
 from stewart_drake.errors import UnreachablePoseError, drake_guard
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.joint_pid import PidOptions
+from stewart_drake.kinematics import crank_rates, leg_geometry
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.plant import StewartPlant, add_plant
 from stewart_drake.rigid_body_model import static_torque
@@ -184,8 +185,8 @@ class _Wiring:
                 "encoders", MotorEncoders(self.plant, sensors, self.period, compiled), plant_state=state
             )
             self.angles = self._with_faults(encoders.angles)
-            start = self.scenario.start()[0]
-            estimator = PoseEstimator(self.believed, sensors, self.period, start, compiled, self.guarded)
+            start, rates = self.scenario.start()[0], _starting_crank_rates(self.scenario)
+            estimator = PoseEstimator(self.believed, sensors, self.period, start, rates, compiled, self.guarded)
             self.add("estimator", estimator, angles=self.angles)
             (self.signals["measurement"],) = self.parts("estimate", estimator, 12)
         else:
@@ -316,6 +317,17 @@ def _standing_torque(scenario: Scenario) -> np.ndarray:
     # In that case the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
         return static_torque(scenario.believed_robot, scenario.start()[0], scenario.gravity)
+    return np.zeros(6)
+
+
+def _starting_crank_rates(scenario: Scenario) -> np.ndarray:
+    """Crank rates (6,) [rad/s] of the robot, as believed, at the start; zeros where it cannot stand there."""
+    pose, pose_rate = scenario.start()
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(scenario.believed_robot, leg_geometry(scenario.believed_robot, pose), pose, pose_rate)
+        if np.isfinite(rates).all():
+            return rates
     return np.zeros(6)
 
 

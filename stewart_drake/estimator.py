@@ -120,10 +120,16 @@ class EncoderOptions:
 FlatEstimate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def initial_memory(pose: np.ndarray) -> np.ndarray:
-    """Memory (27,) before the first tick; `pose` (6,) [rad, m] is roughly where the platform stands."""
+def initial_memory(pose: np.ndarray, crank_rates: np.ndarray | None = None) -> np.ndarray:
+    """Memory (27,) before the first tick.
+
+    Args:
+        pose: (6,) [rad, m] roughly where the platform stands.
+        crank_rates: (6,) [rad/s] of a robot that is in motion at the start; None for one at rest.
+    """
     memory = np.zeros(MEMORY_SIZE)
     memory[:6] = pose
+    memory[18:24] = 0.0 if crank_rates is None else crank_rates
     return memory
 
 
@@ -132,7 +138,8 @@ def estimate(
 ) -> np.ndarray:
     """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles.
 
-    Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. A pose is
+    Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
+    has one reading; it repeats the crank rates of `initial_memory`. A pose is
     believed if no angle has jumped, Newton's method converges near the last pose, and the rods' lines have not changed
     orientation: between two assembly modes lies a parallel singularity, where their determinant changes sign. The
     cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead centres.
@@ -174,10 +181,10 @@ def estimate(
     step = np.abs(pose - guess) / np.repeat(options.max_step, 3)
     if (started and sign != memory[25]) or step.max() > 1.0:
         raise AssemblyModeError(pose, guess)
-    rate = np.zeros(6)
+    rate = memory[18:24]
     if started:
         difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
-        rate = memory[18:24] + options.smoothing(period) * (difference - memory[18:24])
+        rate = rate + options.smoothing(period) * (difference - rate)
     try:
         twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
     except np.linalg.LinAlgError:

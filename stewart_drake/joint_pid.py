@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.control_inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.errors import NotFiniteError
-from stewart_drake.kinematics import LegGeometry, leg_geometry, pose_rate_to_twist, rod_lines
+from stewart_drake.kinematics import crank_rates, leg_geometry
 from stewart_drake.lqi_options import SATURATIONS, Saturation
 from stewart_drake.option_checks import check_choice, check_fraction, check_positive, check_real
 from stewart_drake.rigid_body_model import static_torque_of_legs
@@ -115,8 +115,8 @@ def pid_tick(
     legs, wanted_legs = checked_legs(robot, options, measurement.pose), leg_geometry(robot, setpoint.pose)
     error = legs.crank_angles - wanted_legs.crank_angles
     error = np.arctan2(np.sin(error), np.cos(error))
-    rate = _crank_rates(robot, legs, measurement.pose, measurement.pose_rate)
-    rate_error = rate - _crank_rates(robot, wanted_legs, setpoint.pose, setpoint.pose_rate)
+    rate = crank_rates(robot, legs, measurement.pose, measurement.pose_rate)
+    rate_error = rate - crank_rates(robot, wanted_legs, setpoint.pose, setpoint.pose_rate)
     integral = memory.integral
     wanted = -(options.kp * error + options.kd * rate_error + options.ki * integral)
     if options.feedforward == "gravity" and gravity != 0.0:
@@ -133,8 +133,3 @@ def pid_tick(
         elif options.ki > 0.0:
             growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
     return PidMemory(torque, integral + growth)
-
-
-def _crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-    along_rods = rod_lines(legs) @ pose_rate_to_twist(pose, pose_rate)
-    return along_rods / (robot.crank_length * legs.transmission)

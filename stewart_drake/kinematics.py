@@ -296,6 +296,22 @@ def pose_jacobian(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     return jacobian
 
 
+def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+    """Crank rates at a pose whose leg vectors are at hand; infinite or NaN at a crank's dead centre.
+
+    Args:
+        robot: Geometry.
+        legs: `leg_geometry` of `pose`.
+        pose: (..., 6) [rad, m].
+        pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity of P.
+
+    Returns:
+        (..., 6) [rad/s].
+    """
+    along_rods = np.einsum("...ij,...j->...i", rod_lines(legs), pose_rate_to_twist(pose, pose_rate))
+    return along_rods / (robot.crank_length * legs.transmission)
+
+
 def forward_kinematics(
     robot: RobotParameters,
     crank_angles: np.ndarray,

@@ -57,6 +57,16 @@ def test_the_pose_is_exact_without_quanta_and_stands_still_at_first(pose, away, 
     np.testing.assert_array_equal(memory[6:12], 0.0)
 
 
+@few
+@given(poses(0.8), vectors(6, 0.5), st.booleans())
+def test_at_first_the_rate_is_the_one_of_the_start(pose, rate, compiled):
+    start = initial_memory(pose, pose_jacobian(ROBOT, pose) @ rate)
+    # Whatever the low pass does with later differences.
+    options = EncoderOptions(resolution_bits=0, rate_cutoff=10.0)
+    memory = flat_estimate(ROBOT, options, PERIOD, compiled)(at(pose), start)
+    np.testing.assert_allclose(memory[6:12], rate, atol=1e-9)
+
+
 @pytest.mark.parametrize("robot", [ROBOT, PLUS, OTHER], ids=["paper", "other branch", "other geometry"])
 @both
 def test_the_rate_is_that_of_now_to_first_order_in_the_period(robot, compiled):

@@ -109,6 +109,15 @@ def test_encoders_and_delay_together_run_and_keep_what_was_measured(tmp_path):
     np.testing.assert_array_equal(again["block_weights"], np.broadcast_to(log.scenario.tuner.weights, (101, 4)))
 
 
+def test_a_robot_that_starts_in_motion_is_measured_in_motion_from_the_first_tick():
+    log = run(exact("duration=0.02", sensors=ENCODERS))
+    wrong = np.abs(log["measured_pose_rate"] - log["pose_rate"])
+    assert np.abs(log["pose_rate"][0]).max() > 1.0
+    np.testing.assert_allclose(wrong[0], 0.0, atol=1e-5)
+    # No kick: the first torque is as near to the weight's as those that follow.
+    assert np.abs(log["torque"] - log["torque"].mean(axis=0)).max() < 0.1
+
+
 def test_a_model_that_cannot_stand_at_the_start_ends_the_run_with_a_log_delayed_or_not():
     for delay in (0, 2):
         log = run(exact(f"command_delay={delay}", model_robot={"home_height": 0.2, "rod_length": 0.2}))

@@ -13,6 +13,7 @@ from strategies import ROBOT, poses, vectors
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.kinematics import (
     conditioning,
+    crank_rates,
     cross,
     euler_rate_matrix,
     euler_rate_matrix_dot,
@@ -184,6 +185,15 @@ def test_forward_kinematics_refuses_a_bad_guess():
 def test_pose_jacobian_against_central_differences(pose):
     numerical = central_difference(lambda x: inverse_kinematics(ROBOT, x), pose)
     np.testing.assert_allclose(pose_jacobian(ROBOT, pose), numerical, atol=1e-6, rtol=1e-6)
+
+
+@given(pose=poses(0.8), rate=vectors(6, 1.0))
+def test_crank_rates_are_the_jacobian_times_the_pose_rate(pose, rate):
+    stacked = np.stack([pose, ROBOT.home_pose]), np.stack([rate, -rate])
+    found = crank_rates(ROBOT, leg_geometry(ROBOT, stacked[0]), *stacked)
+    for k in range(2):
+        expected = pose_jacobian(ROBOT, stacked[0][k]) @ stacked[1][k]
+        np.testing.assert_allclose(found[k], expected, rtol=1e-9, atol=1e-9)
 
 
 @given(pose=poses(0.8))

@@ -54,7 +54,7 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
             along += legs[k, 3 + m] * robot[12 + k, m]
         if not along * np.cos(angles[k]) + legs[k, 5] * np.sin(angles[k]) >= SAME_BRANCH:
             return NO_CONVERGENCE
-        result[18 + k] = 0.0
+        result[18 + k] = memory[18 + k]
         if started:
             difference = (angles[k] - memory[12 + k]) / elapsed
             result[18 + k] = memory[18 + k] + numbers[1] * (difference - memory[18 + k])

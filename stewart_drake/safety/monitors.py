@@ -8,6 +8,7 @@ import numpy as np
 
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.kinematics import (
+    crank_rates,
     leg_geometry,
     line_conditioning,
     pose_rate_to_twist,
@@ -99,7 +100,7 @@ def _too_fast(robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, 
         legs = leg_geometry(robot, pose)
     except UnreachablePoseError:
         return None
-    speed = np.abs(rod_lines(legs) @ pose_rate_to_twist(pose, rate) / (robot.crank_length * legs.transmission))
+    speed = np.abs(crank_rates(robot, legs, pose, rate))
     return (
         None if speed.max() <= options.crank_speed else Trip(MONITORS.index("crank_speed"), RAMP, int(speed.argmax()))
     )

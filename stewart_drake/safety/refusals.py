@@ -8,9 +8,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.kinematics import (
+    crank_rates,
     leg_geometry,
     line_conditioning,
-    pose_rate_to_twist,
     rod_lines,
     rotation_angle,
     rotation_matrix,
@@ -45,8 +45,7 @@ def refuse_motion(
     transmission = np.abs(legs.transmission)
     crossed = np.sign(np.linalg.det(lines)) * np.sign(np.linalg.det(lines[0]))
     conditioning = line_conditioning(robot, legs) * crossed
-    along = np.einsum("nij,nj->ni", lines, pose_rate_to_twist(pose, pose_rate))
-    speed = np.abs(along / (robot.crank_length * legs.transmission))
+    speed = np.abs(crank_rates(robot, legs, pose, pose_rate))
     if options.workspace is not None:
         _refuse("workspace", options.workspace, turn / options.workspace[0], 1.0, time, "the angle")
         _refuse("workspace", options.workspace, away / options.workspace[1], 1.0, time, "the distance")

@@ -18,6 +18,7 @@ class PoseEstimator(TickedSystem):
         options: See `EncoderOptions`.
         period: [s] tick period.
         start: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
+        start_crank_rates: (6,) [rad/s] that the first tick reports, with no reading before it; None for rest.
         compiled: See `LqiOptions.compiled`.
         guarded: See `TickedSystem`.
 
@@ -32,10 +33,11 @@ class PoseEstimator(TickedSystem):
         options: EncoderOptions,
         period: float,
         start: np.ndarray,
+        start_crank_rates: np.ndarray | None = None,
         compiled: bool = False,
         guarded: bool = False,
     ) -> None:
-        super().__init__(period, initial_memory(start), guarded)
+        super().__init__(period, initial_memory(start, start_crank_rates), guarded)
         self._estimate = flat_estimate(robot, options, period, compiled)
         self.angles = self.DeclareVectorInputPort("angles", 6)
         self._declare_result()
