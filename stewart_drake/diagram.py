@@ -163,10 +163,10 @@ class _Wiring:
     def parts(self, name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
         """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
         rest = system.result.size() - sum(sizes)
-        sizes_of_rest = [rest - 3, 2, 1] if system.guarded else [rest]
-        split = self.add(name, Demultiplexer(output_ports_sizes=[*sizes, *sizes_of_rest]), u0=system.result)
+        more = [size for size in ((rest - 3, 2, 1) if system.guarded else (rest,)) if size > 0]
+        split = self.add(name, Demultiplexer(output_ports_sizes=[*sizes, *more]), u0=system.result)
         if system.guarded:
-            self.health[name] = split.get_output_port(len(sizes) + 1)
+            self.health[name] = split.get_output_port(len(sizes) + len(more) - 2)
         return [split.get_output_port(k) for k in range(len(sizes))]
 
     def add_disturbances(self) -> None:
@@ -215,9 +215,9 @@ class _Wiring:
             weights = len(self.scenario.tuner.weights)
             system: Any = LqiController(self.believed, options, gravity, weights, self.guarded)
         elif isinstance(options, ComputedTorqueOptions):
-            system = ComputedTorque(self.believed, options, gravity)
+            system = ComputedTorque(self.believed, options, gravity, self.guarded)
         elif isinstance(options, PidOptions):
-            system, sizes = JointPid(self.believed, options, gravity), (6,)
+            system, sizes = JointPid(self.believed, options, gravity, self.guarded), (6,)
         else:
             system = load_user_controller(options, self.believed, gravity, weights=len(self.scenario.tuner.weights))
             sizes = ()

@@ -9,10 +9,10 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.lqi import MEMORY_SIZE, flat_tick
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.systems.tracking_controller import TrackingController
 
 
-class LqiController(TickedSystem):
+class LqiController(TrackingController):
     """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
 
     The torque answers within the tick (no added delay) and is held until the next; see `TickedSystem`. z, and what
@@ -39,13 +39,10 @@ class LqiController(TickedSystem):
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(options.period, np.zeros(MEMORY_SIZE), guarded)
+        super().__init__(options.period, MEMORY_SIZE, guarded)
         self._tick = flat_tick(robot, options, gravity)
-        self.measurement = self.DeclareVectorInputPort("measurement", 12)
-        self.reference = self.DeclareVectorInputPort("reference", 18)
         self.weights = self.DeclareVectorInputPort("weights", weights)
-        self._declare_result()
-        self.torque = self._declare_output("torque", 0, 6)
+        self._declare_torque()
         self.error = self._declare_output("error", 6, 6)
         self.integral = self._declare_output("integral", 12, 6)
 

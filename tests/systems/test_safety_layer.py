@@ -132,6 +132,13 @@ def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause
     assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
 
 
+@pytest.mark.parametrize("kind", ["pid", "computed_torque"])
+def test_a_fault_of_every_controller_of_the_package_is_bridged_and_has_its_cause(kind):
+    bad = {"kind": kind, "min_transmission": 0.97}
+    log = run(scenario(controller=bad, tuner={"kind": "fixed"}, duration=0.3), check=False)
+    assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
+
+
 def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
     bad = BASE["controller"] | {"min_transmission": 0.97}
     log = run(scenario(controller=bad, safety={"failures": False}, duration=0.3), check=False)
