@@ -60,6 +60,9 @@ def run(
     loop = ClosedLoop(scenario, meshcat)
     with drake_guard("preparing the simulator"):
         simulator = Simulator(loop, loop.create_start_context())
+        # Steps as error control wants them end nowhere once a derivative is not a number; only a controller of the
+        # user's has continuous state, and it is integrated from step to step of the plant.
+        simulator.get_mutable_integrator().set_fixed_step_mode(True)
     context = simulator.get_context()
 
     step = on_grid(scenario.plant.time_step)

@@ -182,6 +182,35 @@ def test_a_torque_that_is_no_number_ends_the_run_without_a_safety_layer_too(writ
     assert 0.04 < log.end_time < 0.06
 
 
+FILTERED = (
+    GOOD.replace(
+        "        self.scale = scale\n", "        self.scale = scale\n        self.DeclareContinuousState(6)\n"
+    ).replace(
+        "np.full(6, 0.33 * self.scale)",
+        "context.get_continuous_state_vector().CopyToVector()",
+    )
+    + """
+    def DoCalcTimeDerivatives(self, context, derivatives):
+        x = context.get_continuous_state_vector().CopyToVector()
+        derivatives.get_mutable_vector().SetFromVector(50.0 * (0.33 - x) {})
+"""
+)
+
+
+def test_continuous_state_is_integrated_to_third_order_in_the_plants_step(written):
+    log = run(scenario(written(FILTERED.format("")), duration=0.02))
+    exact = 0.33 * (1.0 - np.exp(-50.0 * log.time))
+    # Local error (50 h)^4 / 24 of what is left to go, over the 20 ms that a time constant lasts.
+    bound = 0.33 * 20 * (50.0 * 0.001) ** 4 / 24.0
+    assert 0.1 * bound < np.abs(log["torque"] - exact[:, None]).max() < bound
+
+
+def test_a_derivative_that_is_no_number_ends_the_run_and_does_not_hang_it(written):
+    log = run(scenario(written(FILTERED.format("* (np.nan if context.get_time() > 0.05 else 1.0)"))))
+    assert (log.status, log.reason) == ("failed", "not_finite")
+    assert 0.04 < log.end_time < 0.06
+
+
 def test_a_run_that_it_ends_before_its_time_is_not_completed(written):
     stop = "lambda c: EventStatus.ReachedTermination(self, 'enough')"
     text = GOOD.replace("import LeafSystem", "import EventStatus, LeafSystem").replace(
