@@ -38,16 +38,21 @@ if TYPE_CHECKING:
     from stewart_drake.references import paper_reference as paper_reference
     from stewart_drake.robot import RobotParameters as RobotParameters
     from stewart_drake.sampling import on_grid as on_grid
+    from stewart_drake.scenario import AnnTuner as AnnTuner
+    from stewart_drake.scenario import BlockTuner as BlockTuner
+    from stewart_drake.scenario import FixedTuner as FixedTuner
     from stewart_drake.scenario import Scenario as Scenario
     from stewart_drake.scenario import load_scenario as load_scenario
     from stewart_drake.sdf_model import write_sdf as write_sdf
     from stewart_drake.simulation import run as run
 
+    __version__: str
+
 _HOME = {
     "ControlLaw": "control_law",
-    "LqiOptions": "lqi",
-    "Measurement": "lqi",
-    "Setpoint": "lqi",
+    "LqiOptions": "lqi_options",
+    "Measurement": "control_inputs",
+    "Setpoint": "control_inputs",
     "ClosedLoop": "diagram",
     "build_diagram": "diagram",
     "ConfigurationError": "errors",
@@ -70,6 +75,9 @@ _HOME = {
     "paper_reference": "references",
     "RobotParameters": "robot",
     "on_grid": "sampling",
+    "AnnTuner": "scenario",
+    "BlockTuner": "scenario",
+    "FixedTuner": "scenario",
     "Scenario": "scenario",
     "load_scenario": "scenario",
     "write_sdf": "sdf_model",
@@ -79,12 +87,18 @@ _HOME = {
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:
+    # A type checker that saw this would take every misspelt name for one of the package.
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from stewart_drake.versions import package_version
+
+            return package_version("stewart-drake") or "not installed"
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

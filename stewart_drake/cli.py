@@ -187,13 +187,14 @@ def schema(out: Path | None) -> None:
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. robot.rod_length=0.42."
 )
-def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...]) -> None:
-    """Write a robot as an SDF file; another geometry gives another robot."""
+@click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
+def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...], collision: bool) -> None:
+    """Write the robot of a scenario, with its plant.rod_joint, as an SDF file; another geometry gives another robot."""
     from stewart_drake.scenario import load_scenario
     from stewart_drake.sdf_model import write_sdf
 
     loaded = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
-    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint)
+    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
 
 
 cli.add_command(check)

@@ -12,9 +12,11 @@ import numpy as np
 
 from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.density import DensityKind, density, push
-from stewart_drake.lqi import LqiMemory, held_tick, initial_memory
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.lqi import LqiMemory, block_weights, held_tick, initial_memory
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.network import TunerNetwork
+from stewart_drake.option_checks import check_choice
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
 
@@ -53,6 +55,11 @@ class ControlLaw:
         density_kind: Kind of density.
         window: Window m [ticks].
         initial_weights: omega_Q, omega_R at the start, or q_e, q_v, q_z, r.
+
+    Raises:
+        ConfigurationError: A window below 1, a kind of density that is not the network's, four weights beside a
+            network.
+        RiccatiError: Weights that are not positive and finite.
     """
 
     robot: RobotParameters
@@ -62,6 +69,18 @@ class ControlLaw:
     density_kind: DensityKind = "magnitude"
     window: int = 49
     initial_weights: tuple[float, ...] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if type(self.window) is not int or self.window < 1:
+            raise ConfigurationError("window", self.window, "an integer >= 1")
+        check_choice("density_kind", self.density_kind, "magnitude", "signed")
+        block_weights(np.array(self.initial_weights))
+        if self.network is not None:
+            if self.density_kind != self.network.density:
+                allowed = f"{self.network.density}, as the network was trained on"
+                raise ConfigurationError("density_kind", self.density_kind, allowed)
+            if len(self.initial_weights) != 2:
+                raise ConfigurationError("initial_weights", self.initial_weights, "two, with a network")
 
     def initial_state(self) -> ControlState:
         """State before the first tick."""

@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from stewart_drake.errors import ConfigurationError
+
 DensityKind = Literal["magnitude", "signed"]
 
 MEAN_FLOOR = 1e-9
@@ -25,8 +27,16 @@ def density(samples: np.ndarray, kind: DensityKind = "magnitude", scale: float |
 
     Returns:
         (k,) [-].
+
+    Raises:
+        ConfigurationError: Another `kind`.
     """
-    values = np.abs(samples) if kind == "magnitude" else samples
+    if kind == "magnitude":
+        values = np.abs(samples)
+    elif kind == "signed":
+        values = samples
+    else:
+        raise ConfigurationError("density", kind, "magnitude or signed")
     count = len(values)
     mean = np.add.reduce(values, axis=0) / count
     flat = np.abs(mean) < MEAN_FLOOR * scale

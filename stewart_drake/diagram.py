@@ -1,4 +1,4 @@
-"""The closed loop of Fig. 6 as one Diagram; the only place of the package that connects ports."""
+"""The closed loop of Fig. 6 as one Diagram; the only place that connects its systems (`plant` wires its own parts)."""
 
 from __future__ import annotations
 
@@ -56,10 +56,12 @@ _System = TypeVar("_System")
 class ClosedLoop(Diagram):
     """Plant, sensor, reference, controller and, where that takes weights, density features and tuner; wired and logged.
 
-    Output ports: plant_state (nq + nv,), measurement (12,), reference (18,), torque (6,), error (6,), integral (6,),
-    for controllers that take weights weights (2,) or (4,), density (12,);
-    where something stands between controller and motors (delay, link, safety layer, imperfect motors) torque_applied
-    (6,), what the motors are given; with disturbances disturbance (6,); with a safety layer safety (3,).
+    Output ports: plant_state (nq + nv,) [rad, rad/s], measurement (12,) pose [rad, m] and pose rate [rad/s, m/s],
+    reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m], error (6,) [rad, m],
+    integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,) [-]; where
+    something stands between controller and motors (delay, link, safety layer, imperfect motors) torque_applied (6,)
+    [N m], what the motors are given; with disturbances disturbance (6,) [N m, N] about P; with a safety layer safety
+    (3,): numbers of level and monitor, leg or -1.
 
     Args:
         scenario: The run to build.

@@ -108,22 +108,28 @@ class UnreachablePoseError(RunFailure):
 
 
 class SingularPoseError(RunFailure):
-    """The map between motor torques and platform wrench loses rank at this pose.
+    """The map between motor torques and platform wrench, or a joint's coordinates, lose rank at this pose.
 
     Attributes:
-        kind: `serial` (a crank at its dead centre) or `parallel` (the rods' lines lose rank).
+        kind: `serial` (a crank at its dead centre), `parallel` (the rods' lines lose rank) or `rod_joint` (a rod turned
+            by 90 deg in its joint at the crank, where the joint's angles mean nothing).
         pose: (6,) [rad, m].
         margin: The measure that fell below its limit [-].
     """
 
     def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
         self.kind, self.pose, self.margin = kind, pose, margin
-        self.reason = "crank_dead_centre" if kind == "serial" else "parallel_singularity"
-        what = (
-            f"crank of leg {leg} at its dead centre: transmission |e_l . e_N| = {margin:.4g}"
-            if kind == "serial"
-            else f"parallel singularity: sigma_min / sigma_max = {margin:.4g}"
-        )
+        self.reason, what = {
+            "serial": (
+                "crank_dead_centre",
+                f"crank of leg {leg} at its dead centre: transmission |e_l . e_N| = {margin:.4g}",
+            ),
+            "parallel": ("parallel_singularity", f"parallel singularity: sigma_min / sigma_max = {margin:.4g}"),
+            "rod_joint": (
+                "rod_joint",
+                f"rod of leg {leg} turned by 90 deg in its joint on the crank: cos = {margin:.3g}",
+            ),
+        }[kind]
         super().__init__(f"{what} at pose {_format_pose(pose)} (allowed: >= {limit:g})", leg)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.kinematics import LegGeometry, leg_geometry, rod_lines
 from stewart_drake.robot import RobotParameters
 
@@ -31,9 +33,14 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
 
     Returns:
         (..., 6) [1/m]; `statics` is infinite at a crank's dead centre.
+
+    Raises:
+        ConfigurationError: Another `kind`.
     """
     if kind == "printed":
         return legs.transmission / robot.crank_length
+    if kind != "statics":
+        raise ConfigurationError("force_map", kind, "statics or printed")
     with np.errstate(divide="ignore"):
         return 1.0 / (robot.crank_length * legs.transmission)
 
@@ -43,7 +50,7 @@ def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapK
     return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
 
 
-def force_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
+def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
     """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
 
     Args:
@@ -55,6 +62,6 @@ def force_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "st
         (..., 6, 6) [-, 1/m].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; another `kind`.
     """
     return force_map_of_legs(robot, leg_geometry(robot, pose), kind)

@@ -9,12 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.robot import RobotParameters
 
 
-def rotation_matrix(rpy: np.ndarray) -> np.ndarray:
+def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
     """R_BP of roll, pitch, yaw; the inverse of (3).
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
@@ -65,7 +66,7 @@ def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
     )
 
 
-def euler_rate_matrix(rpy: np.ndarray) -> np.ndarray:
+def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
     """E with w_B = E(rpy) d(rpy)/dt.
 
     Args:
@@ -110,7 +111,7 @@ def euler_rate_matrix_dot(rpy: np.ndarray, rpy_rate: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def pose_rate_to_twist(pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
     """Twist [w, v] of P in B from the pose's rate.
 
     Args:
@@ -125,7 +126,7 @@ def pose_rate_to_twist(pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
     return np.concatenate([omega, pose_rate[..., 3:]], axis=-1)
 
 
-def twist_to_pose_rate(pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
+def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     """Inverse of `pose_rate_to_twist`.
 
     Args:
@@ -161,14 +162,14 @@ class LegGeometry:
     transmission: np.ndarray
 
 
-def _spans(robot: RobotParameters, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _spans(robot: RobotParameters, pose: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """R p_i and d_i = R p_i + G - P_i, both (..., 6, 3) [m]; (2)."""
     pose = np.asarray(pose, dtype=float)
     arm = robot.platform_joints @ np.swapaxes(rotation_matrix(pose[..., :3]), -1, -2)
     return arm, arm + pose[..., None, 3:] - robot.shaft_positions
 
 
-def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def reach_margin(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
     Args:
@@ -181,7 +182,7 @@ def reach_margin(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     return robot.reach_margin(_spans(robot, pose)[1])
 
 
-def inverse_kinematics(robot: RobotParameters, pose: np.ndarray, branch: int | None = None) -> np.ndarray:
+def inverse_kinematics(robot: RobotParameters, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
     """Crank angles that put the platform at `pose`; closed form of (1)-(6).
 
     Deviation: (5) rotates G as well, a misplaced bracket; (6) gives one branch in degrees without A, B, C. Here
@@ -202,7 +203,7 @@ def inverse_kinematics(robot: RobotParameters, pose: np.ndarray, branch: int | N
     return _solve_cranks(robot, pose, branch)[0]
 
 
-def leg_geometry(robot: RobotParameters, pose: np.ndarray, branch: int | None = None) -> LegGeometry:
+def leg_geometry(robot: RobotParameters, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
     """Directions of cranks and rods at `pose`, Fig. 1.
 
     Args:
@@ -211,7 +212,7 @@ def leg_geometry(robot: RobotParameters, pose: np.ndarray, branch: int | None = 
         branch: As in `inverse_kinematics`.
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     theta, arm, span = _solve_cranks(robot, pose, branch)
     cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
@@ -224,7 +225,7 @@ def leg_geometry(robot: RobotParameters, pose: np.ndarray, branch: int | None = 
 
 
 def _solve_cranks(
-    robot: RobotParameters, pose: np.ndarray, branch: int | None
+    robot: RobotParameters, pose: ArrayLike, branch: int | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pose = np.asarray(pose, dtype=float)
     if pose.ndim < 1 or pose.shape[-1] != 6 or not np.isfinite(pose).all():
@@ -260,7 +261,7 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
     return np.concatenate([cross(legs.arm, legs.e_l), legs.e_l], axis=-1)
 
 
-def twist_jacobian(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def twist_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(twist): crank rates from the twist of P.
 
     Args:
@@ -271,13 +272,13 @@ def twist_jacobian(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
         (..., 6, 6) [-, rad/m]; infinite where a crank is at its dead centre.
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     legs = leg_geometry(robot, pose)
     return rod_lines(legs) / (robot.crank_length * legs.transmission[..., None])
 
 
-def pose_jacobian(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def pose_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(pose): crank rates from the pose's rate (Euler rates).
 
     Args:
@@ -288,7 +289,7 @@ def pose_jacobian(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
         (..., 6, 6) [-, rad/m].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     pose = np.asarray(pose, dtype=float)
     jacobian = twist_jacobian(robot, pose)
@@ -314,8 +315,8 @@ def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pos
 
 def forward_kinematics(
     robot: RobotParameters,
-    crank_angles: np.ndarray,
-    guess: np.ndarray | None = None,
+    crank_angles: ArrayLike,
+    guess: ArrayLike | None = None,
     tolerance: float = 1e-13,
     max_iterations: int = 30,
 ) -> np.ndarray:
@@ -343,7 +344,11 @@ def forward_kinematics(
     start = robot.home_pose if guess is None else np.asarray(guess, dtype=float)
     if start.shape[-1:] != (6,) or not np.isfinite(start).all():
         raise ConfigurationError("guess", start, "finite numbers of shape (..., 6)")
-    pose = np.array(np.broadcast_to(start, theta.shape))
+    try:
+        pose = np.array(np.broadcast_to(start, theta.shape))
+    except ValueError:
+        allowed = f"finite numbers whose shape fits that of crank_angles, {theta.shape}"
+        raise ConfigurationError("guess", start, allowed) from None
     tips = robot.shaft_positions + robot.crank_length * np.cos(theta)[..., None] * robot.crank_zero_directions
     tips[..., 2] += robot.crank_length * np.sin(theta)
     error = np.inf
@@ -369,7 +374,7 @@ def forward_kinematics(
     raise ForwardKinematicsError(error, iteration)
 
 
-def conditioning(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def conditioning(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """sigma_min / sigma_max of [e_M / length; e_l] of (14), rotations scaled by the characteristic length.
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
@@ -382,7 +387,7 @@ def conditioning(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
         (...) [-].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     return line_conditioning(robot, leg_geometry(robot, pose))
 

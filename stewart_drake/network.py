@@ -10,13 +10,14 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from stewart_drake.density import DensityKind
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
+from stewart_drake.option_checks import check_choice
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT = "stewart-drake tuner"
@@ -56,6 +57,10 @@ class TunerNetwork:
         density: Kind of density that the network was trained on.
         window: Window m of the training data [ticks].
         provenance: Where the weights come from: data, seeds, versions.
+
+    Raises:
+        ConfigurationError: A wrong shape, numbers that are not finite or beyond 1e100, scales or ranges that are not
+            positive, an unknown density, a window below 1.
     """
 
     input_mean: np.ndarray
@@ -69,6 +74,21 @@ class TunerNetwork:
     density: DensityKind = "magnitude"
     window: int = 49
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_choice("density", self.density, "magnitude", "signed")
+        if type(self.window) is not int or self.window < 1:
+            raise ConfigurationError("window", self.window, "an integer >= 1")
+        for name, shape in _SHAPES.items():
+            array = getattr(self, name)
+            # NaN is not below anything.
+            if np.shape(array) != shape or not (np.abs(array) < _LARGEST_NUMBER).all():
+                raise ConfigurationError(name, np.asarray(array).tolist(), f"finite numbers of shape {shape}")
+        for name in ("input_scale", "omega_min", "omega_max"):
+            if not (getattr(self, name) > 1.0 / _LARGEST_NUMBER).all():
+                raise ConfigurationError(name, getattr(self, name).tolist(), "positive numbers")
+        if not (self.omega_min <= self.omega_max).all():
+            raise ConfigurationError("omega_min", self.omega_min.tolist(), "at most omega_max")
 
     def log_weights(self, densities: np.ndarray) -> np.ndarray:
         """Raw network output.
@@ -157,30 +177,27 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
     if document.get("version") != VERSION:
         raise ConfigurationError(f"{key}: version", document.get("version"), str(VERSION))
-    if document.get("density") not in ("magnitude", "signed"):
-        raise ConfigurationError(f"{key}: density", document.get("density"), "magnitude or signed")
-    window = document.get("window")
-    if type(window) is not int or window < 1:
-        raise ConfigurationError(f"{key}: window", window, "an integer >= 1")
-    arrays: dict[str, np.ndarray] = {}
-    for name, shape in _SHAPES.items():
-        try:
-            array = np.array(document.get(name))
-        except ValueError as error:
-            raise ConfigurationError(f"{key}: {name}", document.get(name), f"numbers of shape {shape}") from error
-        # Texts and integers beyond 64 bits come as other kinds; NaN is not below anything.
-        if array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < _LARGEST_NUMBER).all():
-            raise ConfigurationError(f"{key}: {name}", document.get(name), f"finite numbers of shape {shape}")
-        arrays[name] = array.astype(float)
-    for name in ("input_scale", "omega_min", "omega_max"):
-        if not (arrays[name] > 1.0 / _LARGEST_NUMBER).all():
-            raise ConfigurationError(f"{key}: {name}", document[name], "positive numbers")
-    if not (arrays["omega_min"] <= arrays["omega_max"]).all():
-        raise ConfigurationError(f"{key}: omega_min", document["omega_min"], "at most omega_max")
     provenance = document.get("provenance", {})
     if not isinstance(provenance, dict):
         raise ConfigurationError(f"{key}: provenance", provenance, "a mapping")
-    return TunerNetwork(**arrays, density=document["density"], window=window, provenance=provenance)
+    try:
+        arrays = {name: _numbers(name, document.get(name)) for name in _SHAPES}
+        kind, window = cast(DensityKind, document.get("density")), cast(int, document.get("window"))
+        return TunerNetwork(**arrays, density=kind, window=window, provenance=provenance)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+
+
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """A list of numbers of a weights file as an array."""
+    try:
+        array = np.array(value)
+    except ValueError:
+        array = np.array(None)
+    # Texts and integers beyond 64 bits come as other kinds.
+    if array.dtype.kind not in "fi":
+        raise ConfigurationError(name, value, f"finite numbers of shape {_SHAPES[name]}")
+    return array.astype(float)
 
 
 def default_network_path() -> Path:

@@ -7,6 +7,7 @@ the motion itself is first order in the step. Report `StewartPlant.loop_gap` wit
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
@@ -27,6 +28,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
 
 from stewart_drake.errors import ConfigurationError, drake_guard
+from stewart_drake.option_checks import check_leg
 from stewart_drake.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import LEGS, RobotParameters
@@ -77,12 +79,17 @@ class StewartPlant(StateMap):
         Args:
             context: Context of the whole Diagram, not the plant's own in it.
             leg: 0 to 5.
+
+        Raises:
+            ConfigurationError: Another leg.
+            DrakeCheckError: The Context is not that of the Diagram around this plant.
         """
+        check_leg("leg", leg)
         with drake_guard("breaking a rod"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
             self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
 
-    def set_state(self, context: Context, pose: np.ndarray, pose_rate: np.ndarray | None = None) -> None:
+    def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
         """Puts the plant into `assemble(pose, pose_rate)`.
 
         Args:

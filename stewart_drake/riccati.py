@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stewart_drake.errors import RiccatiError, drake_guard
+from stewart_drake.errors import ConfigurationError, RiccatiError, drake_guard
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE, STATES, Discretization
 
 RiccatiSolver = Literal["drake", "split"]
@@ -42,15 +42,30 @@ def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> n
         (n, n).
 
     Raises:
-        RiccatiError: Drake finds the pair not stabilisable or not detectable, or the matrices unusable.
+        RiccatiError: Drake finds the pair not stabilisable or not detectable, or the matrices unusable; what it finds
+            does not stabilise, as happens where weights lie too far apart for it.
+        ConfigurationError: Drake is not installed.
     """
-    from pydrake.math import DiscreteAlgebraicRiccatiEquation
+    try:
+        from pydrake.math import DiscreteAlgebraicRiccatiEquation
+    except ImportError:
+        raise ConfigurationError("controller.solver", "drake", "split, where Drake is not installed") from None
 
     try:
         with drake_guard("discrete Riccati equation"):
-            return np.asarray(DiscreteAlgebraicRiccatiEquation(a, b, q, r))
+            p = np.asarray(DiscreteAlgebraicRiccatiEquation(a, b, q, r))
     except Exception as error:
         raise RiccatiError(str(error)) from error
+    # Drake loses digits with the spread of Q and R, and does not look at what is left.
+    with np.errstate(all="ignore"):
+        closed = a - b @ riccati_gain(a, b, r, p)
+    radius = float(np.abs(np.linalg.eigvals(closed)).max()) if np.isfinite(closed).all() else math.inf
+    if not radius < 1.0:
+        raise RiccatiError(
+            f"Drake's solution does not stabilise (spectral radius {radius:.6g}): the weights lie too far apart for "
+            "it; solver: split bears them"
+        )
+    return p
 
 
 def split_gain(

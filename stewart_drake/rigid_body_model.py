@@ -7,6 +7,7 @@ Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.kinematics import (
     LegGeometry,
@@ -25,7 +26,7 @@ STANDARD_GRAVITY = 9.81
 """[m/s^2] the value of the reference computations and of Drake's default field."""
 
 
-def static_torque(robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def static_torque(robot: RobotParameters, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques that hold platform, rods and cranks at rest against gravity.
 
     Args:
@@ -37,7 +38,7 @@ def static_torque(robot: RobotParameters, pose: np.ndarray, gravity: float = STA
         (..., 6) [N m].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
         numpy.linalg.LinAlgError: Exactly at a parallel singularity.
     """
     return static_torque_of_legs(robot, leg_geometry(robot, pose), gravity)
@@ -60,9 +61,9 @@ def static_torque_of_legs(robot: RobotParameters, legs: LegGeometry, gravity: fl
 
 def inverse_dynamics(
     robot: RobotParameters,
-    pose: np.ndarray,
-    pose_rate: np.ndarray,
-    pose_acceleration: np.ndarray,
+    pose: ArrayLike,
+    pose_rate: ArrayLike,
+    pose_acceleration: ArrayLike,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Motor torques of a motion, all bodies included.
@@ -78,7 +79,7 @@ def inverse_dynamics(
         (..., 6) [N m].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
         numpy.linalg.LinAlgError: Exactly at a parallel singularity.
     """
     pose, pose_rate = np.asarray(pose, dtype=float), np.asarray(pose_rate, dtype=float)
@@ -94,7 +95,7 @@ def inverse_dynamics(
 
 
 def task_bias(
-    robot: RobotParameters, pose: np.ndarray, twist: np.ndarray, gravity: float = STANDARD_GRAVITY
+    robot: RobotParameters, pose: ArrayLike, twist: np.ndarray, gravity: float = STANDARD_GRAVITY
 ) -> np.ndarray:
     """h(pose, twist): Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates.
 
@@ -108,7 +109,7 @@ def task_bias(
         (..., 6) [N m, N].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     pose, twist = np.asarray(pose, dtype=float), np.asarray(twist, dtype=float)
     legs = leg_geometry(robot, pose)
@@ -117,7 +118,7 @@ def task_bias(
     return wrench + np.einsum("...ji,...j->...i", jacobian, own)
 
 
-def task_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def task_inertia(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """M(pose): inertia of the closed chain as the platform feels it.
 
     Args:
@@ -128,7 +129,7 @@ def task_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
         (..., 6, 6) [kg m^2, kg m, kg], symmetric positive definite.
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     pose = np.asarray(pose, dtype=float)
     legs = leg_geometry(robot, pose)
@@ -151,7 +152,7 @@ def task_inertia(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     return inertia
 
 
-def pose_acceleration_map(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+def pose_acceleration_map(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """Second derivative of the pose per unit of motor torque, E^-1 M^-1 J'; the exact counterpart of M^-1 tau in (10).
 
     Args:
@@ -162,7 +163,7 @@ def pose_acceleration_map(robot: RobotParameters, pose: np.ndarray) -> np.ndarra
         (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     pose = np.asarray(pose, dtype=float)
     result = np.linalg.solve(task_inertia(robot, pose), np.swapaxes(twist_jacobian(robot, pose), -1, -2))
@@ -220,7 +221,7 @@ def _task_wrench(
     return wrench, own
 
 
-def euler_acceleration(pose: np.ndarray, pose_rate: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
+def euler_acceleration(pose: ArrayLike, pose_rate: ArrayLike, twist_rate: np.ndarray) -> np.ndarray:
     """Second derivative of the pose from d(twist)/dt; the inverse of the step inside `inverse_dynamics`.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Real, Vector3, is_finite
+from stewart_drake.scalars import SECTION, Count, Real, Vector3, is_finite, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6
@@ -82,7 +82,9 @@ class RobotParameters:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            given = getattr(self, field.name)
+            given = plain(getattr(self, field.name))
+            # Lists and numpy's numbers will do, and become what can be hashed and written to a file.
+            object.__setattr__(self, field.name, given)
             values = given if isinstance(given, tuple) else (given,)
             signed = field.name in {"shaft_height", "branch"}
             low = -LARGEST if signed else SMALLEST
@@ -95,7 +97,7 @@ class RobotParameters:
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
-            if len(inertia) != 3:
+            if not isinstance(inertia, tuple) or len(inertia) != 3:
                 raise ConfigurationError(f"robot.{name}", inertia, "three moments Ixx, Iyy, Izz")
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
                 raise ConfigurationError(f"robot.{name}", inertia, "no moment above the sum of the other two")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Strict
 
 Real = Annotated[float, Strict()]
@@ -17,6 +18,15 @@ Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 
 SECTION: Any = {"extra": "forbid", "allow_inf_nan": False, "use_attribute_docstrings": True}
 """How pydantic reads a plain dataclass as a section of a scenario; its docstrings become the schema's descriptions."""
+
+
+def plain(value: Any) -> Any:
+    """Numpy's numbers as Python's, and lists and arrays of one axis as tuples; anything else as it is."""
+    if isinstance(value, (np.floating, np.integer)):
+        return value.item()
+    if isinstance(value, list) or (isinstance(value, np.ndarray) and value.ndim == 1):
+        return tuple(plain(x) for x in value)
+    return value
 
 
 def is_finite(value: Any) -> bool:

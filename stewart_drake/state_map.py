@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError, SingularPoseError
 from stewart_drake.kinematics import cross, leg_geometry, pose_rate_to_twist, roll_pitch_yaw, rotation_matrix
@@ -58,7 +59,7 @@ class StateMap:
         self._home = home_frames(robot)
         self._lateral = crank_lateral(robot)
 
-    def assemble(self, pose: np.ndarray, pose_rate: np.ndarray | None = None) -> np.ndarray:
+    def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
         """State of the closed robot with the platform at a pose, moving; in closed form, rods not spinning.
 
         Args:
@@ -70,7 +71,8 @@ class StateMap:
 
         Raises:
             UnreachablePoseError: A rod cannot span.
-            SingularPoseError: A crank at its dead centre, whose speed is not defined.
+            SingularPoseError: A crank at its dead centre, whose speed is not defined; a rod turned by 90 deg in its
+                joint at the crank, whose angles are not.
             ConfigurationError: Not finite, or not (..., 6).
         """
         pose = np.asarray(pose, dtype=float)
@@ -93,6 +95,10 @@ class StateMap:
         crank_rotation = np.stack(np.broadcast_arrays(legs.crank, self._lateral, legs.e_n), axis=-1)
         to_joint = np.swapaxes(crank_rotation @ self._home.rod_in_crank, -1, -2)
         direction = _times(to_joint, legs.e_l)
+        swing = np.hypot(direction[..., 1], direction[..., 2])
+        if swing.min(initial=1.0) < 1e-6:
+            at = np.unravel_index(int(swing.argmin()), swing.shape)
+            raise SingularPoseError("rod_joint", pose[at[:-1]], float(swing[at]), 1e-6, int(at[-1]))
         angles = _universal_angles(direction)
         if self.rod_joint == "universal":
             rates = _universal_rates(angles, _times(to_joint, e_l_rate - cross(w_crank, legs.e_l)))

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.force_map import ForceMapKind, force_map
 from stewart_drake.robot import RobotParameters
 
@@ -49,7 +50,7 @@ def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKin
         (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     return force_map(robot, pose, kind) / mass_diagonal(robot)[:, None]
 
@@ -102,10 +103,15 @@ def discretize(
 
     Returns:
         A_d (18, 18), B_d (..., 18, 6).
+
+    Raises:
+        ConfigurationError: Another `method`.
     """
     identity = np.eye(a.shape[0])
     if method == "euler":
         return identity + period * a, period * b
+    if method != "exact":
+        raise ConfigurationError("discretization", method, "exact or euler")
     a2 = a @ a
     integral = period * identity + (period**2 / 2.0) * a + (period**3 / 6.0) * a2
     return identity + period * a + (period**2 / 2.0) * a2, integral @ b

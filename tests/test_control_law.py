@@ -19,6 +19,7 @@ from stewart_drake.errors import (
     NotFiniteError,
     RiccatiError,
     SingularPoseError,
+    StewartDrakeError,
     UnreachablePoseError,
 )
 from stewart_drake.kinematics import conditioning, leg_geometry, pose_jacobian, reach_margin, twist_jacobian
@@ -387,3 +388,19 @@ def test_the_law_runs_where_drake_is_not_installed(tmp_path, network):
     )
     torques = json.loads(python("-c", code, tmp_path / "net.json"))
     np.testing.assert_array_equal(torques, drive(law_with(network, window=4), 6)[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"window": 0}, "window"),
+        ({"window": 2.5}, "window"),
+        ({"density_kind": "loud"}, "magnitude or signed"),
+        ({"density_kind": "signed"}, "as the network was trained on"),
+        ({"initial_weights": (1.0, 0.0)}, "positive"),
+        ({"initial_weights": (1.0, 1.0, 1.0, 1.0)}, "two, with a network"),
+    ],
+)
+def test_what_cannot_be_a_law_is_refused_when_it_is_made(network, changes, words):
+    with pytest.raises(StewartDrakeError, match=words):
+        ControlLaw(ROBOT, network=network, **changes)

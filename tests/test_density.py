@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from stewart_drake.density import MEAN_FLOOR, density, push
+from stewart_drake.errors import ConfigurationError
 
 KINDS = ["magnitude", "signed"]
 # Away from the floor: zero itself, or a size at which a mean of one sample in fifty is still far above it.
@@ -111,3 +112,8 @@ def test_a_window_holds_the_latest_samples_oldest_first(length, history):
     assert count == len(latest)
     np.testing.assert_array_equal(window[length - count :, 0], latest)
     np.testing.assert_array_equal(window[length - count :, 1], [-v for v in latest])
+
+
+def test_another_kind_is_refused():
+    with pytest.raises(ConfigurationError, match="magnitude or signed"):
+        density(np.ones((3, 2)), "loud")

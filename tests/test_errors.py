@@ -31,6 +31,7 @@ EXAMPLES = [
     UnreachablePoseError(POSE, 4, -0.125),
     SingularPoseError("serial", POSE, 1e-4, 0.01, leg=5),
     SingularPoseError("parallel", POSE, 1e-4, 0.01),
+    SingularPoseError("rod_joint", POSE, 1e-7, 1e-6, leg=0),
     ForwardKinematicsError(0.02, 30),
     EncoderError("not finite", POSE),
     AssemblyModeError(POSE, 1.1 * POSE),

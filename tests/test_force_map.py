@@ -9,7 +9,7 @@ from hypothesis import given
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.force_map import crank_map, force_map, force_map_of_legs, rod_map
 from stewart_drake.kinematics import leg_geometry, reach_margin, twist_jacobian
 
@@ -105,3 +105,8 @@ def test_maps_are_vectorised_over_leading_axes():
 def test_a_pose_out_of_reach_raises():
     with pytest.raises(UnreachablePoseError):
         force_map(ROBOT, [0, 0, 0, 0, 0, 0.6])
+
+
+def test_another_kind_is_refused():
+    with pytest.raises(ConfigurationError, match="statics or printed"):
+        force_map(ROBOT, ROBOT.home_pose, "static")

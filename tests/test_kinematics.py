@@ -181,6 +181,12 @@ def test_forward_kinematics_refuses_a_bad_guess():
         forward_kinematics(ROBOT, np.zeros(6), guess=np.full(6, np.inf))
 
 
+@pytest.mark.parametrize("shape", [(3, 6), (2, 1, 6)])
+def test_forward_kinematics_refuses_a_guess_of_another_shape(shape):
+    with pytest.raises(ConfigurationError, match=r"guess.*\(6,\)"):
+        forward_kinematics(ROBOT, np.zeros(6), guess=np.tile(ROBOT.home_pose, (*shape[:-1], 1)))
+
+
 @given(pose=poses(0.8))
 def test_pose_jacobian_against_central_differences(pose):
     numerical = central_difference(lambda x: inverse_kinematics(ROBOT, x), pose)

@@ -1,5 +1,6 @@
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -283,3 +284,19 @@ def test_inference_needs_neither_torch_nor_drake():
     )
     expected = load_network(default_network_path()).weights(np.full(12, 1.5))
     np.testing.assert_array_equal(json.loads(python("-c", code)), expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"omega_min": np.zeros(2)}, "omega_min.*positive"),
+        ({"omega_min": np.full(2, 1e3)}, "at most omega_max"),
+        ({"input_scale": np.full(12, np.nan)}, "input_scale"),
+        ({"hidden_bias": np.zeros(9)}, r"hidden_bias.*\(10,\)"),
+        ({"window": 0}, "window"),
+        ({"density": "loud"}, "magnitude or signed"),
+    ],
+)
+def test_a_network_made_in_python_is_checked_as_one_of_a_file_is(changes, words):
+    with pytest.raises(ConfigurationError, match=words):
+        replace(load_network(), **changes)

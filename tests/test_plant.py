@@ -624,3 +624,23 @@ def test_a_failed_check_inside_drake_is_our_error(monkeypatch):
     monkeypatch.setattr("stewart_drake.plant.sdf_text", lambda *_, **__: "<sdf>")
     with pytest.raises(DrakeCheckError, match="building the plant"):
         build_plant(RobotParameters())
+
+
+@pytest.mark.parametrize("leg", [-1, 6, 1.0, None])
+def test_another_leg_has_no_rod_to_break(leg):
+    diagram, plant = build_plant(ROBOT)
+    with pytest.raises(ConfigurationError, match="a leg, 0 to 5"):
+        plant.break_rod(diagram.CreateDefaultContext(), leg)
+
+
+@pytest.mark.parametrize("rod_joint", ["universal", "ball"])
+def test_a_rod_square_in_its_joint_has_no_speeds_and_is_refused(rod_joint):
+    # Found by search: of this robot's rods the first lies along the outer axis of its joint here.
+    robot = RobotParameters(platform_half_angle=0.3, platform_joint_radius=0.25)
+    pose = [-1.1747681053505588, -0.05054989784175512, 0.3356745796337486]
+    pose += [-0.12058669683233691, 0.32300351505576586, -0.09887963902251204]
+    _, plant = build_plant(robot, PlantOptions(rod_joint=rod_joint))
+    with pytest.raises(SingularPoseError, match="rod of leg 0"):
+        plant.assemble(pose, np.ones(6))
+    beside = np.array(pose) + 1e-3
+    assert np.abs(plant.loop_gap(plant.assemble(beside, np.ones(6)))).max() < 1e-12

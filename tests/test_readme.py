@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,23 @@ def test_python_blocks_run(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_python_blocks_and_misspelt_names_under_a_strict_type_checker(tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    for number, code in enumerate(blocks):
+        (tmp_path / f"block_{number}.py").write_text(code)
+    (tmp_path / "misspelt.py").write_text("from stewart_drake import RobotParamters\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "."],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "RobotParamters" in done.stdout
+    assert re.findall(r"^(\S+?):\d+: error", done.stdout, flags=re.MULTILINE) == ["misspelt.py"], done.stdout
 
 
 def test_make_targets_exist():

@@ -1,3 +1,5 @@
+import sys
+
 import mpmath
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from strategies import ROBOT, poses
 
 from stewart_drake.compiled import control
 from stewart_drake.compiled.riccati import chain_gain
-from stewart_drake.errors import RiccatiError
+from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.force_map import force_map
 from stewart_drake.riccati import SMALLEST_SINGULAR_VALUE, chain_gains, riccati_gain, solve_drake, split_gain
 from stewart_drake.rigid_body_model import pose_acceleration_map
@@ -380,3 +382,22 @@ def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
 def test_split_refuses_periods_and_lengths_that_are_none(name, value):
     with pytest.raises(RiccatiError, match=name):
         split_gain(HOME_MAP, **{"period": PERIOD, "weights": (1.0, 1.0, 1.0, 1.0), name: value})
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 1.0, 1e4, 1e10])
+def test_what_drake_gives_stabilises(ratio):
+    a, b = discretize(state_matrix(), input_matrix(HOME_MAP), PERIOD)
+    gain = riccati_gain(a, b, np.eye(6), solve_drake(a, b, ratio * np.eye(18), np.eye(6)))
+    assert np.abs(np.linalg.eigvals(a - b @ gain)).max() < 1.0
+
+
+def test_what_drake_gives_and_does_not_stabilise_is_refused():
+    a, b = discretize(state_matrix(), input_matrix(HOME_MAP), PERIOD)
+    with pytest.raises(RiccatiError, match=r"does not stabilise.*solver: split"):
+        solve_drake(a, b, 1e20 * np.eye(18), np.eye(6))
+
+
+def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pydrake.math", None)
+    with pytest.raises(ConfigurationError, match=r"controller\.solver.*split"):
+        solve_drake(np.eye(1), np.eye(1), np.eye(1), np.eye(1))

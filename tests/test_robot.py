@@ -126,3 +126,22 @@ def test_pydantic_reads_it_and_refuses_unknown_keys_and_infinities():
         adapter.validate_python({"rod_mas": 0.09})
     with pytest.raises(pydantic.ValidationError, match="finite"):
         adapter.validate_python({"rod_mass": math.inf})
+
+
+def test_numbers_of_numpy_and_lists_are_as_good_as_pythons():
+    robot = RobotParameters(
+        rod_length=np.float32(0.4),
+        branch=np.int64(-1),
+        rod_inertia=[0.0016, 0.0016, 1e-6],
+        platform_inertia=np.full(3, 0.003),
+    )
+    assert (type(robot.rod_length), type(robot.branch)) == (float, int)
+    assert robot.rod_inertia == (0.0016, 0.0016, 1e-6)
+    assert robot.platform_inertia == (0.003, 0.003, 0.003)
+    assert isinstance(hash(robot), int)
+
+
+@pytest.mark.parametrize("value", [5.0, [1.0, 2.0], None, "abc", np.ones((3, 1)), [1.0, "2", 3.0]])
+def test_what_is_no_three_moments_is_refused(value):
+    with pytest.raises(ConfigurationError, match="platform_inertia"):
+        RobotParameters(platform_inertia=value)

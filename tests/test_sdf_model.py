@@ -11,6 +11,7 @@ from strategies import ROBOT
 from stewart_drake import sdf_model
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.kinematics import inverse_kinematics
+from stewart_drake.robot import RobotParameters
 from stewart_drake.sdf_model import home_frames, sdf_path, sdf_text, write_sdf
 
 FOLDER = Path(__file__).parent.parent / "sdf"
@@ -146,3 +147,12 @@ def test_python_of_the_readme_runs(monkeypatch):
     names = {}
     exec(code, names)
     assert names["plant"].num_positions() == 25
+
+
+@pytest.mark.parametrize("size", [1e-7, 7e-7, 3e-5])
+def test_thin_links_keep_their_shapes_and_print_nothing(size, capfd, caplog):
+    text = sdf_text(RobotParameters(link_radius=size))
+    parsed(text)
+    assert capfd.readouterr() == ("", "")
+    assert caplog.records == []
+    assert f"<radius>{size}</radius>" in text

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from strategies import ROBOT, poses
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.force_map import force_map, force_map_of_legs
 from stewart_drake.kinematics import leg_geometry, rod_lines
 from stewart_drake.state_space import (
@@ -170,3 +171,8 @@ def test_the_answer_does_not_depend_on_the_coordinates_of_the_state(rotation):
     legs = dataclasses.replace(legs, transmission=legs.transmission * [0, 1, 1, 1, 1, 1])
     b = input_matrix(force_map_of_legs(ROBOT, legs, "printed") / mass_diagonal(ROBOT)[:, None])
     assert hautus_stabilisability(q @ A @ q.T, q @ b) == 17
+
+
+def test_another_discretisation_is_refused():
+    with pytest.raises(ConfigurationError, match="exact or euler"):
+        discretize(np.eye(18), np.ones((18, 6)), 0.005, "tustin")

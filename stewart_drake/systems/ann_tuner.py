@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.network import TunerNetwork
+from stewart_drake.option_checks import check_positive_pair
 from stewart_drake.sampling import on_grid
 
 
@@ -25,6 +26,9 @@ class AnnTuner(LeafSystem):
         initial: omega_Q, omega_R before the first inference.
         compiled: See `LqiOptions.compiled`.
 
+    Raises:
+        ConfigurationError: `initial` is not two positive numbers.
+
     Ports:
         density: in (12,) [-].
         weights: out (2,), omega_Q, omega_R.
@@ -38,6 +42,7 @@ class AnnTuner(LeafSystem):
         compiled: bool = False,
     ) -> None:
         super().__init__()
+        check_positive_pair("initial", list(initial), "two positive numbers")
         self._compiled = compiled
         self._weights = network.compiled_weights() if compiled else network.weights
         self.density = self.DeclareVectorInputPort("density", 12)

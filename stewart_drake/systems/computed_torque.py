@@ -21,7 +21,7 @@ class ComputedTorque(TrackingController):
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose, pose rate, pose acceleration.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         torque: out (6,) [N m].
         error: out (6,) [rad, m], pose minus reference at the tick.
         integral: out (6,) [rad s, m s], z after the tick.

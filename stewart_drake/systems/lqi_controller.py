@@ -27,7 +27,7 @@ class LqiController(TrackingController):
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose, pose rate, pose acceleration.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         weights: in (2,), omega_Q, omega_R, or (4,), q_e, q_v, q_z, r; all > 0.
         torque: out (6,) [N m], within the motors' limits where `saturation` says so.
         error: out (6,) [rad, m], pose minus reference at the tick.

@@ -41,10 +41,13 @@ class ReferenceSource(LeafSystem):
             output.SetFromVector(np.concatenate(self._reference.evaluate(time)))
             return
         block, row = divmod(round(time / self._period), _ROWS)
-        if block != self._table[0]:
+        # Read once: another thread's run may replace it meanwhile.
+        kept, times, values = self._table
+        if block != kept:
             times = np.arange(block * _ROWS, (block + 1) * _ROWS) * self._period
-            self._table = block, times, np.concatenate(self._reference.evaluate(times), axis=-1)
-        if self._table[1][row] == time:
-            output.SetFromVector(self._table[2][row])
+            values = np.concatenate(self._reference.evaluate(times), axis=-1)
+            self._table = block, times, values
+        if times[row] == time:
+            output.SetFromVector(values[row])
         else:
             output.SetFromVector(np.concatenate(self._reference.evaluate(time)))

@@ -42,7 +42,7 @@ class SafetyLayer(TickedSystem):
     Ports:
         command: in (6,) [N m], the controller's.
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose, pose rate, pose acceleration.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         age: in (1,) [ticks] of the command; may be left unconnected.
         sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `TickedSystem`; may be
             left unconnected.

@@ -19,7 +19,7 @@ class TrackingController(TickedSystem):
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose, pose rate, pose acceleration.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         torque: out (6,) [N m].
     """
 

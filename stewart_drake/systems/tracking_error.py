@@ -16,7 +16,7 @@ class TrackingError(TickedSystem):
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose, pose rate, pose acceleration.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         error: out (6,) [rad, m].
         integral: out (6,) zeros.
     """
