@@ -1,5 +1,17 @@
-"""`python -m stewart_drake` is the command `stewart-drake`."""
+"""`python -m stewart_drake`, and where the command `stewart-drake` begins."""
 
-from stewart_drake.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """`cli.main`; Ctrl-C while that loads ends in one line too."""
+    try:
+        from stewart_drake.cli import main as run
+    except KeyboardInterrupt:
+        sys.stderr.write("stewart-drake: interrupted\n")
+        sys.exit(130)
+    run()
+
+
+if __name__ == "__main__":
+    main()

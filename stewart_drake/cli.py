@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,16 +14,20 @@ import click
 from stewart_drake.cli_check import check
 from stewart_drake.cli_compare import compare
 from stewart_drake.cli_faults import faults
+from stewart_drake.cli_options import OutPath, out_file, out_folder, overrides
 from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.terminal import ProgressBar, print_run, print_table
+from stewart_drake.terminal import ProgressBar, announce_compilation, drop_output, print_run, print_table
 
 if TYPE_CHECKING:
     from stewart_drake.experiments.report import Section
+    from stewart_drake.training.train import Split
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 
+_LONG = 100.0
+"""[s] of a run whose check takes more than a second or two."""
 _STATUS = {"completed": 0, "failed": EXIT_RUN_FAILED, "interrupted": EXIT_INTERRUPTED}
 
 
@@ -48,8 +54,8 @@ def cli(context: click.Context) -> None:
 
 @cli.command()
 @click.argument("scenario")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the results [default: runs/NAME].")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. --set duration=2.")
+@out_folder()
+@overrides()
 @click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bool, quiet: bool) -> None:
@@ -57,19 +63,25 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
     Exit status: 0 completed, 2 bad input, 3 the run broke midway (its log is kept), 130 interrupted.
     """
-    from stewart_drake.outputs import SPACE, prepare_folder, write_run
+    from stewart_drake.outputs import keep_scenario_file, prepare_folder, space_for, write_run
     from stewart_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario, overrides)
+    out = out if out is not None else Path("runs") / loaded.name
+    keep_scenario_file(loaded, scenario, out)
 
     from stewart_drake.diagram import build_diagram
     from stewart_drake.simulation import check_scenario
     from stewart_drake.simulation import run as simulate
 
+    if loaded.duration > _LONG and not quiet:
+        click.echo("checking the motion", err=True)
     check_scenario(loaded)
     graph = build_diagram(loaded).graph()
     # Only now, with everything checked, does anything appear on the disk.
-    folder = prepare_folder(out if out is not None else Path("runs") / loaded.name, SPACE)
+    folder = prepare_folder(out, space_for(loaded))
+    if not quiet:
+        announce_compilation(loaded.controller.compiled)
     viewer = None
     if meshcat:
         from pydrake.geometry import Meshcat
@@ -78,7 +90,11 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
         click.echo(f"live view: {viewer.web_url()}", err=True)
     with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
         log = simulate(loaded, progress=advance, meshcat=viewer, check=False)
-    metrics = write_run(log, folder, graph)
+    try:
+        metrics = write_run(log, folder, graph)
+    except KeyboardInterrupt:
+        click.echo(f"stewart-drake: interrupted while writing the results; some are missing in {folder}", err=True)
+        sys.exit(EXIT_INTERRUPTED)
     if not quiet:
         print_run(log, metrics, folder)
     if log.status == "failed":
@@ -89,16 +105,17 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
 
 @cli.command()
-@click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"), show_default=True
-)
+@out_file("runs/dataset.parquet")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def collect(out: Path, quiet: bool) -> None:
-    """Run the paper's nine experiments and write the tuner's training data (14,400 samples)."""
-    from stewart_drake.outputs import SPACE, prepare_folder
+    """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
+
+    Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
+    """
+    from stewart_drake.outputs import SPACE, prepare_file
     from stewart_drake.training.collect import collect_dataset
 
-    prepare_folder(out.parent, SPACE)
+    prepare_file(out, SPACE)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
         dataset = collect_dataset(progress=advance)
     dataset.save(out)
@@ -107,39 +124,50 @@ def collect(out: Path, quiet: bool) -> None:
 
 @cli.command()
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"))
+@out_file("runs/tuner.json")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of first weights and split.")
+@click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True, help="Passes over the data.")
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/tuner.json"), show_default=True
+    "--split",
+    type=click.Choice(["samples", "runs"]),
+    default="samples",
+    show_default=True,
+    help="What is held back for validation: samples at random, which leak from run to run, or whole runs.",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True)
-@click.option("--quiet", is_flag=True, help="No progress bar.")
-def train(dataset: Path, out: Path, seed: int, epochs: int, quiet: bool) -> None:
-    """Train the 12-10-2 network on DATASET by back-propagation and write its weights file."""
-    from stewart_drake.outputs import SPACE, prepare_folder
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def train(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
+    """Train the 12-10-2 network on DATASET by back-propagation and write its weights file.
+
+    Exit status: 0 done, 2 bad input, 130 interrupted.
+    """
+    from stewart_drake.outputs import SPACE, prepare_file
     from stewart_drake.training.dataset import load_dataset
 
     data = load_dataset(dataset)
-    prepare_folder(out.parent, SPACE)
 
     from stewart_drake.training.train import TrainingOptions, train_network
 
+    options = TrainingOptions(seed=seed, epochs=epochs, split=split)
+    prepare_file(out, SPACE)
     with ProgressBar("training", float(epochs), quiet, unit="epochs") as advance:
-        result = train_network(data, TrainingOptions(seed=seed, epochs=epochs), progress=advance)
+        result = train_network(data, options, progress=advance)
     result.network.save(out)
     if not quiet:
         print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
 
 
 @cli.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduction"), show_default=True)
+@out_folder("runs/reproduction")
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
 @click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key of it.")
+@overrides("gravity=0")
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
 def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
     """Test the paper claim by claim: report.html, report.md, report.json, figures/.
 
     Finished parts are kept in OUT, so that an interrupted reproduction goes on where it was.
+
+    Exit status: 0 done, 2 bad input, 130 interrupted.
     """
     from stewart_drake.outputs import SPACE, prepare_folder
     from stewart_drake.scenario import load_scenario
@@ -168,7 +196,7 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
 
 
 @cli.command()
-@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
+@click.option("--out", type=OutPath(dir_okay=False), help="File to write [default: standard output].")
 def schema(out: Path | None) -> None:
     """JSON schema of scenario files, for editors."""
     from stewart_drake.files import write_atomically
@@ -182,11 +210,9 @@ def schema(out: Path | None) -> None:
 
 
 @cli.command("write-sdf")
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=OutPath(dir_okay=False))
 @click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
-@click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. robot.rod_length=0.42."
-)
+@overrides("robot.rod_length=0.42")
 @click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
 def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...], collision: bool) -> None:
     """Write the robot of a scenario, with its plant.rod_joint, as an SDF file; another geometry gives another robot."""
@@ -205,27 +231,55 @@ cli.add_command(workspace)
 
 
 def main() -> None:
-    """Entry point: errors of this package end in one line and an exit status, never in a traceback."""
+    """Runs a command; errors of this package end in one line and an exit status, never in a traceback.
+
+    SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    status = _status()
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        status = _lost_output(error) or status
+    sys.exit(status)
+
+
+def _status() -> int | str | None:
+    """What a command ends with, for `sys.exit`."""
     try:
         cli(standalone_mode=False)
-    except click.exceptions.Abort:
-        click.echo("stewart-drake: interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
-    except KeyboardInterrupt:
-        click.echo("stewart-drake: interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+    except SystemExit as end:
+        return end.code
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _tell("interrupted", EXIT_INTERRUPTED)
     except ImportError as error:
         # Ctrl-C while a compiled module loads comes out as this.
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
-        click.echo("stewart-drake: interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        return _tell("interrupted", EXIT_INTERRUPTED)
     except click.ClickException as error:
-        click.echo(f"stewart-drake: {' '.join(error.format_message().split())}", err=True)
-        sys.exit(EXIT_BAD_INPUT)
+        return _tell(error.format_message(), EXIT_BAD_INPUT)
     except ConfigurationError as error:
-        click.echo(f"stewart-drake: {' '.join(str(error).split())}", err=True)
-        sys.exit(EXIT_BAD_INPUT)
+        return _tell(str(error), EXIT_BAD_INPUT)
     except StewartDrakeError as error:
-        click.echo(f"stewart-drake: {error.reason}: {' '.join(str(error).split())}", err=True)
-        sys.exit(EXIT_RUN_FAILED)
+        return _tell(f"{error.reason}: {error}", EXIT_RUN_FAILED)
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        return _lost_output(error)
+    return 0
+
+
+def _lost_output(error: OSError) -> int:
+    """Standard output that nobody reads any more is no failure; one that cannot be written is."""
+    drop_output()
+    if error.errno == errno.EPIPE:
+        return 0
+    return _tell(f"standard output: got {error.strerror}; allowed: one that can be written", EXIT_BAD_INPUT)
+
+
+def _tell(text: str, status: int) -> int:
+    click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
+    return status

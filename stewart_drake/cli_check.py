@@ -7,18 +7,19 @@ from typing import Any
 
 import click
 
+from stewart_drake.cli_options import OutPath, overrides
 from stewart_drake.errors import InfeasibleReferenceError
 from stewart_drake.terminal import print_margins
 
 
 @click.command()
 @click.argument("scenario")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a key, e.g. --set duration=2.")
+@overrides()
 @click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
 @click.option("--retime", is_flag=True, help="If it cannot be done, find how much slower it can.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutPath(dir_okay=False),
     help="Write the scenario with the motion so made feasible; with one of --scale, --retime.",
 )
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.cli_options import out_folder
 from stewart_drake.terminal import ProgressBar, console
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ WIDE = 150
 
 @click.command()
 @click.argument("comparison", default="tracking")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the results [default: runs/NAME].")
+@out_folder()
 @click.option(
     "--workers", type=click.IntRange(1, 1024), help="Processes on this machine [default: one per core, at most 8]."
 )

@@ -6,16 +6,20 @@ from pathlib import Path
 
 import click
 
+from stewart_drake.cli_options import out_folder
 from stewart_drake.terminal import ProgressBar, console
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/faults"), show_default=True)
+@out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8].")
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
 def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
-    """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, faults.md."""
+    """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, faults.md.
+
+    Exit status: 0 every fault has its row, 2 bad input, 3 a worker ended by itself, 130 interrupted.
+    """
     from stewart_drake.experiments.faults.rows import all_rows
     from stewart_drake.experiments.faults.table import (
         QUICK_MOTIONS,

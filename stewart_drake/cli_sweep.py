@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.cli_options import out_folder
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.terminal import ProgressBar, print_table
 
@@ -19,7 +20,7 @@ EXIT_INTERRUPTED = 130
 
 @click.command()
 @click.argument("sweep")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the results [default: runs/NAME].")
+@out_folder()
 @click.option(
     "--workers", type=click.IntRange(1, 1024), help="Processes on this machine [default: one per core, at most 8]."
 )

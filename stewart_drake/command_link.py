@@ -11,7 +11,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import check_choice, check_leg, check_positive, check_real, check_seed, check_whole
-from stewart_drake.scalars import SECTION, Count, Real
+from stewart_drake.scalars import SECTION, Count, Leg, Natural, NotNegative, Positive, Real, Share
 from stewart_drake.seeded import tick_uniform
 
 CommandFaultKind = Literal["nan", "inf", "offset", "chatter"]
@@ -34,11 +34,11 @@ class CommandFault:
 
     kind: CommandFaultKind
     """nan and inf in place of the torque; offset: `size` more; chatter: `size` more and less in turn, tick by tick."""
-    leg: Count | None = None
+    leg: Leg | None = None
     """0 to 5; null for all."""
-    time: Real = 0.0
+    time: NotNegative = 0.0
     """[s] when it begins."""
-    duration: Real | None = None
+    duration: Positive | None = None
     """[s] after which commands are well again; null for never."""
     size: Real = 0.0
     """[N m] of offset and chatter."""
@@ -78,19 +78,19 @@ class LinkOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    drop_probability: Real = 0.0
+    drop_probability: Share = 0.0
     """[-] of each tick, 0 to 1."""
     dropped: tuple[Count, ...] = ()
     """Ticks that are dropped whatever the chance; tick k is at k controller.period."""
-    stop_time: Real | None = None
+    stop_time: NotNegative | None = None
     """[s] from which on every tick is dropped: the controller hangs; null for never."""
-    late_probability: Real = 0.0
+    late_probability: Share = 0.0
     """[-] of each tick, 0 to 1."""
     late: tuple[Count, ...] = ()
     """Ticks that are late whatever the chance."""
-    late_steps: Count = 1
+    late_steps: Natural = 1
     """Steps of the plant by which a late tick is late, at most one control period."""
-    seed: Count = 0
+    seed: Natural = 0
     """Of what is dropped and late; each tick has its own number, whatever came before."""
     faults: tuple[CommandFault, ...] = ()
     """Commands spoilt before they are sent."""

@@ -12,7 +12,7 @@ from stewart_drake.errors import NotFiniteError
 from stewart_drake.option_checks import check_choice, check_fraction, check_positive, check_real
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Fraction, NotNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,20 +29,20 @@ class ComputedTorqueOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["computed_torque"] = "computed_torque"
-    period: Real = 0.001
+    period: Positive = 0.001
     """[s] control period, > 0, a whole multiple of the plant's time step."""
-    natural_frequency: Real = 93.8
+    natural_frequency: Positive = 93.8
     """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
-    damping: Real = 0.785
+    damping: Positive = 0.785
     """[-]"""
-    integral_frequency: Real = 8.47
+    integral_frequency: NotNegative = 8.47
     """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
-    min_transmission: Real = 0.02
+    min_transmission: Fraction = 0.02
     """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Real = 0.005
+    min_conditioning: Fraction = 0.005
     """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
     compiled: Flag = False
     """The pose estimator beside the controller is compiled by numba."""

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import check_numbers, check_positive, check_real, check_seed
-from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
+from stewart_drake.scalars import SECTION, Natural, NotNegative, Positive, Real, Vector6, is_finite
 
 _SINES = 64
 """Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed."""
@@ -56,9 +56,9 @@ class StepWrench:
 
     wrench: Vector6
     """[N m, N] moment about P and force, in B."""
-    time: Real
+    time: NotNegative
     """[s] when it begins."""
-    until: Real | None = None
+    until: NotNegative | None = None
     """[s] when it ends, after `time`; null for never."""
     kind: Literal["step"] = "step"
 
@@ -87,9 +87,9 @@ class ImpulseWrench:
 
     impulse: Vector6
     """[N m s, N s] moment about P and force, in B, integrated over the blow."""
-    time: Real
+    time: NotNegative
     """[s] when it begins."""
-    duration: Real = 0.005
+    duration: Positive = 0.005
     """[s] of the blow."""
     kind: Literal["impulse"] = "impulse"
 
@@ -116,7 +116,7 @@ class SineWrench:
 
     wrench: Vector6
     """[N m, N] amplitude: moment about P and force, in B."""
-    frequency: Real
+    frequency: Positive
     """[Hz], above 0."""
     phase: Real = 0.0
     """[rad]"""
@@ -147,11 +147,11 @@ class NoiseWrench:
 
     rms: Vector6
     """[N m, N] of each axis: moment about P and force, in B."""
-    low: Real = 0.5
+    low: NotNegative = 0.5
     """[Hz] lower end of the band."""
-    high: Real = 50.0
+    high: Positive = 50.0
     """[Hz] upper end of the band, above `low`."""
-    seed: Count = 0
+    seed: Natural = 0
     """Of the sines."""
     kind: Literal["noise"] = "noise"
 

@@ -26,8 +26,8 @@ from stewart_drake.option_checks import (
     check_seed,
     check_whole,
 )
-from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Count, Real, Vector6
+from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.scalars import SECTION, Natural, NotNegative, Positive, Real, Vector6
 from stewart_drake.seeded import tick_normal
 from stewart_drake.sensor_faults import EncoderFault
 
@@ -56,30 +56,30 @@ class EncoderOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["encoders"] = "encoders"
-    resolution_bits: Count = 17
+    resolution_bits: Natural = 17
     """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
     offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad] reading minus true angle of each motor: an error of homing."""
-    noise: Real = 0.0
+    noise: NotNegative = 0.0
     """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
-    noise_seed: Count = 0
+    noise_seed: Natural = 0
     """Of the noise."""
     faults: tuple[EncoderFault, ...] = ()
     """Encoders that fail; in order, of two at once on one encoder the later wins."""
-    rate_cutoff: Real | None = None
+    rate_cutoff: Positive | None = None
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
-    max_speed: Real = 60.0
+    max_speed: Positive = 60.0
     """[rad/s] a reading that has moved faster than this is not believed."""
     max_step: tuple[Real, Real] = (0.2, 0.05)
     """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
     another assembly mode."""
-    hold_ticks: Count = 10
+    hold_ticks: Natural = 10
     """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
 
     def __post_init__(self) -> None:
         check_whole("sensors.resolution_bits", self.resolution_bits, 0, 40)
         check_numbers("sensors.offset", self.offset, 6, "6 finite numbers [rad]")
-        check_real("sensors.noise", self.noise)
+        check_real("sensors.noise", self.noise, 0.0, f"a number from 0 to {LARGEST:g}", LARGEST)
         check_seed("sensors.noise_seed", self.noise_seed)
         if self.rate_cutoff is not None:
             check_positive("sensors.rate_cutoff", self.rate_cutoff, allowed="a positive number [Hz], or null")

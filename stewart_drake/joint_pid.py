@@ -14,7 +14,7 @@ from stewart_drake.lqi_options import SATURATIONS, Saturation
 from stewart_drake.option_checks import check_choice, check_fraction, check_positive, check_real
 from stewart_drake.rigid_body_model import static_torque_of_legs
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Fraction, NotNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,26 +32,26 @@ class PidOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["pid"] = "pid"
-    period: Real = 0.001
+    period: Positive = 0.001
     """[s] control period, > 0, a whole multiple of the plant's time step."""
-    kp: Real = 37.3
+    kp: NotNegative = 37.3
     """[N m/rad]"""
-    ki: Real = 316.0
+    ki: NotNegative = 316.0
     """[N m/(rad s)]"""
-    kd: Real = 0.624
+    kd: NotNegative = 0.624
     """[N m s/rad]"""
     feedforward: Literal["none", "gravity"] = "gravity"
     """gravity: adds the static torque of all bodies at the measured pose."""
-    torque_limit: Real | None = None
+    torque_limit: Positive | None = None
     """[N m] largest torque of a motor; null takes the robot's `effort_limit`, which nothing exceeds."""
     saturation: Saturation = "clamp"
     """none: the torque asked for may exceed the limit. clamp: it is limited, and the integral of a motor at its limit
     grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
-    reset_time: Real = 0.05
+    reset_time: Positive = 0.05
     """[s] of back_calculation."""
-    min_transmission: Real = 0.02
+    min_transmission: Fraction = 0.02
     """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Real = 0.005
+    min_conditioning: Fraction = 0.005
     """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
     compiled: Flag = False
     """The pose estimator beside the controller is compiled by numba."""

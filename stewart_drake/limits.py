@@ -28,7 +28,7 @@ from stewart_drake.kinematics import (
 )
 from stewart_drake.rigid_body_model import inverse_dynamics
 from stewart_drake.robot import LEGS, RobotParameters
-from stewart_drake.scalars import SECTION, Real, is_finite
+from stewart_drake.scalars import SECTION, Positive, Share, is_finite
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
 
@@ -45,22 +45,22 @@ class Limits:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    reach: Real | None = 0.98
+    reach: Share | None = 0.98
     """[-] largest |C| / sqrt(A^2 + B^2) of a crank equation; None leaves 1, beyond which a rod cannot span."""
-    euler_pitch: Real | None = math.radians(85.0)
+    euler_pitch: Positive | None = math.radians(85.0)
     """[rad] largest |pitch|: poses and their rates are given in Euler angles, singular at pi/2."""
-    conditioning: Real | None = 0.05
+    conditioning: Share | None = 0.05
     """[-] smallest sigma_min / sigma_max of the rods' lines, `kinematics.conditioning`."""
-    transmission: Real | None = 0.2
+    transmission: Share | None = 0.2
     """[-] smallest |e_l . e_N| of a leg."""
-    joint_swing: Real | None = math.radians(65.0)
+    joint_swing: Positive | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
-    clearance: Real | None = 0.005
+    clearance: Positive | None = 0.005
     """[m] smallest distance between the surfaces of links (cranks, rods) of different legs."""
-    crank_speed: Real | None = 10.0
+    crank_speed: Positive | None = 10.0
     """[rad/s] largest |theta'|."""
-    torque_fraction: Real | None = 1.0
+    torque_fraction: Positive | None = 1.0
     """[-] largest |motor torque| of the exact inverse dynamics, as a part of `RobotParameters.effort_limit`."""
 
     def __post_init__(self) -> None:

@@ -44,8 +44,8 @@ def _axes(angle: str, length: str, text: str) -> SignalSpec:
     return SignalSpec(AXES, (angle,) * 3 + (length,) * 3, "P in B", text)
 
 
-def _legs(unit: str, text: str) -> SignalSpec:
-    return SignalSpec(LEGS, (unit,) * 6, "", f"{text}, by leg 0..5")
+def _legs(unit: str, frame: str, text: str) -> SignalSpec:
+    return SignalSpec(LEGS, (unit,) * 6, frame, f"{text}, by leg 0..5")
 
 
 SIGNALS: Mapping[str, SignalSpec] = {
@@ -57,9 +57,9 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
     "error": _axes("rad", "m", "measured pose minus reference at the latest tick"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
-    "torque": _legs("N m", "torque commanded by the controller"),
-    "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit"),
-    "crank_angle": _legs("rad", "theta, from the horizontal"),
+    "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
+    "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
+    "crank_angle": _legs("rad", "about the motor axis", "theta, from the horizontal"),
     "weights": SignalSpec(("omega_q", "omega_r"), ("1", "1"), "", "weights in force"),
     "block_weights": SignalSpec(
         ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
@@ -67,7 +67,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "density": SignalSpec(
         (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEGS)), ("1",) * 12, "", "density features"
     ),
-    "loop_gap": _legs("m", "distance from rod end to platform joint"),
+    "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
     "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),
     "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
     "disturbance": SignalSpec(
@@ -117,6 +117,7 @@ class SimulationLog:
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.
         versions: Versions of what ran.
+        files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
     """
 
     scenario: Scenario
@@ -130,6 +131,7 @@ class SimulationLog:
     safety: Mapping[str, Any] | None = None
     wall_time: float = 0.0
     versions: Mapping[str, str | None] = field(default_factory=dict)
+    files: Mapping[str, str | None] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Signal `name`.
@@ -178,6 +180,7 @@ class SimulationLog:
             "state_names": list(self.state_names),
             "outcome": {name: getattr(self, name) for name in _OUTCOME},
             "versions": dict(self.versions),
+            "files": dict(self.files),
         }
         schema = pa.schema(fields, metadata={_FORMAT_KEY: json.dumps(run).encode()})
         table = pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=schema)
@@ -221,16 +224,28 @@ def load_log(path: str | Path) -> SimulationLog:
     metadata = table.schema.metadata or {}
     if _FORMAT_KEY not in metadata:
         raise ConfigurationError(f"log {path}", "another Parquet file", "a log written by this package")
-    run = json.loads(metadata[_FORMAT_KEY])
-    if run["version"] != _VERSION:
-        raise ConfigurationError(f"log {path}", f"version {run['version']}", f"version {_VERSION}")
-    state_names = tuple(run["state_names"])
+    try:
+        run = json.loads(metadata[_FORMAT_KEY])
+        if run["version"] != _VERSION:
+            raise ConfigurationError(f"log {path}", f"version {run['version']}", f"version {_VERSION}")
+        state_names = tuple(run["state_names"])
+        outcome = {name: run["outcome"][name] for name in _OUTCOME}
+        versions, files, scenario = dict(run["versions"]), dict(run.get("files", {})), run["scenario"]
+    except (ValueError, KeyError, TypeError) as error:
+        what = f"metadata that cannot be read ({type(error).__name__}: {error})"
+        raise ConfigurationError(f"log {path}", what, "a log written by this package") from None
+    try:
+        scenario = Scenario.from_dict(scenario)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"log {path}: {error.key}", error.value, error.allowed) from None
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
         components = state_names if name == "plant_state" else spec.components
         wanted = [f"{name}.{component}" for component in components] if components else [name]
-        if all(column in table.column_names for column in wanted):
+        missing = [column for column in wanted if column not in table.column_names]
+        if not missing:
             arrays = [table.column(column).to_numpy() for column in wanted]
             signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
-    outcome: dict[str, Any] = run["outcome"]
-    return SimulationLog(Scenario.from_dict(run["scenario"]), signals, state_names, versions=run["versions"], **outcome)
+        elif name == "time" or len(missing) < len(wanted):
+            raise ConfigurationError(f"log {path}", f"no column {missing[0]}", "all columns of a signal, and time")
+    return SimulationLog(scenario, signals, state_names, versions=versions, files=files, **outcome)

@@ -16,7 +16,7 @@ from stewart_drake.option_checks import (
 )
 from stewart_drake.riccati import RiccatiSolver
 from stewart_drake.robot import LARGEST
-from stewart_drake.scalars import SECTION, Count, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Fraction, Natural, Positive, Real
 from stewart_drake.state_space import Discretization
 
 Model = Literal["paper", "exact"]
@@ -48,7 +48,7 @@ class LqiOptions:
 
     kind: Literal["lqi"] = "lqi"
     """Taken where the key is absent."""
-    period: Real = 0.005
+    period: Positive = 0.005
     """[s] control period, > 0, a whole multiple of the plant's time step."""
     model: Model = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
@@ -61,7 +61,7 @@ class LqiOptions:
     reference's acceleration."""
     feedforward_at: FeedforwardAt = "measured"
     """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
-    weight_length: Real = 1.0
+    weight_length: Positive = 1.0
     """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
     radius 0.11 makes an error of the joints count alike in both."""
     discretization: Discretization = "exact"
@@ -74,17 +74,17 @@ class LqiOptions:
     saturation: Saturation = "none"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
     back_calculation: it is limited, and z is led back by what was cut off."""
-    reset_time: Real = 0.05
+    reset_time: Positive = 0.05
     """[s] time in which back-calculation takes z back."""
     integral_limit: tuple[Real, Real] | None = None
     """[rad s, m s] largest |z| of rotations and translations; null for none."""
     bumpless: Flag = False
     """When the weights change, z changes too, so that the torque by z does not."""
-    min_transmission: Real = 0.02
+    min_transmission: Fraction = 0.02
     """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Real = 0.005
+    min_conditioning: Fraction = 0.005
     """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity."""
-    hold_ticks: Count = 0
+    hold_ticks: Natural = 0
     """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
     finite is bridged by the last good gain and torque, before the run ends."""
 

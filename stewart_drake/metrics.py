@@ -34,7 +34,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
         torque_peak [N m] over all motors; saturated_fraction of ticks and motors at the limit; loop_gap_max_m;
         integral_at_5s [6] [rad s, m s] or None; omega_q, omega_r: mean over the run; omega_ratio: geometric
-        mean of their ratio; real_time_factor; git_revision; versions.
+        mean of their ratio; real_time_factor; git_revision; versions; files: sha256
+        of each file that the scenario names.
     """
     error = tracking_error(log)[second_half(log)]
     metrics: dict[str, Any] = {
@@ -83,6 +84,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
     versions = dict(log.versions)
     metrics["git_revision"] = versions.pop("git_revision", None)
     metrics["versions"] = versions
+    metrics["files"] = dict(log.files)
     return metrics
 
 

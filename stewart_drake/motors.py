@@ -11,7 +11,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import check_leg, check_real
 from stewart_drake.robot import LEGS, SMALLEST
-from stewart_drake.scalars import SECTION, Count, Real
+from stewart_drake.scalars import SECTION, Leg, Natural, NotNegative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +24,9 @@ class DeadMotor:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    leg: Count
+    leg: Leg
     """0 to 5."""
-    time: Real = 0.0
+    time: NotNegative = 0.0
     """[s] when it dies."""
 
     def __post_init__(self) -> None:
@@ -44,11 +44,11 @@ class MotorOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    ripple: Real = 0.0
+    ripple: NotNegative = 0.0
     """[N m] amplitude of the torque ripple (cogging), added as a sine of the crank's angle."""
-    ripple_periods: Count = 12
+    ripple_periods: Natural = 12
     """Periods of the ripple in a turn."""
-    resolution: Real = 0.0
+    resolution: NotNegative = 0.0
     """[N m] step of the amplifier; the torque is rounded to whole steps. 0 for none."""
     dead: DeadMotor | None = None
     """A motor that fails; null for none."""

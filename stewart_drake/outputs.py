@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -13,9 +14,12 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import run_metrics
+from stewart_drake.scenario import Scenario
 
 SPACE = 50_000_000
 """[byte] that a command asks for before it begins; 10 s logged at 1 kHz take 14."""
+_ROW = 1200
+"""[byte] of a row of a log, with its share of the replay."""
 _OPTIONAL = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """Files that not every run leaves."""
 
@@ -32,18 +36,65 @@ def prepare_folder(path: str | Path, space: int = 0) -> Path:
     """
     folder = Path(path)
     try:
+        # A folder that is refused is not made.
+        there = next(each for each in (folder, *folder.absolute().parents) if os.path.lexists(each))
+        free = shutil.disk_usage(there).free
+        if free < space:
+            allowed = f"a folder on a disk with {space / 1e6:g} MB free, not {free / 1e6:.3g} MB"
+            raise ConfigurationError("--out", str(path), allowed)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-        free = shutil.disk_usage(folder).free
     except OSError as error:
-        why = "this is a file" if folder.is_file() else error.strerror
+        # Unlike `Path.is_file` this never raises, whatever stands in the way.
+        why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
         raise ConfigurationError("--out", str(path), f"a folder that can be written to ({why})") from None
-    if free < space:
-        raise ConfigurationError(
-            "--out", str(path), f"a folder on a disk with {space / 1e6:g} MB free, not {free / 1e6:.3g} MB"
-        )
     return folder
+
+
+def prepare_file(path: Path, space: int = 0) -> None:
+    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made.
+
+    Args:
+        path: The file.
+        space: [byte] that must be free on its disk.
+
+    Raises:
+        ConfigurationError: As `prepare_folder`; the path is a folder, or its name too long.
+    """
+    try:
+        if path.is_dir():
+            raise ConfigurationError("--out", str(path), "a file, not a folder")
+        path.lstat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise ConfigurationError("--out", str(path), f"a file that can be written ({error.strerror})") from None
+    prepare_folder(path.parent, space)
+
+
+def keep_scenario_file(scenario: Scenario, given: str, folder: Path) -> None:
+    """Refuses a folder in which the scenario as run would take the place of the user's own file.
+
+    Args:
+        scenario: As it would be written.
+        given: File that it was read from, or a shipped name.
+        folder: Where to.
+
+    Raises:
+        ConfigurationError: The file is the folder's `scenario.yaml`, and says it in other words.
+    """
+    own = folder / "scenario.yaml"
+    try:
+        if own.samefile(given) and own.read_text(encoding="utf-8") != scenario.to_yaml():
+            raise ConfigurationError("--out", str(folder), f"another folder than that of {given}, which would be lost")
+    except OSError:
+        return
+
+
+def space_for(scenario: Scenario) -> int:
+    """[byte] that a run's files take at most, and `SPACE` at least."""
+    return SPACE + _ROW * int(scenario.duration / scenario.effective_log_period)
 
 
 def write_run(

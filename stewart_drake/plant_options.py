@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import are_numbers, check_choice, check_leg, check_real
 from stewart_drake.robot import LARGEST, RobotParameters
-from stewart_drake.scalars import SECTION, Count, Flag, Real, Vector3, is_finite
+from stewart_drake.scalars import SECTION, Flag, Leg, NotNegative, Positive, Vector3, is_finite
 from stewart_drake.sdf_model import ROD_JOINTS, RodJoint
 
 STICTION_SPEED = 1e-4
@@ -28,9 +28,9 @@ class BrokenRod:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    leg: Count
+    leg: Leg
     """0 to 5."""
-    time: Real
+    time: NotNegative
     """[s] when it breaks."""
 
     def __post_init__(self) -> None:
@@ -48,22 +48,22 @@ class PlantOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    time_step: Real = 0.001
+    time_step: Positive = 0.001
     """[s] period of the discrete plant."""
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
     collision: Flag = False
     """Links collide: cranks, rods, platform and base, except where a joint holds them together."""
-    motor_damping: Real = 0.0
+    motor_damping: NotNegative = 0.0
     """[N m s/rad] viscous friction of each motor; implicit, stable at any step."""
-    universal_damping: Real = 0.0
+    universal_damping: NotNegative = 0.0
     """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
-    platform_joint_damping: Real = 0.0
+    platform_joint_damping: NotNegative = 0.0
     """[N m s/rad] viscous friction of each ball between rod and platform; explicit, see `platform_damping_limit`. The
     same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
-    motor_friction: Real = 0.0
+    motor_friction: NotNegative = 0.0
     """[N m] Coulomb friction of each motor; implicit, viscous below `STICTION_SPEED`, so that a held robot creeps."""
-    payload_mass: Real = 0.0
+    payload_mass: NotNegative = 0.0
     """[kg] of a point that the platform carries and nobody but the plant knows of: not `robot`, nor the controller."""
     payload_position: Vector3 = (0.0, 0.0, 0.0)
     """[m] of the payload, in P."""

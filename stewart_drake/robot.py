@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Real, Vector3, is_finite, plain
+from stewart_drake.scalars import SECTION, Count, Positive, Real, Vector3, is_finite, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6
@@ -37,47 +37,47 @@ class RobotParameters:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
-    shaft_circle_radius: Real = 0.20
+    shaft_circle_radius: Positive = 0.20
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Real = -0.07
     """[m] z of the motor shafts in B."""
-    shaft_half_angle: Real = math.radians(8.0)
+    shaft_half_angle: Positive = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
-    platform_joint_radius: Real = 0.11
+    platform_joint_radius: Positive = 0.11
     """[m] radius of the circle of the platform's joints."""
-    platform_half_angle: Real = math.radians(52.0)
+    platform_half_angle: Positive = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
-    crank_length: Real = 0.11
+    crank_length: Positive = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
-    rod_length: Real = 0.404
+    rod_length: Positive = 0.404
     """[m] crank tip to platform joint."""
-    home_height: Real = 0.30
+    home_height: Positive = 0.30
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Count = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
 
-    rod_mass: Real = 0.08
+    rod_mass: Positive = 0.08
     """[kg]"""
     rod_inertia: Vector3 = (0.0016, 0.0016, 0.000001)
     """[kg m^2] about the centre of mass; z along the rod, Ixx = Iyy."""
-    crank_mass: Real = 0.04
+    crank_mass: Positive = 0.04
     """[kg]"""
     crank_inertia: Vector3 = (0.000001, 0.000058, 0.000059)
     """[kg m^2] about the centre of mass; x along the crank, y along the motor axis."""
-    platform_mass: Real = 1.0
+    platform_mass: Positive = 1.0
     """[kg]"""
     platform_inertia: Vector3 = (0.003, 0.003, 0.006)
     """[kg m^2] about P in P."""
-    base_mass: Real = 7.0
+    base_mass: Positive = 7.0
     """[kg]; welded to the world, so it never acts."""
     base_inertia: Vector3 = (0.027, 0.027, 0.054)
     """[kg m^2]"""
 
-    effort_limit: Real = 5.0
+    effort_limit: Positive = 5.0
     """[N m] largest torque of a motor."""
-    link_radius: Real = 0.005
+    link_radius: Positive = 0.005
     """[m] radius of cranks and rods, for pictures, collisions and clearance."""
-    characteristic_length: Real = 0.11
+    characteristic_length: Positive = 0.11
     """[m] makes rotations and translations comparable in conditioning."""
 
     def __post_init__(self) -> None:

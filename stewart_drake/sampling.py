@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from stewart_drake.errors import ConfigurationError
 
 _PER_SECOND = 192_000_000
@@ -38,6 +40,14 @@ def on_grid(seconds: float) -> float:
     if abs(seconds * _PER_SECOND - count) <= _TOLERANCE * count:
         return count * _UNIT
     return math.ceil(seconds * _STRETCH * 2.0**40) / 2.0**40
+
+
+def times_of(steps: np.ndarray, time_step: float) -> np.ndarray:
+    """Times (n,) [s] of steps (n,), as decimals where the step is one: 0.174 and not 0.17400000000000002."""
+    per_second = round(1.0 / time_step)
+    if per_second >= 1 and abs(per_second * time_step - 1.0) < 1e-15:
+        return steps / per_second
+    return steps * time_step
 
 
 def steps_per(key: str, period: float, time_step: float) -> int:

@@ -6,11 +6,19 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Strict
+from pydantic import Field, Strict
 
 Real = Annotated[float, Strict()]
 """A real number; an integer will do."""
 Count = Annotated[int, Strict()]
+
+# The same with bounds for editors, by way of the JSON schema; what refuses a value is the section's own check.
+Positive = Annotated[float, Strict(), Field(json_schema_extra={"exclusiveMinimum": 0.0})]
+NotNegative = Annotated[float, Strict(), Field(json_schema_extra={"minimum": 0.0})]
+Fraction = Annotated[float, Strict(), Field(json_schema_extra={"exclusiveMinimum": 0.0, "exclusiveMaximum": 1.0})]
+Share = Annotated[float, Strict(), Field(json_schema_extra={"minimum": 0.0, "maximum": 1.0})]
+Leg = Annotated[int, Strict(), Field(json_schema_extra={"minimum": 0, "maximum": 5})]
+Natural = Annotated[int, Strict(), Field(json_schema_extra={"minimum": 0})]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Real, Real, Real]
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]
@@ -31,4 +39,7 @@ def plain(value: Any) -> Any:
 
 def is_finite(value: Any) -> bool:
     """Whether a value is a finite number; a truth value or a text that looks like one is none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False

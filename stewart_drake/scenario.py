@@ -35,11 +35,12 @@ from stewart_drake.joint_pid import PidOptions
 from stewart_drake.limits import Limits
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motors import MotorOptions
+from stewart_drake.named_files import anchor_files
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import LARGEST, RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.scalars import SECTION, Count, Real, Vector6
@@ -48,7 +49,8 @@ from stewart_drake.sensor_faults import PoseFault
 from stewart_drake.user_controller import PythonOptions
 from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder
 
-_FILE_KEYS = ("weights_file", "motion_file")
+MAX_LOG_ROWS = 10**7
+"""Some ten gigabytes."""
 
 
 class _Section(BaseModel):
@@ -138,7 +140,7 @@ class Scenario(_Section):
     duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
     """[s] simulated time; at most 8000, beyond which sample times would lose their exactness. A run ends with the last
     whole step of the plant."""
-    gravity: Annotated[Real, Field(ge=0.0)] = STANDARD_GRAVITY
+    gravity: Annotated[Real, Field(ge=0.0, le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
     robot: RobotParameters = Field(default_factory=RobotParameters)
     """Geometry, masses and limits of the simulated robot."""
@@ -340,6 +342,9 @@ class Scenario(_Section):
             )
         if self.log_period is not None and self.log_period > self.duration:
             raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
+        if self.duration / self.effective_log_period > MAX_LOG_ROWS * (1.0 + 1e-9):
+            allowed = f"at least {self.duration / MAX_LOG_ROWS:.3g} s for a run of {self.duration:g} s"
+            raise ConfigurationError("log_period", self.effective_log_period, f"{allowed}: a log has at most 1e7 rows")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
@@ -357,13 +362,13 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     """
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
-    _anchor_files(data, path.parent)
+    anchor_files(data, path.parent)
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
         _assign(data, key.strip(), parse_yaml(value, f"--set {shown(key.strip())}"))
-    _anchor_files(data, Path())
+    anchor_files(data, Path())
     return Scenario.from_dict(data)
 
 
@@ -377,28 +382,6 @@ def scenario_schema() -> dict[str, Any]:
     schema = Scenario.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     return schema
-
-
-def _anchor_files(data: Any, folder: Path) -> None:
-    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are."""
-    waiting, seen = [data], set()
-    while waiting:
-        section = waiting.pop()
-        # By way of an alias a YAML section can hold itself.
-        if id(section) in seen:
-            continue
-        seen.add(id(section))
-        if isinstance(section, list):
-            waiting.extend(section)
-        if not isinstance(section, dict):
-            continue
-        waiting.extend(section.values())
-        for key in _FILE_KEYS:
-            # A path that is absolute stays as written.
-            if isinstance(section.get(key), str) and not Path(section[key]).is_absolute():
-                section[key] = str((folder / section[key]).absolute())
-        if section.get("kind") == "python" and ".py:" in str(section.get("system")):
-            section["system"] = str((folder / section["system"]).absolute())
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
@@ -13,8 +13,8 @@ from pydantic import BaseModel, ValidationError
 from stewart_drake.errors import ConfigurationError
 
 _UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
-_BOUNDS = {"greater_than": ("gt", "above"), "greater_than_equal": ("ge", "at least")}
-_BOUNDS |= {"less_than": ("lt", "below"), "less_than_equal": ("le", "at most")}
+_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+_WORDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 _NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
 _SHOWN_KEY = 60
 
@@ -49,10 +49,9 @@ def explain(root: type, error: ValidationError, data: Any, section: str = "") ->
         keys.append("kind")
         value, allowed = None, f"{_kinds(expected)}; this key is required"
     elif kind in _BOUNDS:
-        name, word = _BOUNDS[kind]
-        allowed = _describe(expected, f" {word} {context[name]:g}")
+        allowed = _describe(expected, _bounds(root, location))
     elif kind == "finite_number":
-        allowed = _describe(expected, finite="finite ")
+        allowed = _describe(expected, _bounds(root, location), finite="finite ")
     elif kind == "string_pattern_mismatch":
         allowed = "letters, digits and _, and after the first of them space and . + - too"
     elif kind in ("string_too_short", "string_too_long"):
@@ -61,7 +60,7 @@ def explain(root: type, error: ValidationError, data: Any, section: str = "") ->
     elif kind == "invalid_key":
         allowed = "keys that are texts"
     else:
-        allowed = _describe(expected)
+        allowed = _describe(expected, _bounds(root, location))
         if isinstance(value, str) and _is_number(value) and "number" in allowed:
             allowed += " (without quotes)"
     if len(problems) > 1:
@@ -123,6 +122,24 @@ def _type_at(root: Any, location: Iterable[int | str]) -> Any:
         else:
             return None
     return here
+
+
+def _bounds(root: Any, location: Sequence[int | str]) -> str:
+    """All bounds of a key in words, such as " above 0, at most 10"; empty for none."""
+    if not location:
+        return ""
+    *parents, last = location
+    (owner, *_) = _members(_type_at(root, parents)) if parents else [root]
+    if not (isinstance(owner, type) and issubclass(owner, BaseModel)) or last not in owner.model_fields:
+        return ""
+    metadata = list(owner.model_fields[str(last)].metadata)
+    for member in get_args(owner.model_fields[str(last)].annotation):
+        for part in get_args(member):
+            metadata += getattr(part, "metadata", [])
+    found = [
+        f"{word} {getattr(each, name):g}" for each in metadata for name, word in _WORDS.items() if hasattr(each, name)
+    ]
+    return f" {', '.join(found)}" if found else ""
 
 
 def _members(annotation: Any) -> list[Any]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stewart_drake.option_checks import check_choice, check_leg, check_positive, check_real
-from stewart_drake.scalars import SECTION, Count, Real
+from stewart_drake.scalars import SECTION, Leg, NotNegative, Positive, Real
 
 EncoderFaultKind = Literal["freeze", "nan", "jump"]
 PoseFaultKind = Literal["freeze", "nan"]
@@ -28,11 +28,11 @@ class EncoderFault:
 
     kind: EncoderFaultKind
     """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts."""
-    leg: Count
+    leg: Leg
     """0 to 5."""
-    time: Real = 0.0
+    time: NotNegative = 0.0
     """[s] when it begins."""
-    duration: Real | None = None
+    duration: Positive | None = None
     """[s] after which the encoder is well again; null for never."""
     size: Real = 0.0
     """[rad] of a jump."""
@@ -61,9 +61,9 @@ class PoseFault:
 
     kind: PoseFaultKind
     """freeze: repeats its last good reading. nan: not a number."""
-    time: Real = 0.0
+    time: NotNegative = 0.0
     """[s] when it begins."""
-    duration: Real | None = None
+    duration: Positive | None = None
     """[s] after which the sensor is well again; null for never."""
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +14,21 @@ from pydrake.systems.framework import Context
 
 from stewart_drake.control_inputs import checked_legs
 from stewart_drake.diagram import ClosedLoop
-from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop, UnreachablePoseError, drake_guard
+from stewart_drake.errors import (
+    ConfigurationError,
+    RunFailure,
+    SafetyStop,
+    StewartDrakeError,
+    UnreachablePoseError,
+    drake_guard,
+)
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.log import SimulationLog, Status
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motion_fit import motion_report
-from stewart_drake.safety import refuse_motion, refuse_start, sample_times
-from stewart_drake.sampling import on_grid
+from stewart_drake.named_files import file_digests
+from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
+from stewart_drake.sampling import on_grid, times_of
 from stewart_drake.scenario import Scenario
 from stewart_drake.user_controller import ControllerStop, PythonOptions, user_code
 from stewart_drake.versions import collect_versions
@@ -58,6 +66,7 @@ def run(
     if check:
         check_scenario(scenario)
     loop = ClosedLoop(scenario, meshcat)
+    _compile(loop)
     with drake_guard("preparing the simulator"):
         simulator = Simulator(loop, loop.create_start_context())
         # Steps as error control wants them end nowhere once a derivative is not a number; only a controller of the
@@ -78,11 +87,11 @@ def run(
     users_own = user_code if isinstance(scenario.controller, PythonOptions) else nullcontext
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"), users_own():
+        with drake_guard("simulation"), users_own(), _quiet():
             simulator.Initialize()
         for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is the caller's own affair, so it stays outside of the guard.
-            with drake_guard("simulation"), users_own():
+            with drake_guard("simulation"), users_own(), _quiet():
                 _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
                 loop.plant.break_rod(simulator.get_mutable_context(), breaks[done])
@@ -106,7 +115,28 @@ def run(
         safety=trip if trip is not None or loop.safety is None else loop.safety.first_trip(context),
         wall_time=wall,
         versions=collect_versions(),
+        files=file_digests(scenario.to_dict()),
     )
+
+
+def _quiet() -> np.errstate:
+    """Numbers near the largest overflow on the way to an end with a name; numpy need not say so as well."""
+    return np.errstate(all="ignore")
+
+
+def _compile(loop: ClosedLoop) -> None:
+    """Takes the first tick of a compiled loop on a Context of its own: numba compiles in the first call of a function.
+
+    It takes half a minute on a new machine, and is no part of what the run costs.
+    """
+    options = loop.scenario.controller
+    if not options.compiled or isinstance(options, PythonOptions):
+        return
+    # What is wrong with the first tick shows in the run itself, with a log.
+    with suppress(StewartDrakeError), drake_guard("compiling"), _quiet():
+        simulator = Simulator(loop, loop.create_start_context())
+        simulator.Initialize()
+        simulator.AdvancePendingEvents()
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -119,16 +149,9 @@ def check_scenario(scenario: Scenario) -> None:
     """
     motion_report(scenario).raise_if_infeasible()
     if scenario.safety is not None:
-        time = sample_times(scenario.duration, scenario.controller.period)
-        pose, rate, _ = scenario.reference.evaluate(time)
-        start, start_rate = scenario.start()
-        try:
-            refuse_motion(scenario.believed_robot, scenario.safety, time, pose, rate)
-            refuse_start(scenario.believed_robot, scenario.safety, start, start_rate, pose[0])
-        except UnreachablePoseError as failure:
-            key = "reference" if scenario.model_robot is None else "model_robot"
-            raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
-    with np.errstate(all="ignore"):
+        with _quiet():
+            _check_safety(scenario, scenario.safety)
+    with _quiet():
         try:
             near = LqiOptions() if isinstance(scenario.controller, PythonOptions) else scenario.controller
             checked_legs(scenario.robot, near, scenario.start()[0])
@@ -139,6 +162,19 @@ def check_scenario(scenario: Scenario) -> None:
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
 
 
+def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
+    """Refuses what the safety layer would stop, if everything goes well."""
+    time = sample_times(scenario.duration, scenario.controller.period)
+    pose, rate, _ = scenario.reference.evaluate(time)
+    start, start_rate = scenario.start()
+    try:
+        refuse_motion(scenario.believed_robot, safety, time, pose, rate)
+        refuse_start(scenario.believed_robot, safety, start, start_rate, pose[0])
+    except UnreachablePoseError as failure:
+        key = "reference" if scenario.model_robot is None else "model_robot"
+        raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
+
+
 def _refuse_early_end(status: SimulatorStatus) -> None:
     """A run that a system of the user's ended is none that completed."""
     if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
@@ -147,7 +183,7 @@ def _refuse_early_end(status: SimulatorStatus) -> None:
 
 def _nominal(time_on_grid: float, time_step: float) -> float:
     """Simulated time without the rounding of `sampling.on_grid`."""
-    return float(np.round(time_on_grid / time_step) * time_step)
+    return float(times_of(np.round(time_on_grid / time_step), time_step))
 
 
 def _breaks(scenario: Scenario, total: int) -> dict[int, int]:
@@ -170,7 +206,7 @@ def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
     limit = scenario.robot.effort_limit
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])
     signals = {
-        "time": multiple * scenario.plant.time_step,
+        "time": times_of(multiple, scenario.plant.time_step),
         "pose": pose,
         "pose_rate": pose_rate,
         "reference": values["reference"][:, :6],

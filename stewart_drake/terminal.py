@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,11 +43,32 @@ class ProgressBar:
         self._bar.stop()
 
 
+def announce_compilation(compiled: bool) -> None:
+    """Says why nothing moves for half a minute, where that lies ahead."""
+    if not compiled:
+        return
+    # numba takes half a second to import.
+    from stewart_drake.compiled.control import lqi_tick
+    from stewart_drake.compiled.jit import is_kept
+
+    if not is_kept(lqi_tick):
+        console(stderr=True).print("compiling: half a minute, once on this machine", highlight=False)
+
+
 def console(stderr: bool = False) -> Any:
-    """Terminal that wraps and colours."""
+    """Terminal that wraps and colours; where nobody reads any more, what is written is lost and nothing else."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
+    class Patient(Console):
+        def on_broken_pipe(self) -> None:
+            drop_output()
+
+    return Patient(stderr=stderr)
+
+
+def drop_output() -> None:
+    """From here on standard output goes nowhere, so that its buffer does no harm at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
@@ -79,17 +102,17 @@ def print_margins(title: str, report: FeasibilityReport) -> None:
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
     """How a run went, as a table."""
 
-    def numbers(values: list[float] | None, form: str = "{:.4g}") -> str:
-        return "-" if values is None else "  ".join(form.format(v) for v in values)
+    def numbers(values: list[float] | None, unit: str, form: str = "{:.4g}") -> str:
+        return "-" if values is None else f"{'  '.join(form.format(v) for v in values)} {unit}"
 
     rows = [
         ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
         ("simulated time", f"{log.end_time:.3f} s"),
-        ("RMSE roll pitch yaw, second half", f"{numbers(metrics['rmse_deg'])} deg"),
-        ("RMSE X Y Z, second half", f"{numbers(metrics['rmse_mm'])} mm"),
-        ("peak roll pitch yaw, second half", f"{numbers(metrics['peak_deg'])} deg"),
-        ("peak X Y Z, second half", f"{numbers(metrics['peak_mm'])} mm"),
-        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "{:.2g}")),
+        ("RMSE roll pitch yaw, second half", numbers(metrics["rmse_deg"], "deg")),
+        ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
+        ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
+        ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
+        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
     ]
     if len(log.time):
         rows += [

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal
 
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.option_checks import check_positive
-from stewart_drake.scalars import SECTION, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Positive
 
 _PATH = re.compile(r"(?P<file>.+\.py):(?P<class>[A-Za-z_]\w*)|(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
@@ -57,7 +57,7 @@ class PythonOptions:
     arguments: dict[str, Any] = field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
-    period: Real = 0.001
+    period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
     compiled: Flag = False
     """The pose estimator beside the controller is compiled by numba."""
@@ -78,13 +78,6 @@ class PythonOptions:
         match = _PATH.fullmatch(self.system)
         assert match is not None
         return Path(match["file"]) if match["file"] else None
-
-    def digest(self) -> str | None:
-        """Of the file's content, for keys of kept results; None where there is no file or it cannot be read."""
-        try:
-            return None if self.file is None else hashlib.sha256(self.file.read_bytes()).hexdigest()[:24]
-        except OSError:
-            return None
 
 
 def load_class(options: PythonOptions) -> type:

@@ -147,7 +147,8 @@ def test_the_version_is_one_line(call):
 
 
 def test_the_package_runs_as_a_module(tmp_path):
-    status, out, err = shell("--help", cwd=tmp_path, code="import runpy; runpy.run_module('stewart_drake')")
+    code = "import runpy; runpy.run_module('stewart_drake', run_name='__main__')"
+    status, out, err = shell("--help", cwd=tmp_path, code=code)
     assert (status, err) == (0, "")
     assert "Usage: " in out
 
@@ -193,7 +194,7 @@ BAD = [
     (["run", "paper_fig7", "--set", "duration.x=3"], ["duration", "10.0", "a section"]),
     (["run", "paper_fig7", "--set", "duration=[1"], ["--set duration", "line 1"]),
     (["run", "paper_fig7", "--set", "duration=ten"], ["duration", "'ten'", "a number"]),
-    (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "a number (without quotes)"]),
+    (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "(without quotes)"]),
     (["run", "paper_fig7", "--set", "duration=true"], ["duration", "True", "a number"]),
     (["run", "paper_fig7", "--set", "duration=.nan"], ["duration", "nan", "a finite number"]),
     (["run", "paper_fig7", "--set", "duration=-1"], ["duration", "-1", "a number above 0"]),
@@ -207,7 +208,7 @@ BAD = [
     (["run", "paper_fig7", "--set", "reference.amplitude=[2,0,0,0,0,0]"], ["joint_swing", "t = 0.282 s", "leg 5"]),
     (["run", "paper_fig7", "--set", "reference.angular_frequency=[1e200,0,0,0,0,0]"], ["reference", "finite"]),
     (["run", "paper_fig7", "--set", "initial_offset=[0,0,0,0,0,0.3]"], ["initial_offset", "out of reach of leg 0"]),
-    (["run", "paper_fig7", "--set", "gravity=1e300"], ["torque", "5 N m"]),
+    (["run", "paper_fig7", "--set", "gravity=1e300"], ["gravity", "at most 1e+06"]),
     (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "Is a directory"]),
@@ -217,8 +218,31 @@ BAD = [
     (["run", "paper_fig7", "--set", "tuner.density=signed"], ["tuner.density", "'signed'", "magnitude"]),
     (["run", "paper_fig7", "--out", "empty.yaml"], ["--out", "'empty.yaml'", "this is a file"]),
     (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "Not a directory"]),
+    (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
+    (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
+    (["run", "scenario.yaml", "--out", "."], ["--out", "would be lost"]),
+    (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
+    (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
+    (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
+    (["run", "exact_breathing", "--set", "sensors.noise=1.7e308"], ["sensors.noise", "1e+06"]),
+    (
+        [
+            "run",
+            "paper_fig7",
+            "--set",
+            "plant.time_step=1e-6",
+            "--set",
+            "controller.period=1e-6",
+            "--set",
+            "duration=20",
+        ],
+        ["log_period", "1e7 rows"],
+    ),
+    (["collect", "--out", "a" * 300], ["--out", "too long"]),
+    (["collect", "--out", "folder"], ["--out", "directory"]),
+    (["train", "data.parquet", "--out", ""], ["--out", "empty text"]),
     (["schema", "--out", "no/schema.json"], ["no/schema.json", "writable folder"]),
-    (["schema", "--out", "folder"], ["folder", "Is a directory"]),
+    (["schema", "--out", "folder"], ["folder", "is a directory"]),
     (["write-sdf", "no/robot.sdf"], ["no/robot.sdf", "writable folder"]),
     (["write-sdf", "x.sdf", "--set", "robot.rod_lenght=1"], ["robot.rod_lenght", "did you mean rod_length?"]),
     (["train", "none.parquet"], ["none.parquet", "collect"]),
@@ -233,6 +257,7 @@ def bad_files(tmp_path):
     weights = json.loads(default_network_path().read_text())
     contents = {
         "empty.yaml": b"",
+        "scenario.yaml": b"duration: 0.1\n",
         "binary.yaml": b"\x89PNG\xff\x00",
         "twice.yaml": b"duration: 1\nduration: 2\n",
         "typo.yaml": b"plant: {time_stp: 0.001}\n",
@@ -288,6 +313,35 @@ def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("args", [["schema"], ["run", "paper_fig7", "--set", "duration=0.02", "--out", "out"]])
+def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            [sys.executable, "-c", WITHOUT_PICTURES, *args],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert process.returncode == 2
+    assert "Traceback" not in process.stderr
+    assert "standard output" in process.stderr
+
+
+def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
+    args = ["run", "paper_fig7_uncompensated", "--set", "controller.feedforward=none", "--out", "out"]
+    process = start(*args, cwd=tmp_path, code=WITHOUT_PICTURES)
+    process.stdout.close()
+    with process.stderr as stream:
+        assert "Traceback" not in stream.read()
+    assert process.wait(timeout=120) == 3
+    assert load_log(tmp_path / "out").reason == "crank_dead_centre"
+
+
 # --- runs that break ----------------------------------------------------------------------------------------------
 
 
@@ -324,7 +378,8 @@ def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
     assert json.loads(Path("runs/paper_fig7/metrics.json").read_text())["torque_rms"] is None
 
 
-def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     code = (
         "from stewart_drake import cli\n"
         "real = cli.ProgressBar._advance\n"
@@ -338,7 +393,7 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path):
     deadline = time.monotonic() + 60
     while not (tmp_path / "ticking").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(how)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "Traceback" not in err

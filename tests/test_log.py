@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -79,7 +80,7 @@ def test_every_column_tells_its_unit_frame_and_meaning(log):
     assert [units[f"torque.{leg}"] for leg in range(6)] == ["N m"] * 6
     assert units["loop_gap.0"] == "m"
     assert frames["pose.x"] == "P in B"
-    assert frames["torque.3"] == ""
+    assert frames["torque.3"] == "about the motor axis"
 
 
 def test_there_is_a_column_per_component_and_no_other(log):
@@ -123,8 +124,11 @@ def parquet(metadata):
         (b"time,pose\n0,0\n" * 100, "a Parquet file"),
         (parquet({}), "a log written by this package"),
         (parquet({"stewart_drake.run": json.dumps({"version": 2})}), "version 1"),
+        (parquet({"stewart_drake.run": "{"}), "metadata that cannot be read"),
+        (parquet({"stewart_drake.run": "[1]"}), "metadata that cannot be read"),
+        (parquet({"stewart_drake.run": json.dumps({"version": 1})}), "metadata that cannot be read"),
     ],
-    ids=["missing", "empty", "short", "text", "other", "later"],
+    ids=["missing", "empty", "short", "text", "other", "later", "broken", "list", "bare"],
 )
 @pytest.mark.parametrize("as_folder", [False, True])
 def test_what_is_no_log_is_named_in_one_line(tmp_path, content, words, as_folder):
@@ -178,3 +182,17 @@ def test_entries_of_the_plants_state_have_their_own_units(name, unit):
     plant = build_plant(RobotParameters())[1]
     log = dataclasses.replace(made_log(rows=2), state_names=plant.state_names)
     assert log.columns()[f"plant_state.{name}"][1] == unit
+
+
+@pytest.mark.parametrize("column", ["time", "pose.x", "plant_state.state 1"])
+def test_a_log_that_has_lost_a_column_is_refused(log, tmp_path, column):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pq.read_table(pa.BufferReader(log.to_parquet())).drop_columns([column]), path)
+    with pytest.raises(ConfigurationError, match=f"no column {column}"):
+        load_log(path)
+
+
+def test_files_of_the_scenario_are_known_by_their_content(log, tmp_path):
+    files = {"/somewhere/net.json": "ab12", "/gone.csv": None}
+    replace(log, files=files).save(tmp_path / "log.parquet")
+    assert load_log(tmp_path / "log.parquet").files == files

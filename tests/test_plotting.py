@@ -99,7 +99,7 @@ def test_errors_and_integral_states_are_drawn_for_every_axis(axis, symbol):
     log = make_log()
     figure = plot_states(log)
     column, unit = (0, "deg") if axis < 3 else (1, "mm")
-    errors = panel(figure, "Error, and its RMS")[column]
+    errors = panel(figure, "Error and RMS")[column]
     np.testing.assert_allclose(
         lines(errors)[symbol][:, 1], in_unit(log, "pose", axis) - in_unit(log, "reference", axis)
     )
@@ -114,9 +114,9 @@ def test_rms_errors_in_the_legend_are_those_of_the_metrics():
     log = make_log()
     metrics = run_metrics(log)
     figure = plot_states(log)
-    for axes, key in zip(panel(figure, "Error, and its RMS"), ("rmse_deg", "rmse_mm"), strict=True):
+    for axes, key in zip(panel(figure, "Error and RMS"), ("rmse_deg", "rmse_mm"), strict=True):
         shown = [float(text.get_text().split()[-1]) for text in axes.get_legend().get_texts()]
-        np.testing.assert_allclose(shown, metrics[key], rtol=5e-3)
+        np.testing.assert_allclose(shown, metrics[key], rtol=5e-2)
 
 
 def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes():
@@ -161,7 +161,7 @@ def test_each_motor_has_its_panel_with_torque_rms_and_peak(leg):
     applied = log["torque_applied"][:, leg]
     np.testing.assert_array_equal(lines(axes)["applied"][:, 1], applied)
     rms, peak = np.sqrt(np.mean(applied**2)), np.abs(applied).max()
-    assert axes.get_title(loc="right") == f"RMS {rms:.2f} N m, peak {peak:.2f} N m"
+    assert axes.get_title(loc="right") == f"RMS {rms:#.3g} N m, peak {peak:#.3g} N m"
     assert "commanded" not in lines(axes)
 
 

@@ -24,6 +24,14 @@ def digest(folder: Path = Path(__file__).parent) -> str:
 _DIGEST = digest()
 
 
+def is_kept(function: Any) -> bool:
+    """Whether machine code of a function of this package lies on the disk, fresh; if not, its first call compiles."""
+    try:
+        return bool(function._cache._cache_file.load_index())
+    except (AttributeError, OSError):
+        return False
+
+
 def njit(**options: Any) -> Callable[[_F], _F]:
     """`numba.njit`, with `cache` safe: numba looks at the function's own file alone, not at those of what it calls.
 

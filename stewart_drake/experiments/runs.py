@@ -17,10 +17,10 @@ from typing import Any
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.log import SimulationLog, load_log
+from stewart_drake.named_files import file_digests
 from stewart_drake.network import default_network_path
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
-from stewart_drake.user_controller import PythonOptions
 from stewart_drake.versions import collect_versions
 
 
@@ -39,8 +39,7 @@ def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None
     content: list[Any] = [data]
     if isinstance(scenario.tuner, AnnTuner):
         content.append(weights_text(scenario.tuner))
-    if isinstance(scenario.controller, PythonOptions):
-        content.append(scenario.controller.digest())
+    content.append(file_digests(data))
     versions = collect_versions() if versions is None else versions
     content.append({name: versions[name] for name in ("stewart-drake", "drake", "numpy", "source")})
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]

@@ -104,7 +104,7 @@ def plot_torques(log: SimulationLog) -> Figure:
     near = peak.max() >= _NEAR_LIMIT * limit
     for leg, panel in enumerate(axes.flat):
         rms = np.sqrt(np.mean(applied[:, leg] ** 2))
-        _title(panel, f"Motor {leg}", f"RMS {rms:.2f} N m, peak {peak[leg]:.2f} N m")
+        _title(panel, f"Motor {leg}", f"RMS {rms:#.3g} N m, peak {peak[leg]:#.3g} N m")
         panel.axhline(0.0, color=_QUIET, linewidth=0.8)
         if near:
             for side in (-limit, limit):
@@ -115,7 +115,7 @@ def plot_torques(log: SimulationLog) -> Figure:
         _draw(panel, time, applied[:, leg], color=_AXIS_COLORS[2], label="applied", held=True)
         if leg % 2 == 0:
             panel.set_ylabel("torque [N m]")
-    _widen(axes[0, 0], 0.2)
+    _widen(axes[0, 0], 0.02)
     if near:
         # A controller that asks for far more than the motors have must not flatten what they gave.
         low, high = axes[0, 0].get_ylim()
@@ -153,7 +153,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
         _draw(main if axis == group.main else others, time, pose[:, axis], color=color, label=symbol)
-        rms = "" if rmse is None else f"  {rmse[axis]:.3g}"
+        rms = "" if rmse is None else f"  {rmse[axis]:.2g}"
         _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
         _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
     two = [axis for axis in range(3) if axis != group.main]
@@ -162,13 +162,14 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
         _draw(others, time, reference[:, axis], label=_once(axis == two[0], "reference"), **_DASHED)
     _title(main, group.names[group.main])
     _title(others, " and ".join(group.names[axis] for axis in two))
-    _title(errors, "Error" + ("" if rmse is None else ", and its RMS"))
+    _title(errors, "Error" + ("" if rmse is None else " and RMS"))
     _title(integrals, "Integral state")
-    # Noise far below what matters must not fill a panel.
+    # Noise far below what matters must not fill a panel, nor a small error vanish in it.
+    smallest = 0.02 if rmse is None else min(0.02, max(1e-4, 20.0 * max(rmse)))
     for panel, quantity, least in (
         (main, group.symbols[group.main], 1.0),
         (others, ", ".join(group.symbols[axis] for axis in two), 1.0),
-        (errors, "error", 0.02),
+        (errors, "error", smallest),
         (integrals, "z", 0.02),
     ):
         panel.set_ylabel(f"{quantity} [{unit}{' s' * (panel is integrals)}]")

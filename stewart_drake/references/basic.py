@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, check_vectors, is_six, smoothstep
-from stewart_drake.scalars import SECTION, Real, Vector6
+from stewart_drake.scalars import SECTION, Positive, Real, Vector6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,9 +81,9 @@ class SineBurstsReference:
     """[rad, m]"""
     phase: Vector6 = ZERO
     """[rad] per axis, the same in every burst."""
-    burst_duration: Real = 1.6
+    burst_duration: Positive = 1.6
     """[s]"""
-    fade: Real = 0.2
+    fade: Positive = 0.2
     """[s] at each end of a burst."""
 
     def __post_init__(self) -> None:

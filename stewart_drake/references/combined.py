@@ -15,7 +15,7 @@ from stewart_drake.references.basic import HoldReference, SineBurstsReference, S
 from stewart_drake.references.paths import MinimumJerkReference, SplineReference
 from stewart_drake.references.recorded import RecordedReference
 from stewart_drake.references.surgical import BreathingReference, HeartbeatReference, TremorReference
-from stewart_drake.scalars import SECTION, Real, Vector6
+from stewart_drake.scalars import SECTION, NotNegative, Positive, Vector6
 
 Motion = (
     HoldReference
@@ -103,11 +103,11 @@ class AdjustedReference:
     kind: Literal["adjusted"] = "adjusted"
     motion: Annotated[Motion | SumReference, Field(discriminator="kind"), _inside("motion")]
     """The motion to adjust."""
-    scale: Real = 1.0
+    scale: NotNegative = 1.0
     """[-] size of the motion about the centre, at least 0."""
-    slowdown: Real = 1.0
+    slowdown: Positive = 1.0
     """[-] by how much longer the motion takes, 1e-6 to 1e6."""
-    fade_in: Real = 0.0
+    fade_in: NotNegative = 0.0
     """[s] of the motion's own time over which it grows from rest in the centre, a quintic; 0 for none."""
     center: Vector6 | None = None
     """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""

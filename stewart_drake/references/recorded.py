@@ -12,7 +12,7 @@ from pydantic import StrictStr
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import check_numbers, check_positive
-from stewart_drake.scalars import SECTION, Real
+from stewart_drake.scalars import SECTION, Positive
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 """[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""
@@ -35,9 +35,9 @@ class RecordedReference:
     kind: Literal["recorded"] = "recorded"
     motion_file: StrictStr
     """Path of a .csv or .parquet file, relative to the scenario file."""
-    time_scale: Real = 1.0
+    time_scale: Positive = 1.0
     """[s] that one unit of the file's time lasts: 0.001 for a file in milliseconds, 2 for half the speed."""
-    settle: Real = 0.25
+    settle: Positive = 0.25
     """[s] from the last row to rest."""
 
     def __post_init__(self) -> None:

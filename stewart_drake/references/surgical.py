@@ -13,7 +13,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import check_seed
 from stewart_drake.references.base import HOME, check_numbers, check_positive, check_vectors, check_whole, smoothstep
-from stewart_drake.scalars import SECTION, Count, Real, Vector6, is_finite
+from stewart_drake.scalars import SECTION, Count, Natural, NotNegative, Positive, Real, Share, Vector6, is_finite
 
 _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""
@@ -39,7 +39,7 @@ class BreathingReference:
     """[rad, m] pose at end-exhale, where breathing rests longest."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.002, 0.002, 0.012)
     """[rad, m] from end-exhale to end-inhale, peak to peak; its sign is the direction."""
-    frequency: Real = 0.25
+    frequency: Positive = 0.25
     """[Hz] breaths per second, above 0."""
     order: Count = 2
     """n of the waveform, 1 to 3: the larger, the longer the stay at end-exhale."""
@@ -88,7 +88,7 @@ class HeartbeatReference:
     """[rad, m] mean of the wave."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.003, 0.002, 0.006)
     """[rad, m] peak to peak; its sign is the direction."""
-    rate: Real = 1.25
+    rate: Positive = 1.25
     """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
     phase: Vector6 = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
     """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
@@ -96,17 +96,17 @@ class HeartbeatReference:
     """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""
     harmonic_phase: tuple[Real, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
     """[rad] p_k, one per harmonic."""
-    respiratory_variation: Real = 0.02
+    respiratory_variation: Share = 0.02
     """[-] amplitude of the rate's swing with breathing (respiratory sinus arrhythmia), as a part of the rate."""
-    respiratory_frequency: Real = 0.25
+    respiratory_frequency: Positive = 0.25
     """[Hz] of that swing. With a `breathing` motion of this frequency the rate is highest while it breathes in."""
-    slow_variation: Real = 0.015
+    slow_variation: Share = 0.015
     """[-] largest slow departure of the rate, as a part of it; together with respiratory_variation below 1."""
-    seed: Count = 0
+    seed: Natural = 0
     """Of the slow variation."""
     premature_beats: tuple[Count, ...] = ()
     """Numbers of the beats that come early, ascending, at least 2 apart; beat 0 begins at t = 0."""
-    prematurity: Real = 0.4
+    prematurity: NotNegative = 0.4
     """[-] by which part of a beat they come early, 0 to 0.7."""
 
     def __post_init__(self) -> None:
@@ -223,11 +223,11 @@ class TremorReference:
     """[rad, m]"""
     rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
     """[rad, m] root mean square over a long time; peaks are some three times as large."""
-    low: Real = 6.0
+    low: Positive = 6.0
     """[Hz] lower end of the band, above 0."""
-    high: Real = 12.0
+    high: Positive = 12.0
     """[Hz] upper end of the band, above its lower end."""
-    seed: Count = 0
+    seed: Natural = 0
     """Of frequencies and phases."""
 
     def __post_init__(self) -> None:

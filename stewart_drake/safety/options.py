@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.option_checks import check_positive, check_positive_pair, check_real, check_whole
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import SECTION, Count, Flag, Real
+from stewart_drake.scalars import SECTION, Flag, Fraction, Natural, NotNegative, Positive, Real, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,46 +29,46 @@ class SafetyOptions:
     """Commands and measurements must be finite."""
     failures: Flag = True
     """A tick of estimator or controller that fails is held like a late one; otherwise it ends the run at once."""
-    deadline: Count | None = 2
+    deadline: Natural | None = 2
     """Ticks that a command may be old."""
-    frozen_encoder: Real | None = 0.04
+    frozen_encoder: Positive | None = 0.04
     """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
     bit."""
     frozen_pose: tuple[Real, Real] | None = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""
-    torque_limit: Real | None = 1.0
+    torque_limit: Share | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
-    torque_limit_time: Real = 0.1
+    torque_limit_time: NotNegative = 0.1
     """[s] for which a command may be at the limit or beyond, in sum; good ticks take away from the sum."""
-    torque_rate: Real | None = 4000.0
+    torque_rate: Positive | None = 4000.0
     """[N m/s] by which a motor's torque may change. In a tick whose command jumps further the last good one stands;
     what comes next is led after at that rate."""
-    torque_rate_time: Real = 0.01
+    torque_rate_time: NotNegative = 0.01
     """[s] for which commands may jump further, in sum; good ticks take away from the sum."""
     workspace: tuple[Real, Real] | None = (1.2, 0.12)
     """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
-    transmission: Real | None = 0.1
+    transmission: Fraction | None = 0.1
     """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
-    conditioning: Real | None = 0.04
+    conditioning: Fraction | None = 0.04
     """[-] smallest sigma_min / sigma_max of the rods' lines, without crossing zero (parallel singularity)."""
-    horizon: Real = 0.01
+    horizon: NotNegative = 0.01
     """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
-    crank_speed: Real | None = 15.0
+    crank_speed: Positive | None = 15.0
     """[rad/s] largest |theta'|."""
     following_error: tuple[Real, Real] | None = (0.1, 0.02)
     """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
-    hold_ticks: Count = 20
+    hold_ticks: Natural = 20
     """Ticks for which the last good command is repeated at most, up to 20."""
-    hold_time: Real = 0.03
+    hold_time: NotNegative = 0.03
     """[s] for which it is, at most, up to 0.03."""
-    ramp_time: Real = 0.02
+    ramp_time: Positive = 0.02
     """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
-    damping: Real | None = None
+    damping: NotNegative | None = None
     """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
-    safe_hold_time: Real = 0.5
+    safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
-    runaway: Real = 2.0
+    runaway: NotNegative = 2.0
     """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:
     the run ends at once."""
 

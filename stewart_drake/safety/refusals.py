@@ -75,6 +75,9 @@ def refuse_start(
     trip = look(robot, options, 0.0, SafetyInputs(np.zeros(6), pose, pose_rate, reference), 0.0).trip
     if trip is not None:
         name = MONITORS[trip.monitor]
+        if np.array_equal(pose, reference):
+            # The motion itself has been looked at: it is the look ahead that leads out of bounds.
+            raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")
         raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
 
 

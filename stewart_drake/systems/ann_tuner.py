@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.network import TunerNetwork
-from stewart_drake.option_checks import check_positive_pair
+from stewart_drake.option_checks import check_numbers
 from stewart_drake.sampling import on_grid
 
 
@@ -27,7 +27,7 @@ class AnnTuner(LeafSystem):
         compiled: See `LqiOptions.compiled`.
 
     Raises:
-        ConfigurationError: `initial` is not two positive numbers.
+        ConfigurationError: `initial` is not two finite numbers.
 
     Ports:
         density: in (12,) [-].
@@ -42,7 +42,7 @@ class AnnTuner(LeafSystem):
         compiled: bool = False,
     ) -> None:
         super().__init__()
-        check_positive_pair("initial", list(initial), "two positive numbers")
+        check_numbers("initial", list(initial), 2)
         self._compiled = compiled
         self._weights = network.compiled_weights() if compiled else network.weights
         self.density = self.DeclareVectorInputPort("density", 12)

@@ -29,6 +29,7 @@ from stewart_drake.experiments.sweeps.runner import run_plan
 from stewart_drake.experiments.sweeps.store import RowStore
 from stewart_drake.experiments.sweeps.table import to_parquet
 from stewart_drake.files import write_atomically
+from stewart_drake.named_files import file_digests
 from stewart_drake.scenario import AnnTuner
 from stewart_drake.user_controller import PythonOptions, load_class
 from stewart_drake.versions import collect_versions
@@ -135,9 +136,10 @@ def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dic
         if isinstance(scenario.controller, PythonOptions):
             # Otherwise a class that does not exist would show after everything has run.
             load_class(scenario.controller)
-            texts[str(scenario.controller.digest())] = None
+    data = comparison.to_dict()
     return {
-        **comparison.to_dict(),
-        "files": sorted(texts),
+        **data,
+        "weights": sorted(texts),
+        "files": file_digests(data),
         "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
     }

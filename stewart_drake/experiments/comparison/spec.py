@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 import math
@@ -20,8 +21,9 @@ from stewart_drake.experiments.comparison.figures import measure_band, measure_r
 from stewart_drake.experiments.sweeps.one_run import Measure
 from stewart_drake.experiments.sweeps.spec import _load_base, vary
 from stewart_drake.feasibility import largest_amplitude
+from stewart_drake.named_files import anchor_files
 from stewart_drake.scalars import SECTION, Count, Real
-from stewart_drake.scenario import Scenario, _anchor_files
+from stewart_drake.scenario import Scenario
 from stewart_drake.scenario_errors import explain, shown
 from stewart_drake.yaml_files import find_file, read_mapping, shipped_folder
 
@@ -270,9 +272,9 @@ def _keys(where: str, given: Any, folder: Path) -> dict[str, Any]:
         raise ConfigurationError(where, given, "a mapping of scenario keys to values")
     keys = dict(given)
     for key, value in given.items():
-        holder = {key.rpartition(".")[2]: value}
-        _anchor_files(holder, folder)
-        (keys[key],) = holder.values()
+        holder = {key: copy.deepcopy(value)}
+        anchor_files(holder, folder)
+        keys |= holder
     return keys
 
 

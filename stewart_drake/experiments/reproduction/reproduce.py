@@ -15,6 +15,7 @@ from stewart_drake.experiments.reproduction.region import NEAR
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.runs import weights_text
 from stewart_drake.files import write_atomically
+from stewart_drake.named_files import file_digests
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
@@ -139,6 +140,7 @@ def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
     content: list[Any] = [base.to_dict(), quick, {name: versions[name] for name in _VERSIONS}]
     if isinstance(base.tuner, AnnTuner):
         content.append(weights_text(base.tuner))
+    content.append(file_digests(base.to_dict()))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
 

@@ -29,8 +29,8 @@ from stewart_drake.experiments.sweeps.spec import Sweep, vary
 from stewart_drake.experiments.sweeps.store import TABLE, RowStore
 from stewart_drake.experiments.sweeps.table import BEFORE, INCIDENTAL, OUTCOME, to_arrow, to_parquet, varied_columns
 from stewart_drake.files import write_atomically
+from stewart_drake.named_files import file_digests
 from stewart_drake.scenario import AnnTuner, Scenario
-from stewart_drake.user_controller import PythonOptions
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -327,12 +327,10 @@ def _identity(sweep: Sweep, versions: Mapping[str, str | None]) -> dict[str, Any
                     tuners.append(vary(sweep.base, {key: value}).tuner)
                 except ConfigurationError:
                     continue  # a row says so
-    controller = sweep.base.controller
-    files = {"controller": controller.digest()} if isinstance(controller, PythonOptions) else {}
     texts = sorted({weights_text(tuner) for tuner in tuners if isinstance(tuner, AnnTuner)})
     return {
         **data,
-        **files,
+        "files": file_digests(data),
         "weights": [hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts],
         "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
     }

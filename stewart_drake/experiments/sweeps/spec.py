@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictStr, ValidationError
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.sweeps.distributions import Choice, Distribution, Grid, column_of, parse_distribution
+from stewart_drake.named_files import anchor_files
 from stewart_drake.scalars import SECTION, Count, Flag
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.scenario_errors import explain, shown
@@ -350,12 +351,10 @@ def _load_base(name: str, folder: Path) -> Scenario:
 
 
 def _anchored(key: str, value: Any, folder: Path) -> Any:
-    """`value`, with the path of a weights file in it made absolute."""
-    if key == "tuner.weights_file" and isinstance(value, str):
-        return str((folder / value).absolute())
-    if key == "tuner" and isinstance(value, Mapping) and "weights_file" in value:
-        return {**value, "weights_file": _anchored("tuner.weights_file", value["weights_file"], folder)}
-    return value
+    """`value`, with the paths of files in it made absolute."""
+    holder = {key: copy.deepcopy(value)}
+    anchor_files(holder, folder)
+    return holder[key]
 
 
 def _generator(seed: int, key: str) -> np.random.Generator:

@@ -1,0 +1,45 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+class OutPath(click.Path):
+    """Where to write; an empty text, as an unset variable of a shell gives it, is no place."""
+
+    def __init__(self, **details: Any) -> None:
+        super().__init__(path_type=Path, **details)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """As `click.Path`."""
+        if value == "":
+            self.fail("got an empty text; allowed: a path", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+def out_folder(default: str | None = None) -> Callable[[Any], Any]:
+    """`--out DIR`."""
+    if default is None:
+        return click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME].")
+    return click.option(
+        "--out", type=OutPath(), default=Path(default), show_default=True, help="Folder for the results."
+    )
+
+
+def out_file(default: str) -> Callable[[Any], Any]:
+    """`--out FILE`."""
+    return click.option(
+        "--out", type=OutPath(dir_okay=False), default=Path(default), show_default=True, help="File to write."
+    )
+
+
+def overrides(example: str = "duration=2") -> Callable[[Any], Any]:
+    """`--set KEY=VALUE`."""
+    return click.option(
+        "--set", "overrides", multiple=True, metavar="KEY=VALUE", help=f"Change a key, e.g. --set {example}."
+    )
