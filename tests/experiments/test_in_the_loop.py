@@ -10,7 +10,7 @@ from made_logs import made_log
 from stewart_drake.density import density
 from stewart_drake.experiments.report import Figure, Section, Table, Text
 from stewart_drake.experiments.reproduction import in_the_loop
-from stewart_drake.experiments.reproduction.in_the_loop import make, on_trajectory, shrinking, under_tuner
+from stewart_drake.experiments.reproduction.in_the_loop import make, on_trajectory, shrinking, span, under_tuner
 from stewart_drake.experiments.reproduction.nine_experiments import PAIRS, RATIOS, pair_of
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.reproduction.tuner_comparison import (
@@ -386,3 +386,9 @@ def test_the_numbers_are_those_of_the_plant(tmp_path, monkeypatch):
     ):
         expected = tracking_score(run(scenario)).pose_mm
         assert section.numbers["pose_rmse_mm"]["(37), (38)"][name] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_span_is_one_figure_where_all_agree():
+    assert span([0.44501, 0.44502, None]) == "0.445"
+    assert span([2.71, 4.13, 2.88]) == "2.71 to 4.13"
+    assert span([None]) is None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,8 @@ _CLAIM = (
     "authors' later paper (doi 10.1177/10775463211019177) puts the improvement at 45 % on average."
 )
 _QUICK = "heartbeat"
+_APART = 1e-10
+"""[rad, m] between starts that nobody could tell apart."""
 _TUNER = None
 """Key of the runs under the network, beside the ratios of the fixed ones."""
 _START = {_TUNER: "tuner", 1.0: "1 / 1, fixed"}
@@ -77,13 +80,15 @@ def make(study: Study) -> Section:
     section = Section("in_the_loop", "The tuner in the loop", _CLAIM)
     reasons = {t.name: refusal(on_trajectory(study.base, t)) for t in trajectories_of(study)}
     trajectories = [t for t in trajectories_of(study) if reasons[t.name] is None]
-    runs, free = _run(study, trajectories)
+    done = _run(study, trajectories)
+    runs = done.followed
     comparisons = [
         Comparison(t.name, _pose(runs[t.name, _TUNER]), {r: _pose(runs[t.name, r]) for r in RATIOS})
         for t in trajectories
     ]
     gains = improvements(comparisons)
-    _fig7(section, study, {_START[key]: runs[trajectories[0].name, key] for key in _START}, free)
+    _fig7(section, study, {_START[key]: runs[trajectories[0].name, key] for key in _START}, done.free)
+    _nearby(section, study, done.nearby)
     _ranking(section, study, trajectories, comparisons, gains)
     _apart(section, comparisons, runs)
     _why(section, study, comparisons, runs)
@@ -92,8 +97,21 @@ def make(study: Study) -> Section:
     return section
 
 
-def _run(study: Study, trajectories: Sequence[Trajectory]) -> tuple[Runs, Mapping[str, SimulationLog]]:
-    """Every trajectory under the tuner and the five; (37), (38) without gravity under the tuner and 1/1."""
+class _Logs(NamedTuple):
+    """What was run.
+
+    Attributes:
+        followed: Every trajectory under the tuner and the five ratios.
+        free: (37), (38) without gravity, under the tuner and under 1/1.
+        nearby: Runs of Fig. 7 from starts beside the reference's, by condition.
+    """
+
+    followed: Runs
+    free: Mapping[str, SimulationLog]
+    nearby: Mapping[str, list[SimulationLog]]
+
+
+def _run(study: Study, trajectories: Sequence[Trajectory]) -> _Logs:
     feedforward, gravity = study.base.lqi.feedforward, study.base.gravity
     scenarios: dict[tuple[str, float | None], Scenario] = {}
     for trajectory in trajectories:
@@ -103,10 +121,20 @@ def _run(study: Study, trajectories: Sequence[Trajectory]) -> tuple[Runs, Mappin
         tuned = under_tuner(study, scenarios[trajectory.name, 1.0])
         scenarios[trajectory.name, _TUNER] = tuned.replace({"name": "paper_fig7 - tuner in the loop"})
     free = paper_scenario(study.base, study.pick(10.0, 5.2), 0.0, "none", pair_of(1.0))
-    every = [*scenarios.values(), under_tuner(study, free), free]
+    adrift = {
+        f"{_condition(study)}, tuner": scenarios[trajectories[0].name, _TUNER],
+        "gravity off, feedforward none, tuner": under_tuner(study, free),
+        "gravity off, feedforward none, 1 / 1, fixed": free,
+    }
+    offsets = _APART * np.random.default_rng(0).uniform(-1.0, 1.0, (study.pick(5, 2), 6))
+    near = [start.replace({"initial_offset": list(offset)}) for start in adrift.values() for offset in offsets]
+    every = [*scenarios.values(), under_tuner(study, free), free, *near]
     # Each motion has been checked against the limits, which do not depend on the weights.
     logs = study.store.run_all(every, lambda share: study.progress(0.95 * share), check=False)
-    return dict(zip(scenarios, logs, strict=False)), dict(zip(_START.values(), logs[-2:], strict=True))
+    rest = iter(logs)
+    followed = {key: next(rest) for key in scenarios}
+    alone = {name: next(rest) for name in _START.values()}
+    return _Logs(followed, alone, {name: [next(rest) for _ in offsets] for name in adrift})
 
 
 def _fig7(
@@ -116,8 +144,7 @@ def _fig7(
 
     log = compensated[_START[_TUNER]]
     section.text("### Fig. 7 again")
-    name = "gravity on" if study.base.gravity > 0.0 else "gravity off"
-    condition = f"{name}, feedforward {study.base.lqi.feedforward}"
+    condition = _condition(study)
     section.figure(
         f"Fig. 7(a): states, errors, integral states and the network's output on (37), (38); {condition}",
         study.save_figure(plot_states(log), "in_the_loop_states"),
@@ -145,6 +172,41 @@ def _fig7(
         rows,
     )
     section.text(shrinking({where: found for where, found in numbers.items() if "tuner" in where}))
+
+
+def _condition(study: Study) -> str:
+    name = "gravity on" if study.base.gravity > 0.0 else "gravity off"
+    return f"{name}, feedforward {study.base.lqi.feedforward}"
+
+
+def _nearby(section: Section, study: Study, nearby: Mapping[str, list[SimulationLog]]) -> None:
+    """How firmly the figures of Fig. 7 are determined."""
+    rows, numbers = [], section.numbers.setdefault("nearby_starts", {})
+    for name, logs in nearby.items():
+        found: dict[str, list[float | None]] = {"roll_rmse_deg": [], "z_rmse_mm": [], "integral_at_5s": []}
+        for log in logs:
+            m = run_metrics(log)
+            found["roll_rmse_deg"].append((m["rmse_deg"] or [None])[0])
+            found["z_rmse_mm"].append((m["rmse_mm"] or [None])[-1])
+            found["integral_at_5s"].append(_largest_integral(log))
+        numbers[name] = found
+        rows.append((name, *(span(values) for values in found.values())))
+    section.table(
+        f"The same runs from {study.pick(5, 2)} starts up to {_APART:g} rad and m beside the reference's, in random "
+        "directions: smallest to largest figure. Where they spread the loop is chaotic: a run is one sample, and the "
+        "rounding of another processor gives another",
+        ("condition and weights", "RMSE roll [deg]", "RMSE Z [mm]", "abs(z) at 5 s"),
+        rows,
+    )
+
+
+def span(values: Sequence[float | None]) -> str | None:
+    """Smallest to largest of what there is; one figure where all agree to four digits, None for nothing."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    low, high = (f"{value:.4g}" for value in (min(known), max(known)))
+    return low if low == high else f"{low} to {high}"
 
 
 def shrinking(found: Mapping[str, Mapping[str, float | None]]) -> str:
