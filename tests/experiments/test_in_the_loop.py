@@ -343,7 +343,13 @@ def test_the_section_compares_every_trajectory_with_all_five_controllers(tmp_pat
     assert set(lost.rows) == {
         (name, "ratio 0.01", "crank dead centre, leg 4, 0.500 s") for name in numbers if name != "(37), (38)"
     }
-    assert len(made_runs) == 6 * len(numbers) + 2
+    starts = 2 if quick else 5
+    assert len(made_runs) == 6 * len(numbers) + 2 + 3 * starts
+    offsets = {scenario.initial_offset for scenario in made_runs if any(scenario.initial_offset)}
+    assert len(offsets) == starts
+    assert 0.0 < np.abs(list(offsets)).max() <= 1e-10
+    nearby = section.numbers["nearby_starts"]["gravity off, feedforward none, 1 / 1, fixed"]
+    assert nearby["z_rmse_mm"] == [pytest.approx(1.0)] * starts
     json.dumps(section.numbers, allow_nan=False)
     assert Section.from_json(section.to_json()).verdict == section.verdict
 
@@ -367,7 +373,7 @@ def test_a_trajectory_beyond_the_limits_is_a_row_with_its_reason(tmp_path, made_
     ((name, weights, reason),) = (row.values() for row in section.numbers["incomplete"])
     assert (name, weights) == ("far", "all")
     assert reason.startswith("not run: reference: breaks the limit")
-    assert len(made_runs) == 8
+    assert len(made_runs) == 8 + 3 * 5
 
 
 @pytest.mark.usefixtures("no_pictures")
