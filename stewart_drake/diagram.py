@@ -69,6 +69,7 @@ class ClosedLoop(Diagram):
 
     Raises:
         ConfigurationError: The tuner's weights file is missing or corrupt; a user's controller that cannot be used.
+        TypeError: Something else than a Scenario.
 
     Attributes:
         scenario: What it was built from.
@@ -80,6 +81,8 @@ class ClosedLoop(Diagram):
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         super().__init__()
+        if not isinstance(scenario, Scenario):
+            raise TypeError(f"a Scenario is needed, not {scenario!r}; load_scenario reads one from a file")
         self.scenario = scenario
         wiring = _Wiring(scenario, meshcat)
         wiring.add_disturbances()

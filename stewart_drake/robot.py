@@ -112,7 +112,8 @@ class RobotParameters:
             raise ConfigurationError(
                 "robot.home_height",
                 self.home_height,
-                f"a height that all rods reach (leg {int(margin.argmin())} has margin {margin.min():.3g})",
+                f"a height to which cranks of {self.crank_length:g} m and rods of {self.rod_length:g} m reach "
+                f"(leg {int(margin.argmin())} has margin {margin.min():.3g})",
             )
 
     @cached_property

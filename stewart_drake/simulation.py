@@ -62,8 +62,9 @@ def run(
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
             that cannot be used; a user's controller that cannot.
         RunFailure: The start pose cannot be assembled; only with `check` off.
+        TypeError: Something else than a Scenario.
     """
-    if check:
+    if check and isinstance(scenario, Scenario):
         check_scenario(scenario)
     loop = ClosedLoop(scenario, meshcat)
     _compile(loop)

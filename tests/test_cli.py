@@ -406,6 +406,30 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "interrupted"
 
 
+def test_ctrl_c_while_results_are_written_says_that_some_are_missing(call, monkeypatch):
+    from stewart_drake import outputs
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outputs, "write_run", interrupt)
+    status, _, err = call("run", "paper_fig7", "--set", "duration=0.02", "--quiet", "--out", "out")
+    assert status == 130
+    assert err == "stewart-drake: interrupted while writing the results; some are missing in out\n"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.usefixtures("without_pictures")
+def test_compilation_ahead_is_announced(call, monkeypatch, kept):
+    from stewart_drake.compiled import jit
+
+    monkeypatch.setattr(jit, "is_kept", lambda _: kept)
+    for scenario, compiled in (("exact_fig7", True), ("paper_fig7", False)):
+        status, _, err = call("run", scenario, "--set", "duration=0.02", "--out", "out")
+        assert status == 0
+        assert ("once on this machine" in err) == (compiled and not kept)
+
+
 @pytest.mark.parametrize("where", ["load_scenario", "import"])
 def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, monkeypatch, tmp_path, where):
     def interrupt(*_args):

@@ -282,7 +282,7 @@ WRONG = [
     ("robot.branch", nested("robot.branch", 1.0), "a whole number"),
     ("robot.crank_length", nested("robot.crank_length", -0.11), "positive"),
     ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
-    ("robot.home_height", nested("robot.rod_length", 0.1), "all rods reach"),
+    ("robot.home_height", nested("robot.rod_length", 0.1), "rods of 0.1 m reach"),
     ("robot.rod_length", nested("robot.rod_length", 1e200), "1e+06"),
     ("model_robot.rod_length", nested("model_robot.rod_length", 1e200), "1e+06"),
     ("model_robot.branch", nested("model_robot.branch", 3), "-1 or 1"),

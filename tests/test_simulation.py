@@ -6,6 +6,7 @@ import pytest
 
 from stewart_drake import simulation
 from stewart_drake.control_inputs import Measurement, Setpoint
+from stewart_drake.diagram import build_diagram
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError, UnreachablePoseError
 from stewart_drake.kinematics import inverse_kinematics, leg_geometry
 from stewart_drake.log import OPTIONAL, SIGNALS, load_log
@@ -14,6 +15,7 @@ from stewart_drake.network import default_network_path, load_network
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import check_scenario, run
 from stewart_drake.systems import lqi_controller
+from stewart_drake.systems.lqi_controller import LqiController
 
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 
@@ -393,3 +395,26 @@ def test_options_that_the_plant_cannot_have_are_named():
     with pytest.raises(ConfigurationError) as caught:
         run(scenario(plant={"platform_joint_damping": 5.0}))
     assert caught.value.key == "plant.platform_joint_damping"
+
+
+@pytest.mark.parametrize("call", [run, build_diagram])
+def test_what_is_no_scenario_is_a_type_error_that_says_what_to_do(call):
+    with pytest.raises(TypeError, match="load_scenario"):
+        call("paper_fig7")
+
+
+def test_what_numba_compiles_is_no_part_of_the_run(monkeypatch):
+    ticks = []
+    real = LqiController.tick
+
+    def tick(self, context, previous):
+        ticks.append(context.get_time())
+        return real(self, context, previous)
+
+    monkeypatch.setattr(LqiController, "tick", tick)
+    # A clock that counts ticks: the first of all, in which numba compiles, is taken before it starts.
+    monkeypatch.setattr(simulation.time, "perf_counter", lambda: float(len(ticks)))
+    log = run(load_scenario("exact_fig7", ["duration=0.01"]))
+    assert log.status == "completed"
+    assert ticks[:2] == [0.0, 0.0]
+    assert log.wall_time == len(ticks) - 1

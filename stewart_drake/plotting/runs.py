@@ -165,12 +165,12 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     _title(errors, "Error" + ("" if rmse is None else " and RMS"))
     _title(integrals, "Integral state")
     # Noise far below what matters must not fill a panel, nor a small error vanish in it.
-    smallest = 0.02 if rmse is None else min(0.02, max(1e-4, 20.0 * max(rmse)))
+    spans = (float(np.clip(3.0 * np.abs(values).max(), 1e-4, 0.02)) for values in (error, integral))
     for panel, quantity, least in (
         (main, group.symbols[group.main], 1.0),
         (others, ", ".join(group.symbols[axis] for axis in two), 1.0),
-        (errors, "error", smallest),
-        (integrals, "z", 0.02),
+        (errors, "error", next(spans)),
+        (integrals, "z", next(spans)),
     ):
         panel.set_ylabel(f"{quantity} [{unit}{' s' * (panel is integrals)}]")
         _widen(panel, least)
