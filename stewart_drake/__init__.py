@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from stewart_drake.references import HoldReference as HoldReference
     from stewart_drake.references import SineReference as SineReference
     from stewart_drake.references import paper_reference as paper_reference
+    from stewart_drake.rigid_body_model import forward_dynamics as forward_dynamics
+    from stewart_drake.rigid_body_model import inverse_dynamics as inverse_dynamics
     from stewart_drake.robot import RobotParameters as RobotParameters
     from stewart_drake.sampling import on_grid as on_grid
     from stewart_drake.scenario import AnnTuner as AnnTuner
@@ -73,6 +75,8 @@ _HOME = {
     "HoldReference": "references",
     "SineReference": "references",
     "paper_reference": "references",
+    "forward_dynamics": "rigid_body_model",
+    "inverse_dynamics": "rigid_body_model",
     "RobotParameters": "robot",
     "on_grid": "sampling",
     "AnnTuner": "scenario",

@@ -94,6 +94,35 @@ def inverse_dynamics(
     return robot.crank_length * legs.transmission * rod_forces + own
 
 
+def forward_dynamics(
+    robot: RobotParameters,
+    pose: ArrayLike,
+    pose_rate: ArrayLike,
+    torque: ArrayLike,
+    gravity: float = STANDARD_GRAVITY,
+) -> np.ndarray:
+    """Acceleration of the platform under motor torques, all bodies included; the inverse of `inverse_dynamics`.
+
+    Args:
+        robot: Geometry and masses.
+        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
+        pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity.
+        torque: (..., 6) [N m] of the motors.
+        gravity: [m/s^2] along -z of B.
+
+    Returns:
+        (..., 6) [rad/s^2, m/s^2] second derivative of the pose.
+
+    Raises:
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+    """
+    pose, pose_rate, torque = (np.asarray(value, dtype=float) for value in (pose, pose_rate, torque))
+    wrench = np.einsum("...ji,...j->...i", twist_jacobian(robot, pose), torque)
+    wrench -= task_bias(robot, pose, pose_rate_to_twist(pose, pose_rate), gravity)
+    twist_rate = np.linalg.solve(task_inertia(robot, pose), wrench[..., None])[..., 0]
+    return euler_acceleration(pose, pose_rate, twist_rate)
+
+
 def task_bias(
     robot: RobotParameters, pose: ArrayLike, twist: np.ndarray, gravity: float = STANDARD_GRAVITY
 ) -> np.ndarray:
@@ -222,7 +251,7 @@ def _task_wrench(
 
 
 def euler_acceleration(pose: ArrayLike, pose_rate: ArrayLike, twist_rate: np.ndarray) -> np.ndarray:
-    """Second derivative of the pose from d(twist)/dt; the inverse of the step inside `inverse_dynamics`.
+    """Second derivative of the pose from d(twist)/dt; undoes the first step of `inverse_dynamics`.
 
     Args:
         pose: (..., 6) [rad, m]; pitch away from +-pi/2.

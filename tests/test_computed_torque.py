@@ -8,22 +8,14 @@ from strategies import ROBOT, poses, vectors
 from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
 from stewart_drake.control_inputs import Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
-from stewart_drake.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.lqi import lqi_gain
 from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.rigid_body_model import euler_acceleration, pose_acceleration_map, task_bias, task_inertia
+from stewart_drake.rigid_body_model import forward_dynamics, pose_acceleration_map
 from stewart_drake.state_space import INTEGRAL, POSITION, RATE
 
 GRAVITY = 9.81
 HOME = np.array(ROBOT.home_pose)
 START = ComputedTorqueMemory(np.zeros(6), np.zeros(6), np.zeros(6))
-
-
-def acceleration(pose, rate, torque):
-    """What the exact model does under a torque: M d(twist)/dt + h = J' T."""
-    twist = pose_rate_to_twist(pose, rate)
-    force = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist, GRAVITY)
-    return euler_acceleration(pose, rate, np.linalg.solve(task_inertia(ROBOT, pose), force))
 
 
 @settings(max_examples=40)
@@ -34,7 +26,7 @@ def test_the_robot_accelerates_as_the_linear_loop_says(pose, rate, away, wanted_
     memory = START._replace(integral=integral)
     got = computed_torque_tick(ROBOT, options, GRAVITY, Measurement(pose, rate), setpoint, memory)
     expected = wanted_acceleration - 2.0 * 0.7 * 30.0 * 0.5 * rate - 900.0 * (-away + 4.0 * integral)
-    np.testing.assert_allclose(acceleration(pose, rate, got.torque), expected, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(forward_dynamics(ROBOT, pose, rate, got.torque, GRAVITY), expected, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(got.error, -away, atol=1e-15)
     np.testing.assert_allclose(got.integral, integral - 0.001 * away, atol=1e-15)
 

@@ -25,6 +25,7 @@ from stewart_drake.kinematics import (
 from stewart_drake.rigid_body_model import (
     STANDARD_GRAVITY,
     euler_acceleration,
+    forward_dynamics,
     inverse_dynamics,
     static_torque,
     task_bias,
@@ -171,6 +172,13 @@ def test_inverse_dynamics_is_inertia_and_bias_through_the_jacobian(pose, rate, a
 
 
 @given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_forward_dynamics_undoes_inverse_dynamics(pose, rate, acceleration):
+    torque = inverse_dynamics(ROBOT, pose, rate, acceleration, 5.0)
+    found = forward_dynamics(ROBOT, pose, rate, torque, 5.0)
+    np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
 def test_euler_acceleration_inverts_the_step_inside_inverse_dynamics(pose, rate, acceleration):
     at, rate_at = motion(pose, rate, acceleration)
     twist_rate = differentiate(lambda t: pose_rate_to_twist(at(t), rate_at(t)), 0.0)
@@ -231,6 +239,7 @@ def test_everything_is_vectorised_over_leading_axes():
     calls = {
         "static_torque": lambda *a: static_torque(ROBOT, a[0]),
         "inverse_dynamics": lambda *a: inverse_dynamics(ROBOT, *a),
+        "forward_dynamics": lambda *a: forward_dynamics(ROBOT, *a),
         "task_inertia": lambda *a: task_inertia(ROBOT, a[0]),
         "task_bias": lambda *a: task_bias(ROBOT, a[0], a[1]),
         "euler_acceleration": euler_acceleration,
@@ -247,6 +256,7 @@ def test_a_pose_out_of_reach_raises():
     for call in (
         lambda: static_torque(ROBOT, high),
         lambda: inverse_dynamics(ROBOT, high, np.zeros(6), np.zeros(6)),
+        lambda: forward_dynamics(ROBOT, high, np.zeros(6), np.zeros(6)),
         lambda: task_inertia(ROBOT, high),
         lambda: task_bias(ROBOT, high, np.zeros(6)),
     ):
