@@ -14,9 +14,12 @@ from stewart_drake.terminal import ProgressBar, console
 @out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes [default: one per core, at most 8].")
+@click.option("--restart", is_flag=True, help="Throw away the rows that an earlier call left in the folder.")
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
-def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
+def faults(out: Path, quick: bool, workers: int | None, restart: bool, quiet: bool) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, faults.md.
+
+    What is done is kept in OUT, and an interrupted table goes on from it.
 
     Exit status: 0 every fault has its row, 2 bad input, 3 a worker ended by itself, 130 interrupted.
     """
@@ -31,7 +34,7 @@ def faults(out: Path, quick: bool, workers: int | None, quiet: bool) -> None:
 
     total = sum(1 for _, motion in all_rows() if not quick or motion in QUICK_MOTIONS)
     with ProgressBar("faults", float(total), quiet, unit="runs") as advance:
-        table = make_table(out, quick, workers, advance)
+        table = make_table(out, quick, workers, advance, restart)
     if quiet:
         return
 

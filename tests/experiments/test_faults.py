@@ -207,11 +207,41 @@ def test_quick_is_the_held_platform_alone(tmp_path):
 
 
 @pytest.mark.usefixtures("instant")
+def test_an_interrupted_table_goes_on_where_it_was(tmp_path, monkeypatch):
+    def stop(done):
+        if done == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_table(tmp_path, progress=stop)
+    assert not (tmp_path / "faults.md").exists()
+    ran = []
+    real = table_module.named_row
+    monkeypatch.setattr(table_module, "named_row", lambda *pair: ran.append(pair) or real(*pair))
+    table = make_table(tmp_path)
+    assert len(ran) == len(all_rows()) - 7
+    assert table.rows == make_table(tmp_path / "whole").rows
+    ran.clear()
+    assert make_table(tmp_path).rows == table.rows
+    assert ran == []
+    make_table(tmp_path, restart=True)
+    assert len(ran) == len(all_rows())
+
+
+@pytest.mark.usefixtures("instant")
+def test_rows_of_other_faults_are_not_mixed_in(tmp_path, monkeypatch):
+    make_table(tmp_path)
+    monkeypatch.setattr(table_module, "DURATION", 3.0)
+    with pytest.raises(ConfigurationError, match="differs in faults"):
+        make_table(tmp_path)
+
+
+@pytest.mark.usefixtures("instant")
 def test_the_command_prints_the_short_table(tmp_path):
     done = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick"])
     assert done.exit_code == 0, done.output
     assert "push_5N" in done.output.replace("\n", "")
-    assert {path.name for path in tmp_path.iterdir()} == {"faults.parquet", "faults.md"}
+    assert {path.name for path in tmp_path.iterdir()} == {"faults.parquet", "faults.md", "rows.jsonl", "sweep.json"}
     quiet = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick", "--quiet"])
     assert (quiet.exit_code, quiet.stdout) == (0, "")
 

@@ -404,7 +404,7 @@ def test_the_content_of_a_weights_file_is_part_of_the_sweep(tmp_path):
 
 def test_two_sweeps_cannot_share_a_folder(tmp_path):
     def nested(scenario):
-        with pytest.raises(ConfigurationError, match="no other sweep is using"):
+        with pytest.raises(ConfigurationError, match="nobody else is using"):
             run_sweep(sweep(), tmp_path, SerialExecutor())
         return simulate(scenario)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,11 @@ class FaultRow:
     def plain(self) -> dict[str, Any]:
         """Column -> value."""
         return asdict(self)
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> FaultRow:
+        """Inverse of `plain`; other keys are left aside."""
+        return cls(**{field.name: values[field.name] for field in fields(cls)})
 
 
 _WORST: dict[str, Reaction] = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,10 @@ from typing import Any
 from stewart_drake.experiments.faults.catalogue import DURATION, FAULTS, MOTIONS, ONSET
 from stewart_drake.experiments.faults.rows import FaultRow, all_rows, named_row
 from stewart_drake.experiments.sweeps.executors import LocalProcesses
+from stewart_drake.experiments.sweeps.store import RowStore
 from stewart_drake.files import write_atomically
 from stewart_drake.outputs import prepare_folder
+from stewart_drake.versions import collect_versions
 
 QUICK_MOTIONS = ("hold",)
 
@@ -38,8 +41,9 @@ def make_table(
     quick: bool = False,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
+    restart: bool = False,
 ) -> FaultTable:
-    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`.
+    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`; goes on where it was stopped.
 
     With more than one worker the calling script is imported anew, see `sweeps.executors.LocalProcesses`.
 
@@ -48,35 +52,51 @@ def make_table(
         quick: The held platform alone.
         workers: Processes; None for one per core, at most 8.
         progress: Called with the number of rows done.
+        restart: Throw away the rows that an earlier call left in the folder.
 
     Raises:
-        ConfigurationError: The folder cannot be written to.
+        ConfigurationError: The folder cannot be written to, or holds rows of another version.
     """
     folder = prepare_folder(folder)
-    wanted = [pair for pair in all_rows() if not quick or pair[1] in QUICK_MOTIONS]
-    rows = tuple(_run(wanted, LocalProcesses(workers), progress))
+    wanted = {index: pair for index, pair in enumerate(all_rows()) if not quick or pair[1] in QUICK_MOTIONS}
+    with RowStore(folder, _identity(), restart) as store:
+        kept = store.rows()
+        done = {index: FaultRow.from_plain(kept[index]) for index in wanted if index in kept}
+        missing = {index: pair for index, pair in wanted.items() if index not in done}
+        for index, row in _run(missing, LocalProcesses(workers)):
+            store.add({"index": index, **row.plain()})
+            done[index] = row
+            if progress is not None:
+                progress(float(len(done)))
+    rows = tuple(done[index] for index in wanted)
     parquet, markdown = folder / "faults.parquet", folder / "faults.md"
     write_atomically(parquet, _parquet(rows))
     write_atomically(markdown, markdown_table(rows).encode())
     return FaultTable(rows, parquet, markdown)
 
 
-def _run(
-    wanted: Sequence[tuple[str, str]], where: LocalProcesses, progress: Callable[[float], None] | None
-) -> list[FaultRow]:
+def _run(missing: Mapping[int, tuple[str, str]], where: LocalProcesses) -> Iterator[tuple[int, FaultRow]]:
+    """Rows by index, as they come."""
+    if not missing:
+        return
     executor = where.open()
     aborted = True
     try:
-        futures = {executor.submit(named_row, *pair): pair for pair in wanted}
-        done: dict[tuple[str, str], FaultRow] = {}
+        futures = {executor.submit(named_row, *pair): index for index, pair in missing.items()}
         for future in as_completed(futures):
-            done[futures[future]] = future.result()
-            if progress is not None:
-                progress(float(len(done)))
+            yield futures[future], future.result()
         aborted = False
     finally:
         where.close(executor, aborted)
-    return [done[pair] for pair in wanted]
+
+
+def _identity() -> dict[str, Any]:
+    """What the rows depend on."""
+    versions = collect_versions()
+    return {
+        "faults": hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24],
+        "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
+    }
 
 
 HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")

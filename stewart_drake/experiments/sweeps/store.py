@@ -88,7 +88,7 @@ class RowStore:
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ConfigurationError("--out", str(self.folder), "a folder that no other sweep is using") from None
+            raise ConfigurationError("--out", str(self.folder), "a folder that nobody else is using") from None
         if self._restart:
             self._stream.truncate(0)
             header.unlink(missing_ok=True)
@@ -96,7 +96,9 @@ class RowStore:
         if header.exists() or self._stream.seek(0, 2):
             different = _difference(_read(header), self._identity)
             if different:
-                allowed = "a new folder, the same sweep by the same version, or --restart to throw away what is there"
+                allowed = (
+                    "a new folder, the same work by the same version, or --restart to throw away what is there"
+                )
                 raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
         # What an earlier process left half written would spoil the next row too.
         self._stream.seek(0)
