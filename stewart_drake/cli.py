@@ -235,9 +235,10 @@ def main() -> None:
 
     SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
     """
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    for number in {signal.Signals.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+        # What `nohup` has shut out stays out.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
     status = _status()
     try:
         sys.stdout.flush()

@@ -406,6 +406,21 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "interrupted"
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs SIGHUP")
+def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
+    code = (
+        "import os, signal\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from stewart_drake import cli\n"
+        "real = cli.ProgressBar._advance\n"
+        "cli.ProgressBar._advance = lambda *args: (os.kill(os.getpid(), signal.SIGHUP), real(*args))\n"
+    )
+    args = ("run", "paper_fig7", "--set", "duration=0.1", "--out", "out")
+    status, _, err = shell(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
+    assert status == 0, err
+    assert load_log(tmp_path / "out").status == "completed"
+
+
 def test_ctrl_c_while_results_are_written_says_that_some_are_missing(call, monkeypatch):
     from stewart_drake import outputs
 

@@ -96,9 +96,7 @@ class RowStore:
         if header.exists() or self._stream.seek(0, 2):
             different = _difference(_read(header), self._identity)
             if different:
-                allowed = (
-                    "a new folder, the same work by the same version, or --restart to throw away what is there"
-                )
+                allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
                 raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
         # What an earlier process left half written would spoil the next row too.
         self._stream.seek(0)
