@@ -68,7 +68,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
 
     loaded = load_scenario(scenario, overrides)
     out = out if out is not None else Path("runs") / loaded.name
-    keep_scenario_file(loaded, scenario, out)
+    keep_scenario_file(out)
 
     from stewart_drake.diagram import build_diagram
     from stewart_drake.simulation import check_scenario
@@ -81,7 +81,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
     # Only now, with everything checked, does anything appear on the disk.
     folder = prepare_folder(out, space_for(loaded))
     if not quiet:
-        announce_compilation(loaded.controller.compiled)
+        announce_compilation(loaded.controller)
     viewer = None
     if meshcat:
         from pydrake.geometry import Meshcat
@@ -241,7 +241,9 @@ def main() -> None:
             signal.signal(number, signal.default_int_handler)
     status = _status()
     try:
-        sys.stdout.flush()
+        # There is none where the shell has closed it.
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except OSError as error:
         status = _lost_output(error) or status
     sys.exit(status)
@@ -275,7 +277,7 @@ def _status() -> int | str | None:
 
 def _lost_output(error: OSError) -> int:
     """Standard output that nobody reads any more is no failure; one that cannot be written is."""
-    drop_output()
+    drop_output(sys.stdout)
     if error.errno == errno.EPIPE:
         return 0
     return _tell(f"standard output: got {error.strerror}; allowed: one that can be written", EXIT_BAD_INPUT)

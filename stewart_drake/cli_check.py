@@ -35,25 +35,29 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         raise click.UsageError("--out needs one of --scale and --retime")
     loaded = load_scenario(scenario, overrides)
     report = motion_report(loaded)
-    print_margins(f"{loaded.name}, {loaded.duration:g} s", report)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
+    found: list[str] = []
     if scale:
         try:
             changes["reference"], factor = fit_amplitude(*motion)
-            click.echo(f"feasible at {factor:.4f} of its size")
+            found.append(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
-            click.echo(f"feasible at no size; resting in its centre, {error}")
+            found.append(f"feasible at no size; resting in its centre, {error}")
     if retime:
         try:
             changes["reference"], factor = fit_speed(*motion)
             changes["duration"] = factor * loaded.duration
-            click.echo(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
+            found.append(f"feasible {factor:.4f} times slower, over {changes['duration']:.4g} s")
         except InfeasibleReferenceError as error:
-            click.echo(f"feasible at no speed; standing still, {error}")
+            found.append(f"feasible at no speed; standing still, {error}")
     if out is not None and changes:
         write_atomically(out, loaded.replace(changes).to_yaml().encode())
-        click.echo(f"scenario in {out}")
+        found.append(f"scenario in {out}")
+    # Last, so that a reader who leaves early costs nothing but the text.
+    print_margins(f"{loaded.name}, {loaded.duration:g} s", report)
+    for line in found:
+        click.echo(line)
 
     from stewart_drake.simulation import check_scenario
 

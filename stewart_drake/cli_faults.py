@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -31,10 +32,16 @@ def faults(out: Path, quick: bool, workers: int | None, restart: bool, quiet: bo
         make_table,
         terse_rows,
     )
+    from stewart_drake.outputs import SPACE, prepare_folder
 
     total = sum(1 for _, motion in all_rows() if not quick or motion in QUICK_MOTIONS)
-    with ProgressBar("faults", float(total), quiet, unit="runs") as advance:
-        table = make_table(out, quick, workers, advance, restart)
+    prepare_folder(out, SPACE)
+    try:
+        with ProgressBar("faults", float(total), quiet, unit="runs") as advance:
+            table = make_table(out, quick, workers, advance, restart)
+    except KeyboardInterrupt:
+        click.echo(f"stewart-drake: interrupted; the rows so far are kept in {out}", err=True)
+        sys.exit(130)
     if quiet:
         return
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+_CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
+"""A class in a file, as `controller.system` has it."""
 FILE_KEYS = ("weights_file", "motion_file")
 
 
 def anchor_files(data: Any, folder: Path) -> None:
     """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are."""
     for section, key in _places(data):
-        path, separator, name = _split(key, section[key])
+        path, name = _split(section[key])
         # A path that is absolute stays as written.
         if not Path(path).is_absolute():
-            section[key] = f"{(folder / path).absolute()}{separator}{name}"
+            section[key] = f"{(folder / path).absolute()}{name}"
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
@@ -26,7 +29,7 @@ def file_digests(data: Any) -> dict[str, str | None]:
         data: Plain values: sections, lists, and under dotted keys such as `tuner.weights_file` what a sweep chooses
             from.
     """
-    paths = {_split(key, section[key])[0] for section, key in _places(data)}
+    paths = {_split(section[key])[0] for section, key in _places(data)}
     return {path: _digest(Path(path)) for path in sorted(paths)}
 
 
@@ -46,21 +49,26 @@ def _places(data: Any) -> Iterator[tuple[Any, Any]]:
             continue
         for key, value in section.items():
             leaf = str(key).rpartition(".")[2]
-            if leaf in FILE_KEYS and isinstance(value, str):
+            if _is_file(leaf, value):
                 yield section, key
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in FILE_KEYS and isinstance(value, list):
-                yield from ((value, index) for index, path in enumerate(value) if isinstance(path, str))
+            elif leaf == "values" and name in (*FILE_KEYS, "system") and isinstance(value, list):
+                yield from ((value, index) for index, path in enumerate(value) if _is_file(name, path))
             else:
                 waiting.append((leaf, value))
-        if section.get("kind") == "python" and ".py:" in str(section.get("system")):
-            yield section, "system"
 
 
-def _split(key: Any, value: str) -> tuple[str, str, str]:
+def _is_file(key: str, value: Any) -> bool:
+    """Whether a value names a file, given the last part of its key."""
+    if not isinstance(value, str):
+        return False
+    return key in FILE_KEYS or (key == "system" and _CLASS.fullmatch(value) is not None)
+
+
+def _split(value: str) -> tuple[str, str]:
     """Path, and for a controller's class the colon and its name."""
-    path, separator, name = value.rpartition(":") if key == "system" else (value, "", "")
-    return path, separator, name
+    match = _CLASS.fullmatch(value)
+    return (match["file"], match["name"]) if match else (value, "")
 
 
 def _digest(path: Path) -> str | None:

@@ -80,10 +80,14 @@ class TunerNetwork:
         if type(self.window) is not int or self.window < 1:
             raise ConfigurationError("window", self.window, "an integer >= 1")
         for name, shape in _SHAPES.items():
-            array = getattr(self, name)
+            try:
+                array = np.asarray(getattr(self, name), dtype=float)
+            except (TypeError, ValueError):
+                raise ConfigurationError(name, getattr(self, name), f"finite numbers of shape {shape}") from None
+            object.__setattr__(self, name, array)
             # NaN is not below anything.
             if np.shape(array) != shape or not (np.abs(array) < _LARGEST_NUMBER).all():
-                raise ConfigurationError(name, np.asarray(array).tolist(), f"finite numbers of shape {shape}")
+                raise ConfigurationError(name, array.tolist(), f"finite numbers of shape {shape}")
         for name in ("input_scale", "omega_min", "omega_max"):
             if not (getattr(self, name) > 1.0 / _LARGEST_NUMBER).all():
                 raise ConfigurationError(name, getattr(self, name).tolist(), "positive numbers")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import is_finite
+from stewart_drake.scalars import is_finite, plain
 
 MAX_SEED = 2**63 - 1
 
@@ -56,7 +55,7 @@ def check_leg(key: str, leg: Any) -> None:
 
 def check_choice(key: str, value: Any, *choices: str) -> None:
     """Raises a `ConfigurationError` for what is none of at least two choices."""
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise ConfigurationError(key, value, f"{', '.join(choices[:-1])} or {choices[-1]}")
 
 
@@ -74,4 +73,5 @@ def check_positive_pair(key: str, pair: Any, allowed: str) -> None:
 
 def are_numbers(values: Any, size: int) -> bool:
     """Whether `values` are so many finite numbers."""
-    return isinstance(values, Sequence) and len(values) == size and all(is_finite(x) for x in values)
+    values = plain(values)
+    return isinstance(values, tuple) and len(values) == size and all(is_finite(x) for x in values)

@@ -18,7 +18,8 @@ from stewart_drake.scenario import Scenario
 
 SPACE = 50_000_000
 """[byte] that a command asks for before it begins; 10 s logged at 1 kHz take 14."""
-_ROW = 1200
+_AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
+_ROW = 1500
 """[byte] of a row of a log, with its share of the replay."""
 _OPTIONAL = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
 """Files that not every run leaves."""
@@ -73,23 +74,20 @@ def prepare_file(path: Path, space: int = 0) -> None:
     prepare_folder(path.parent, space)
 
 
-def keep_scenario_file(scenario: Scenario, given: str, folder: Path) -> None:
-    """Refuses a folder in which the scenario as run would take the place of the user's own file.
-
-    Args:
-        scenario: As it would be written.
-        given: File that it was read from, or a shipped name.
-        folder: Where to.
+def keep_scenario_file(folder: Path) -> None:
+    """Refuses a folder whose `scenario.yaml` is none that a run has left: it would be lost.
 
     Raises:
-        ConfigurationError: The file is the folder's `scenario.yaml`, and says it in other words.
+        ConfigurationError: Names the folder.
     """
-    own = folder / "scenario.yaml"
     try:
-        if own.samefile(given) and own.read_text(encoding="utf-8") != scenario.to_yaml():
-            raise ConfigurationError("--out", str(folder), f"another folder than that of {given}, which would be lost")
+        with (folder / "scenario.yaml").open("rb") as stream:
+            own = stream.readline().rstrip() == _AS_RUN.encode().rstrip()
     except OSError:
         return
+    if not own:
+        allowed = "a folder without a scenario.yaml of your own, which would be lost"
+        raise ConfigurationError("--out", str(folder), allowed)
 
 
 def space_for(scenario: Scenario) -> int:
@@ -121,7 +119,7 @@ def write_run(
     metrics = run_metrics(log)
     log.save(folder / "log.parquet")
     write_atomically(folder / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
-    write_atomically(folder / "scenario.yaml", log.scenario.to_yaml().encode())
+    write_atomically(folder / "scenario.yaml", (_AS_RUN + log.scenario.to_yaml()).encode())
     for name in _OPTIONAL:
         if (folder / name).is_file():
             (folder / name).unlink()

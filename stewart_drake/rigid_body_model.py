@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.kinematics import (
     LegGeometry,
     cross,
@@ -114,9 +115,13 @@ def forward_dynamics(
         (..., 6) [rad/s^2, m/s^2] second derivative of the pose.
 
     Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+        UnreachablePoseError: As in `inverse_kinematics`.
+        ConfigurationError: Likewise; rate or torque of another shape.
     """
     pose, pose_rate, torque = (np.asarray(value, dtype=float) for value in (pose, pose_rate, torque))
+    for name, value in (("pose_rate", pose_rate), ("torque", torque)):
+        if value.shape[-1:] != (6,):
+            raise ConfigurationError(name, value, "numbers of shape (..., 6)")
     wrench = np.einsum("...ji,...j->...i", twist_jacobian(robot, pose), torque)
     wrench -= task_bias(robot, pose, pose_rate_to_twist(pose, pose_rate), gravity)
     twist_rate = np.linalg.solve(task_inertia(robot, pose), wrench[..., None])[..., 0]

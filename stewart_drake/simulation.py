@@ -36,6 +36,8 @@ from stewart_drake.versions import collect_versions
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+SUBSTEPS = 10
+"""Parts of the plant's step in which continuous state of a user's controller is integrated."""
 CHUNK = 0.05
 """[s] simulated time between two calls of `progress`."""
 
@@ -66,13 +68,13 @@ def run(
     """
     if check and isinstance(scenario, Scenario):
         check_scenario(scenario)
+    # What lies on the disk now is what the run is made of.
+    files = file_digests(scenario.to_dict()) if isinstance(scenario, Scenario) else {}
     loop = ClosedLoop(scenario, meshcat)
     _compile(loop)
     with drake_guard("preparing the simulator"):
         simulator = Simulator(loop, loop.create_start_context())
-        # Steps as error control wants them end nowhere once a derivative is not a number; only a controller of the
-        # user's has continuous state, and it is integrated from step to step of the plant.
-        simulator.get_mutable_integrator().set_fixed_step_mode(True)
+        _integrate_in_substeps(simulator, scenario.plant.time_step)
     context = simulator.get_context()
 
     step = on_grid(scenario.plant.time_step)
@@ -116,8 +118,22 @@ def run(
         safety=trip if trip is not None or loop.safety is None else loop.safety.first_trip(context),
         wall_time=wall,
         versions=collect_versions(),
-        files=file_digests(scenario.to_dict()),
+        files=files,
     )
+
+
+def _integrate_in_substeps(simulator: Simulator, time_step: float) -> None:
+    """Fixed steps for continuous state, which only a controller of the user's has.
+
+    Steps as error control wants them would end nowhere once a derivative is not a number.
+    """
+    if simulator.get_system().num_continuous_states() == 0:
+        return
+    integrator = simulator.get_mutable_integrator()
+    integrator.set_fixed_step_mode(True)
+    # The step wanted at first comes before the largest one: Drake refuses it where it is larger.
+    integrator.request_initial_step_size_target(time_step / SUBSTEPS)
+    integrator.set_maximum_step_size(time_step / SUBSTEPS)
 
 
 def _quiet() -> np.errstate:

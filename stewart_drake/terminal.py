@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stewart_drake.feasibility import FeasibilityReport
@@ -43,9 +42,9 @@ class ProgressBar:
         self._bar.stop()
 
 
-def announce_compilation(compiled: bool) -> None:
-    """Says why nothing moves for half a minute, where that lies ahead."""
-    if not compiled:
+def announce_compilation(controller: Any) -> None:
+    """Says why nothing moves for half a minute, where that lies ahead, given `Scenario.controller`."""
+    if controller.kind != "lqi" or not controller.compiled:
         return
     # numba takes half a second to import.
     from stewart_drake.compiled.control import lqi_tick
@@ -61,14 +60,14 @@ def console(stderr: bool = False) -> Any:
 
     class Patient(Console):
         def on_broken_pipe(self) -> None:
-            drop_output()
+            drop_output(self.file)
 
     return Patient(stderr=stderr)
 
 
-def drop_output() -> None:
-    """From here on standard output goes nowhere, so that its buffer does no harm at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def drop_output(stream: IO[str]) -> None:
+    """From here on a stream goes nowhere, so that its buffer does no harm at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:

@@ -1,6 +1,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -221,6 +222,7 @@ BAD = [
     (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
     (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
     (["run", "scenario.yaml", "--out", "."], ["--out", "would be lost"]),
+    (["run", "paper_fig7", "--out", "."], ["--out", "would be lost"]),
     (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
@@ -330,6 +332,32 @@ def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
     assert process.returncode == 2
     assert "Traceback" not in process.stderr
     assert "standard output" in process.stderr
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
+    assert call("run", "paper_fig7", "--set", "duration=0.02")[0] == 0
+    own = "runs/paper_fig7/scenario.yaml"
+    assert call("run", own, "--set", "duration=0.01")[0] == 0
+    assert load_scenario(own).duration == 0.01
+
+
+@pytest.mark.parametrize("args", [["--version"], ["schema"]])
+def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
+    code = "from stewart_drake.cli import main; main()"
+    command = shlex.join([sys.executable, "-c", code, *args])
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["sh", "-c", f"{command} >&-"], cwd=tmp_path, env=env, capture_output=True, check=False)
+    assert b"Traceback" not in done.stderr
+
+
+def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
+    process = start("run", "paper_fig7", "--set", "duration=0.3", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
+    process.stderr.close()
+    with process.stdout as stream:
+        out = stream.read()
+    assert process.wait(timeout=120) == 0
+    assert "real-time factor" in out
 
 
 def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):

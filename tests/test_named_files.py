@@ -16,7 +16,9 @@ def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay()
         "reference": {"parts": [{"motion": {"motion_file": "a/b.csv"}}, {"motion_file": "/c.csv"}]},
         "controller": {"kind": "python", "system": "mine.py:Mine"},
         "distributions": {"tuner.weights_file": {"kind": "choice", "values": ["one.json", "/two.json"]}},
-        "set": {"reference.motion_file": "d.csv", "name": "net.json"},
+        "set": {"reference.motion_file": "d.csv", "name": "net.json", "controller.system": "one.py:Mine"},
+        "grid": {"controller.system": {"kind": "grid", "values": ["two.py:Mine", "package.module:Mine"]}},
+        "odd": {"kind": "python", "system": ["three.py:Mine"]},
     }
     anchor_files(data, Path("/base"))
     assert data == {
@@ -24,7 +26,13 @@ def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay()
         "reference": {"parts": [{"motion": {"motion_file": "/base/a/b.csv"}}, {"motion_file": "/c.csv"}]},
         "controller": {"kind": "python", "system": "/base/mine.py:Mine"},
         "distributions": {"tuner.weights_file": {"kind": "choice", "values": ["/base/one.json", "/two.json"]}},
-        "set": {"reference.motion_file": "/base/d.csv", "name": "net.json"},
+        "set": {"reference.motion_file": "/base/d.csv", "name": "net.json", "controller.system": "/base/one.py:Mine"},
+        "grid": {"controller.system": {"kind": "grid", "values": ["/base/two.py:Mine", "package.module:Mine"]}},
+        "odd": {"kind": "python", "system": ["three.py:Mine"]},
+    }
+    assert set(file_digests(data)) == {
+        *("/base/net.json", "/base/a/b.csv", "/c.csv", "/base/mine.py", "/base/one.json", "/two.json", "/base/d.csv"),
+        *("/base/one.py", "/base/two.py"),
     }
 
 

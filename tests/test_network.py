@@ -293,6 +293,8 @@ def test_inference_needs_neither_torch_nor_drake():
         ({"omega_min": np.full(2, 1e3)}, "at most omega_max"),
         ({"input_scale": np.full(12, np.nan)}, "input_scale"),
         ({"hidden_bias": np.zeros(9)}, r"hidden_bias.*\(10,\)"),
+        ({"omega_min": [0.0, 0.0]}, "omega_min.*positive"),
+        ({"input_mean": np.array(["a"] * 12)}, "input_mean.*finite numbers"),
         ({"window": 0}, "window"),
         ({"density": "loud"}, "magnitude or signed"),
     ],

@@ -57,7 +57,7 @@ def test_a_bad_whole_number_is_named(value):
         check_whole("key", good, 1, 10)
 
 
-@pytest.mark.parametrize("value", ["green", "", None, ["red"]])
+@pytest.mark.parametrize("value", ["green", "", None, ["red"], np.array(["red", "blue"])])
 def test_what_may_be_chosen_is_named(value):
     with pytest.raises(ConfigurationError, match=r"key.*red, yellow or blue"):
         check_choice("key", value, "red", "yellow", "blue")
@@ -70,7 +70,7 @@ def test_vectors_are_so_many_finite_numbers(values):
         check_numbers("key", values, 2)
     with pytest.raises(ConfigurationError, match="two above 0"):
         check_positive_pair("key", values, "two above 0")
-    for pair in ((-1.0, 0.0), (1.0, 0.0)):
+    for pair in ((-1.0, 0.0), (1.0, 0.0), [1.0, 0.0], np.array([1.0, 0.0])):
         check_numbers("key", pair, 2)
         with pytest.raises(ConfigurationError):
             check_positive_pair("key", pair, "two above 0")

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.kinematics import (
     inverse_kinematics,
     leg_geometry,
@@ -249,6 +249,11 @@ def test_everything_is_vectorised_over_leading_axes():
         for i in np.ndindex(2, 3):
             one = call(pose[i], rate[i], acceleration[i])
             np.testing.assert_allclose(values[i], one, rtol=1e-11, atol=1e-12, err_msg=name)
+
+
+def test_a_torque_of_another_size_is_refused():
+    with pytest.raises(ConfigurationError, match="torque"):
+        forward_dynamics(ROBOT, ROBOT.home_pose, np.zeros(6), np.zeros(5))
 
 
 def test_a_pose_out_of_reach_raises():

@@ -196,12 +196,25 @@ FILTERED = (
 )
 
 
-def test_continuous_state_is_integrated_to_third_order_in_the_plants_step(written):
-    log = run(scenario(written(FILTERED.format("")), duration=0.02))
+@pytest.mark.parametrize("rate", [50.0, 3000.0, 20_000.0])
+def test_continuous_state_is_integrated_to_third_order_in_tenths_of_the_plants_step(written, rate):
+    log = run(scenario(written(FILTERED.format(f"* {rate / 50.0}")), duration=0.02))
+    exact = 0.33 * (1.0 - np.exp(-rate * log.time))
+    error = np.abs(log["torque"] - exact[:, None]).max()
+    if rate * 1e-4 < 0.5:
+        # Local error (rate h)^4 / 24 of what is left to go, over a time constant.
+        bound = 0.33 * (rate * 1e-4) ** 3 / 24.0
+        assert 0.03 * bound < error < bound
+    # Stiff ones are stable.
+    assert np.abs(log["torque"]).max() < 0.4
+
+
+@pytest.mark.parametrize("time_step", [0.001, 1e-4, 2e-5])
+def test_continuous_state_goes_with_every_time_step_of_the_plant(written, time_step):
+    log = run(scenario(written(FILTERED.format("")), duration=0.01, plant={"time_step": time_step}))
+    assert log.status == "completed"
     exact = 0.33 * (1.0 - np.exp(-50.0 * log.time))
-    # Local error (50 h)^4 / 24 of what is left to go, over the 20 ms that a time constant lasts.
-    bound = 0.33 * 20 * (50.0 * 0.001) ** 4 / 24.0
-    assert 0.1 * bound < np.abs(log["torque"] - exact[:, None]).max() < bound
+    np.testing.assert_allclose(log["torque"], np.tile(exact[:, None], 6), atol=1e-8)
 
 
 def test_a_derivative_that_is_no_number_ends_the_run_and_does_not_hang_it(written):

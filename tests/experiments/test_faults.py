@@ -222,8 +222,10 @@ def test_an_interrupted_table_goes_on_where_it_was(tmp_path, monkeypatch):
     assert len(ran) == len(all_rows()) - 7
     assert table.rows == make_table(tmp_path / "whole").rows
     ran.clear()
-    assert make_table(tmp_path).rows == table.rows
+    seen = []
+    assert make_table(tmp_path, progress=seen.append).rows == table.rows
     assert ran == []
+    assert seen == [len(all_rows())]
     make_table(tmp_path, restart=True)
     assert len(ran) == len(all_rows())
 

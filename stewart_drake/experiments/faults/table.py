@@ -63,6 +63,8 @@ def make_table(
         kept = store.rows()
         done = {index: FaultRow.from_plain(kept[index]) for index in wanted if index in kept}
         missing = {index: pair for index, pair in wanted.items() if index not in done}
+        if progress is not None:
+            progress(float(len(done)))
         for index, row in _run(missing, LocalProcesses(workers)):
             store.add({"index": index, **row.plain()})
             done[index] = row
