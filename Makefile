@@ -27,7 +27,7 @@ lint: install
 	$(BIN)/mypy
 
 bench: install
-	$(BIN)/pytest tests/benchmarks -p no:xdist
+	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
 
 # The README's picture of the robot.
 picture: install

@@ -66,3 +66,9 @@ def test_continuous_integration_runs_the_readme_command():
     script = (ROOT / ".ci" / "run").read_text()
     assert "make test" in script
     assert subprocess.run(["bash", "-n", ROOT / ".ci" / "run"], check=False).returncode == 0
+
+
+def test_the_benchmarks_show_their_ratios():
+    # pytest keeps what a test that passes prints, unless told otherwise.
+    recipe = re.search(r"^bench:.*\n\t(.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)[1]
+    assert " -s " in recipe
