@@ -81,8 +81,7 @@ class ClosedLoop(Diagram):
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         super().__init__()
-        if not isinstance(scenario, Scenario):
-            raise TypeError(f"a Scenario is needed, not {scenario!r}; load_scenario reads one from a file")
+        require_scenario(scenario)
         self.scenario = scenario
         wiring = _Wiring(scenario, meshcat)
         wiring.add_disturbances()
@@ -315,6 +314,12 @@ class _Wiring:
             sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
             sinks[name].set_name(f"log_{name}")
         return sinks
+
+
+def require_scenario(value: object) -> None:
+    """Raises a `TypeError` for anything but a Scenario."""
+    if not isinstance(value, Scenario):
+        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
 
 
 def _standing_torque(scenario: Scenario) -> np.ndarray:

@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context
 
 from stewart_drake.control_inputs import checked_legs
-from stewart_drake.diagram import ClosedLoop
+from stewart_drake.diagram import ClosedLoop, require_scenario
 from stewart_drake.errors import (
     ConfigurationError,
     RunFailure,
@@ -66,10 +66,11 @@ def run(
         RunFailure: The start pose cannot be assembled; only with `check` off.
         TypeError: Something else than a Scenario.
     """
-    if check and isinstance(scenario, Scenario):
+    require_scenario(scenario)
+    if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
-    files = file_digests(scenario.to_dict()) if isinstance(scenario, Scenario) else {}
+    files = file_digests(scenario.to_dict())
     loop = ClosedLoop(scenario, meshcat)
     _compile(loop)
     with drake_guard("preparing the simulator"):

@@ -10,7 +10,8 @@ from made_logs import made_log
 from stewart_drake.density import density
 from stewart_drake.experiments.report import Figure, Section, Table, Text
 from stewart_drake.experiments.reproduction import in_the_loop
-from stewart_drake.experiments.reproduction.in_the_loop import make, on_trajectory, shrinking, span, under_tuner
+from stewart_drake.experiments.reproduction.in_the_loop import make, on_trajectory, shrinking, under_tuner
+from stewart_drake.experiments.reproduction.nearby_starts import span
 from stewart_drake.experiments.reproduction.nine_experiments import PAIRS, RATIOS, pair_of
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.reproduction.tuner_comparison import (

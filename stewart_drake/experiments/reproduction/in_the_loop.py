@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.reproduction.nearby_starts import largest_integral, show_nearby, start_offsets
 from stewart_drake.experiments.reproduction.nine_experiments import RATIOS, growth, outcome, pair_of, paper_scenario
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.reproduction.tuner_comparison import (
@@ -43,8 +44,6 @@ _CLAIM = (
     "authors' later paper (doi 10.1177/10775463211019177) puts the improvement at 45 % on average."
 )
 _QUICK = "heartbeat"
-_APART = 1e-10
-"""[rad, m] between starts that nobody could tell apart."""
 _TUNER = None
 """Key of the runs under the network, beside the ratios of the fixed ones."""
 _START = {_TUNER: "tuner", 1.0: "1 / 1, fixed"}
@@ -88,7 +87,7 @@ def make(study: Study) -> Section:
     ]
     gains = improvements(comparisons)
     _fig7(section, study, {_START[key]: runs[trajectories[0].name, key] for key in _START}, done.free)
-    _nearby(section, study, done.nearby)
+    show_nearby(section, study, done.nearby)
     _ranking(section, study, trajectories, comparisons, gains)
     _apart(section, comparisons, runs)
     _why(section, study, comparisons, runs)
@@ -126,7 +125,7 @@ def _run(study: Study, trajectories: Sequence[Trajectory]) -> _Logs:
         "gravity off, feedforward none, tuner": under_tuner(study, free),
         "gravity off, feedforward none, 1 / 1, fixed": free,
     }
-    offsets = _APART * np.random.default_rng(0).uniform(-1.0, 1.0, (study.pick(5, 2), 6))
+    offsets = start_offsets(study)
     near = [start.replace({"initial_offset": list(offset)}) for start in adrift.values() for offset in offsets]
     every = [*scenarios.values(), under_tuner(study, free), free, *near]
     # Each motion has been checked against the limits, which do not depend on the weights.
@@ -156,7 +155,7 @@ def _fig7(
     rows, numbers = [], section.numbers.setdefault("fig7", {})
     for where, logs in ((condition, compensated), ("gravity off, feedforward none", free)):
         for which, run in logs.items():
-            m, z = run_metrics(run), _largest_integral(run)
+            m, z = run_metrics(run), largest_integral(run)
             roll, height = (m["rmse_deg"] or [None])[0], (m["rmse_mm"] or [None])[-1]
             over_all = float(np.abs(run["integral"]).max(initial=0.0))
             torques = (m["torque_rms"], m["torque_peak"])
@@ -177,36 +176,6 @@ def _fig7(
 def _condition(study: Study) -> str:
     name = "gravity on" if study.base.gravity > 0.0 else "gravity off"
     return f"{name}, feedforward {study.base.lqi.feedforward}"
-
-
-def _nearby(section: Section, study: Study, nearby: Mapping[str, list[SimulationLog]]) -> None:
-    """How firmly the figures of Fig. 7 are determined."""
-    rows, numbers = [], section.numbers.setdefault("nearby_starts", {})
-    for name, logs in nearby.items():
-        found: dict[str, list[float | None]] = {"roll_rmse_deg": [], "z_rmse_mm": [], "integral_at_5s": []}
-        for log in logs:
-            m = run_metrics(log)
-            found["roll_rmse_deg"].append((m["rmse_deg"] or [None])[0])
-            found["z_rmse_mm"].append((m["rmse_mm"] or [None])[-1])
-            found["integral_at_5s"].append(_largest_integral(log))
-        numbers[name] = found
-        rows.append((name, *(span(values) for values in found.values())))
-    section.table(
-        f"The same runs from {study.pick(5, 2)} starts up to {_APART:g} rad and m beside the reference's, in random "
-        "directions: smallest to largest figure. Where they spread the loop is chaotic: a run is one sample, and the "
-        "rounding of another processor gives another",
-        ("condition and weights", "RMSE roll [deg]", "RMSE Z [mm]", "abs(z) at 5 s"),
-        rows,
-    )
-
-
-def span(values: Sequence[float | None]) -> str | None:
-    """Smallest to largest of what there is; one figure where all agree to four digits, None for nothing."""
-    known = [value for value in values if value is not None]
-    if not known:
-        return None
-    low, high = (f"{value:.4g}" for value in (min(known), max(known)))
-    return low if low == high else f"{low} to {high}"
 
 
 def shrinking(found: Mapping[str, Mapping[str, float | None]]) -> str:
@@ -398,11 +367,6 @@ def _torque_spread(runs: Runs, name: str) -> float:
     scores = [tracking_score(log) for (n, _), log in runs.items() if n == name]
     torques = [score.torque_rms for score in scores if score is not None]
     return 100.0 * (max(torques) / min(torques) - 1.0) if torques else 0.0
-
-
-def _largest_integral(log: SimulationLog) -> float | None:
-    z = run_metrics(log)["integral_at_5s"]
-    return None if z is None else float(np.abs(z).max())
 
 
 def _heading(ratio: float, best: float | None) -> str:
