@@ -66,6 +66,7 @@ class ClosedLoop(Diagram):
     Args:
         scenario: The run to build.
         meshcat: A Meshcat to show the run in while it happens, or None.
+        log_period: [s] between two rows of the sinks; None takes that of the scenario.
 
     Raises:
         ConfigurationError: The tuner's weights file is missing or corrupt; a user's controller that cannot be used.
@@ -79,7 +80,7 @@ class ClosedLoop(Diagram):
         sinks: Signal name -> VectorLogSink.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None, log_period: float | None = None) -> None:
         super().__init__()
         require_scenario(scenario)
         self.scenario = scenario
@@ -92,7 +93,7 @@ class ClosedLoop(Diagram):
         wiring.add_delay_and_link()
         wiring.add_safety()
         wiring.add_motors()
-        self.sinks = wiring.add_log()
+        self.sinks = wiring.add_log(scenario.effective_log_period if log_period is None else log_period)
         with drake_guard("building the diagram"):
             wiring.builder.BuildInto(self)
         self.set_name(scenario.name)
@@ -305,9 +306,9 @@ class _Wiring:
             self.command = self.add("finite", FiniteCheck(), torque=self.command).checked
         self.builder.Connect(self.command, self.plant.torque_input_port)
 
-    def add_log(self) -> dict[str, VectorLogSink]:
-        """Exports and logs all signals."""
-        log_period = on_grid(self.scenario.effective_log_period)
+    def add_log(self, period: float) -> dict[str, VectorLogSink]:
+        """Exports all signals, and logs them every so many seconds."""
+        log_period = on_grid(period)
         sinks: dict[str, VectorLogSink] = {}
         for name, port in self.signals.items():
             self.builder.ExportOutput(port, name)

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
-from stewart_drake.scenario import Scenario
+from stewart_drake.outcomes import Status
+from stewart_drake.parquet_files import SealedWriter, read_sealed
+from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 LEGS = tuple(str(i) for i in range(6))
-Status = Literal["completed", "failed", "interrupted"]
+ROW_GROUP = 65_536
+"""Rows of a log that are in memory at a time where it goes to a file."""
+UNFINISHED = "rows"
+"""Folder in a results folder under construction: parts of a log, numbered, each a log of its own."""
 
 _FORMAT_KEY = b"stewart_drake.run"
-_VERSION = 1
+_VERSION = 2
+_LARGEST = 10**11
+"""[byte] of a file."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +118,19 @@ class SimulationLog:
         scenario: As run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status: completed, failed or interrupted.
-        reason: Stable name of the failure, or None.
-        message: One line on the failure, or None.
+        status: See `outcomes.Status`.
+        reason: Stable name of what happened, or None.
+        message: One line on it, or None; where a user's code raised, its traceback follows.
+        outcome_time: [s] when that was decided, or None.
         end_time: [s] simulated time reached.
-        leg: Leg 0..5 of the failure, or None.
+        leg: Leg 0..5 to which it belongs, or None.
+        warnings: See `outcomes.find_warnings`.
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.
         versions: Versions of what ran.
         files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
+        figures: See `tally.Tally.figures`, from every tick and step of the run, whatever rows the log has; None where
+            nobody took them. Those that are not finite are None and named in `not_finite`.
     """
 
     scenario: Scenario
@@ -126,12 +139,15 @@ class SimulationLog:
     status: Status = "completed"
     reason: str | None = None
     message: str | None = None
+    outcome_time: float | None = None
     end_time: float = 0.0
     leg: int | None = None
+    warnings: tuple[Mapping[str, Any], ...] = ()
     safety: Mapping[str, Any] | None = None
     wall_time: float = 0.0
     versions: Mapping[str, str | None] = field(default_factory=dict)
     files: Mapping[str, str | None] = field(default_factory=dict)
+    figures: Mapping[str, Any] | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Signal `name`.
@@ -164,28 +180,21 @@ class SimulationLog:
                     columns[f"{name}.{component}"] = (values[:, index], unit, spec.frame, spec.text)
         return columns
 
-    def to_parquet(self) -> bytes:
-        """The log as a Parquet file: a column per signal component, units and frames in each field's metadata."""
+    def table(self) -> pa.Table:
+        """The signals as an Arrow table: a column per component, unit, frame and text in each field's metadata."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         columns = self.columns()
         fields = [
             pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, "frame": frame, "text": text})
             for name, (_, unit, frame, text) in columns.items()
         ]
-        run = {
-            "version": _VERSION,
-            "scenario": self.scenario.to_dict(),
-            "state_names": list(self.state_names),
-            "outcome": {name: getattr(self, name) for name in _OUTCOME},
-            "versions": dict(self.versions),
-            "files": dict(self.files),
-        }
-        schema = pa.schema(fields, metadata={_FORMAT_KEY: json.dumps(run).encode()})
-        table = pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=schema)
+        return pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=pa.schema(fields))
+
+    def to_parquet(self) -> bytes:
+        """The log as a Parquet file with a checksum."""
         stream = io.BytesIO()
-        pq.write_table(table, stream, compression="zstd")
+        write_log(self, [self.table()], stream)
         return stream.getvalue()
 
     def save(self, path: str | Path) -> None:
@@ -197,55 +206,108 @@ class SimulationLog:
         write_atomically(Path(path), self.to_parquet())
 
 
-_OUTCOME = ("status", "reason", "message", "end_time", "leg", "safety", "wall_time")
+_OUTCOME = (
+    "status",
+    "reason",
+    "message",
+    "outcome_time",
+    "end_time",
+    "leg",
+    "warnings",
+    "safety",
+    "wall_time",
+    "versions",
+    "files",
+    "figures",
+)
+"""What a log says besides its signals."""
 
 
-def load_log(path: str | Path) -> SimulationLog:
-    """Reads a log written by `SimulationLog.save`.
+def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) -> None:
+    """Writes a log as a Parquet file with a checksum.
 
     Args:
-        path: The file, or a folder with a `log.parquet` in it.
-
-    Raises:
-        ConfigurationError: Missing file, or not a log of this package.
+        log: Everything but the rows.
+        tables: At least one; the rows in order, see `SimulationLog.table`.
+        stream: An empty file, open for writing and reading.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
+    waiting = iter(tables)
+    held = [next(waiting)]
+    with SealedWriter(stream, held[0].schema, _FORMAT_KEY) as writer:
+        for table in waiting:
+            held.append(table)
+            if sum(part.num_rows for part in held) >= ROW_GROUP:
+                writer.write(pa.concat_tables(held).combine_chunks())
+                held = []
+        if held:
+            writer.write(pa.concat_tables(held).combine_chunks())
+        run = {
+            "version": _VERSION,
+            "scenario": log.scenario.to_dict(),
+            "state_names": list(log.state_names),
+            "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
+        }
+        writer.seal(run)
+
+
+def load_log(path: str | Path, most_rows: int | None = None) -> SimulationLog:
+    """Reads a log written by `SimulationLog.save` or by the command `run`.
+
+    Args:
+        path: The file, or a results folder. Of a run that was killed midway its unfinished folder, with the rows up to
+            the last that were written.
+        most_rows: Of a longer log every so many rows are read, so that there are at most so many; None for all.
+
+    Raises:
+        ConfigurationError: Missing file, not a log of this package, or not as it was written.
+    """
     path = Path(path)
-    path = path / "log.parquet" if path.is_dir() else path
+    if path.is_dir() and not (path / "log.parquet").exists() and (path / UNFINISHED).is_dir():
+        parts = [_load_file(part, most_rows) for part in sorted((path / UNFINISHED).glob("*.parquet"))]
+        if parts:
+            signals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].signals}
+            return replace(parts[-1], signals=signals)
+    return _load_file(path / "log.parquet" if path.is_dir() else path, most_rows)
+
+
+def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
+    key = f"log {path}"
+
+    def stride(rows: int) -> int:
+        return 1 if most_rows is None else max(1, -(-rows // most_rows))
+
+    run, columns = read_sealed(path, key, _FORMAT_KEY, _LARGEST, MAX_LOG_ROWS + 1, "this package", stride)
     try:
-        with path.open("rb") as stream:
-            table = pq.read_table(stream)
-    except (OSError, pa.ArrowException) as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise ConfigurationError(f"log {path}", error.strerror, "a readable file") from None
-        raise ConfigurationError(f"log {path}", " ".join(str(error).split()), "a Parquet file") from None
-    metadata = table.schema.metadata or {}
-    if _FORMAT_KEY not in metadata:
-        raise ConfigurationError(f"log {path}", "another Parquet file", "a log written by this package")
-    try:
-        run = json.loads(metadata[_FORMAT_KEY])
         if run["version"] != _VERSION:
-            raise ConfigurationError(f"log {path}", f"version {run['version']}", f"version {_VERSION}")
+            raise ConfigurationError(key, f"version {run['version']}", f"version {_VERSION}")
         state_names = tuple(run["state_names"])
         outcome = {name: run["outcome"][name] for name in _OUTCOME}
-        versions, files, scenario = dict(run["versions"]), dict(run.get("files", {})), run["scenario"]
-    except (ValueError, KeyError, TypeError) as error:
+        outcome["warnings"] = tuple(outcome["warnings"])
+        scenario = run["scenario"]
+    except (KeyError, TypeError) as error:
         what = f"metadata that cannot be read ({type(error).__name__}: {error})"
-        raise ConfigurationError(f"log {path}", what, "a log written by this package") from None
+        raise ConfigurationError(key, what, "a log written by this package") from None
     try:
         scenario = Scenario.from_dict(scenario)
     except ConfigurationError as error:
-        raise ConfigurationError(f"log {path}: {error.key}", error.value, error.allowed) from None
+        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
         components = state_names if name == "plant_state" else spec.components
         wanted = [f"{name}.{component}" for component in components] if components else [name]
-        missing = [column for column in wanted if column not in table.column_names]
+        missing = [column for column in wanted if column not in columns]
         if not missing:
-            arrays = [table.column(column).to_numpy() for column in wanted]
+            arrays = [columns.pop(column) for column in wanted]
             signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
         elif name == "time" or len(missing) < len(wanted):
-            raise ConfigurationError(f"log {path}", f"no column {missing[0]}", "all columns of a signal, and time")
-    return SimulationLog(scenario, signals, state_names, versions=versions, files=files, **outcome)
+            raise ConfigurationError(key, f"no column {missing[0]}", "all columns of a signal, and time")
+    return SimulationLog(scenario, signals, state_names, **outcome)
+
+
+def _plain(value: Any) -> Any:
+    """A field of a log in values that JSON has."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    return [dict(each) for each in value] if isinstance(value, tuple) else value

@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.joint_pid import PidOptions
+from stewart_drake.files import NOT_FINITE, plain_json
 from stewart_drake.log import SimulationLog
-
-INTEGRAL_TIME = 5.0
-"""[s] when the paper looks at the integral states."""
+from stewart_drake.tally import Tally
 
 
 def tracking_error(log: SimulationLog) -> np.ndarray:
@@ -24,62 +22,35 @@ def second_half(log: SimulationLog) -> np.ndarray:
 
 
 def run_metrics(log: SimulationLog) -> dict[str, Any]:
-    """Figures of a run, ready for JSON.
+    """Figures of a run, ready for JSON. Every key is always there.
 
-    RMSE and peak are taken over the second half of the planned duration and are None where the run did not get there;
-    torques are those within the motors' limits, over the whole run. Every key is always there.
+    They come from every control tick, and peaks from every step of the plant, whatever rows the log has; of a log that
+    `run` did not make from its rows.
 
     Returns:
-        status, reason, message, end_time [s], leg; safety: first trip of the safety layer, see `SimulationLog`;
-        rmse_deg [3], rmse_mm [3], peak_deg [3], peak_mm [3]; torque_rms and
-        torque_peak [N m] over all motors; saturated_fraction of ticks and motors at the limit; loop_gap_max_m;
-        integral_at_5s [6] [rad s, m s] or None; omega_q, omega_r: mean over the run; omega_ratio: geometric
-        mean of their ratio; real_time_factor; git_revision; versions; files: sha256
-        of each file that the scenario names.
+        status, reason, message, outcome_time [s], end_time [s], leg, warnings; safety: first trip of the safety layer,
+        see `SimulationLog`; see `tally.Tally.figures` for rmse_deg to finite; not_finite: names of the figures that
+        were NaN or infinite, and are None; real_time_factor; git_revision; versions; files: sha256 of each file that
+        the scenario names.
     """
-    error = tracking_error(log)[second_half(log)]
+    figures = log.figures
+    if figures is None:
+        tally = Tally(log.scenario)
+        tally.add(log.signals)
+        figures = plain_json(tally.figures())
     metrics: dict[str, Any] = {
         "scenario": log.scenario.name,
         "status": log.status,
         "reason": log.reason,
         "message": log.message,
+        "outcome_time": log.outcome_time,
         "end_time": log.end_time,
         "leg": log.leg,
+        "warnings": [dict(each) for each in log.warnings],
         "safety": None if log.safety is None else dict(log.safety),
-        "rmse_deg": None,
-        "rmse_mm": None,
-        "peak_deg": None,
-        "peak_mm": None,
-        "torque_rms": None,
-        "torque_peak": None,
-        "saturated_fraction": None,
-        "loop_gap_max_m": None,
-        "omega_q": None,
-        "omega_r": None,
-        "omega_ratio": None,
+        **{name: value for name, value in figures.items() if name != "events"},
     }
-    if len(error):
-        rms, peak = np.sqrt(np.mean(error**2, axis=0)), np.abs(error).max(axis=0)
-        metrics["rmse_deg"], metrics["rmse_mm"] = np.degrees(rms[:3]).tolist(), (1e3 * rms[3:]).tolist()
-        metrics["peak_deg"], metrics["peak_mm"] = np.degrees(peak[:3]).tolist(), (1e3 * peak[3:]).tolist()
-    if len(log.time):
-        applied = log["torque_applied"]
-        metrics["torque_rms"] = float(np.sqrt(np.mean(applied**2)))
-        metrics["torque_peak"] = float(np.abs(applied).max())
-        size, controller = np.abs(log["torque"]), log.scenario.controller
-        limit = (
-            controller.limit(log.scenario.robot)
-            if isinstance(controller, PidOptions)
-            else log.scenario.robot.effort_limit
-        )
-        # A controller that limits the torque itself asks for the limit and no more.
-        at_limit = size > limit if getattr(controller, "saturation", "") == "none" else size >= limit
-        metrics["saturated_fraction"] = float(np.mean(at_limit))
-        metrics["loop_gap_max_m"] = float(log["loop_gap"].max())
-    if len(log.time) and "weights" in log.signals:
-        metrics["omega_q"], metrics["omega_r"] = log["weights"].mean(axis=0).tolist()
-        metrics["omega_ratio"] = float(np.exp(np.mean(np.log(log["weights"][:, 0] / log["weights"][:, 1]))))
-    metrics["integral_at_5s"] = integral_at(log, INTEGRAL_TIME)
+    metrics.setdefault(NOT_FINITE, {})
     metrics["real_time_factor"] = log.end_time / log.wall_time if log.wall_time > 0.0 else None
     versions = dict(log.versions)
     metrics["git_revision"] = versions.pop("git_revision", None)

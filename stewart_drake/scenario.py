@@ -38,6 +38,7 @@ from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motors import MotorOptions
 from stewart_drake.named_files import anchor_files
 from stewart_drake.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.outcomes import Bounds
 from stewart_drake.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
@@ -50,8 +51,10 @@ from stewart_drake.sensor_faults import PoseFault
 from stewart_drake.user_controller import PythonOptions
 from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder
 
-MAX_LOG_ROWS = 10**7
-"""Of some 1.4 kilobytes each."""
+MAX_LOG_ROWS = 10**8
+"""Of some 0.8 kilobytes each."""
+MAX_STEPS = 10**9
+"""Of the plant in a run: beyond it sample times, which are stretched by a hair, would lose their step."""
 
 
 class _Section(BaseModel):
@@ -138,9 +141,8 @@ class Scenario(_Section):
 
     name: Annotated[StrictStr, Field(min_length=1, max_length=100, pattern=r"^\w[\w .+-]*$")] = "scenario"
     """Used for the output folder and titles: letters, digits and, after the first, space and . + - too."""
-    duration: Annotated[Real, Field(gt=0.0, le=8000.0)] = 10.0
-    """[s] simulated time; at most 8000, beyond which sample times would lose their exactness. A run ends with the last
-    whole step of the plant."""
+    duration: Annotated[Real, Field(gt=0.0, le=1e6)] = 10.0
+    """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
     gravity: Annotated[Real, Field(ge=0.0, le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
     robot: RobotParameters = Field(default_factory=RobotParameters)
@@ -171,6 +173,8 @@ class Scenario(_Section):
     """The way of the commands: what is dropped, late or spoilt. It comes after the delay."""
     safety: SafetyOptions | None = None
     """What stands between the commands and the motors; null for nothing."""
+    bounds: Bounds = Field(default_factory=Bounds)
+    """What the run itself must keep to for its motion to count as followed; it decides on the outcome."""
     limits: Limits = Field(default_factory=Limits)
     """What the reference must keep to; checked before the run."""
     log_period: Annotated[Real, Field(gt=0.0)] | None = None
@@ -196,6 +200,7 @@ class Scenario(_Section):
         "reference",
         "controller",
         "link",
+        "bounds",
         "limits",
         "safety",
         "sensors",
@@ -335,6 +340,9 @@ class Scenario(_Section):
             if self.safety.damping is not None and self.safety.damping > largest:
                 allowed = f"at most {largest:.3g} N m s/rad at this control period"
                 raise ConfigurationError("safety.damping", self.safety.damping, allowed)
+        if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):
+            allowed = f"at most {MAX_STEPS * self.plant.time_step:g} s, which are 1e9 steps of the plant"
+            raise ConfigurationError("duration", self.duration, allowed)
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
         if self.duration < self.controller.period:
@@ -346,7 +354,7 @@ class Scenario(_Section):
         if self.duration / self.effective_log_period > MAX_LOG_ROWS * (1.0 + 1e-9):
             steps = math.ceil(self.duration / MAX_LOG_ROWS / self.plant.time_step)
             allowed = f"at least {steps * self.plant.time_step:g} s for a run of {self.duration:g} s"
-            raise ConfigurationError("log_period", self.effective_log_period, f"{allowed}: a log has at most 1e7 rows")
+            raise ConfigurationError("log_period", self.effective_log_period, f"{allowed}: a log has at most 1e8 rows")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context
+from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.control_inputs import checked_legs
 from stewart_drake.diagram import ClosedLoop, require_scenario
@@ -23,13 +26,17 @@ from stewart_drake.errors import (
     drake_guard,
 )
 from stewart_drake.estimator import EncoderOptions
-from stewart_drake.log import SimulationLog, Status
+from stewart_drake.files import plain_json
+from stewart_drake.log import SimulationLog
+from stewart_drake.log_rows import LogRows, RowsInMemory
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motion_fit import motion_report
 from stewart_drake.named_files import file_digests
+from stewart_drake.outcomes import find_warnings, judge
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
-from stewart_drake.sampling import on_grid, times_of
+from stewart_drake.sampling import on_grid, steps_per, times_of
 from stewart_drake.scenario import Scenario
+from stewart_drake.tally import Tally
 from stewart_drake.user_controller import ControllerStop, PythonOptions, user_code
 from stewart_drake.versions import collect_versions
 
@@ -40,6 +47,14 @@ SUBSTEPS = 10
 """Parts of the plant's step in which continuous state of a user's controller is integrated."""
 CHUNK = 0.05
 """[s] simulated time between two calls of `progress`."""
+ROWS_AT_ONCE = 1000
+"""Rows, one for each step of the plant, that gather before they are taken from the Diagram."""
+
+
+class OutOfMemoryError(RunFailure):
+    """The machine has no memory left; the rows so far are kept."""
+
+    reason = "out_of_memory"
 
 
 def run(
@@ -47,11 +62,11 @@ def run(
     progress: Callable[[float], None] | None = None,
     meshcat: Meshcat | None = None,
     check: bool = True,
+    rows: LogRows | None = None,
 ) -> SimulationLog:
     """Simulates a scenario.
 
-    A run that breaks midway does not raise: its log so far comes back with status `failed`, reason, time and leg; after
-    Ctrl-C with status `interrupted`.
+    A run that breaks midway does not raise: its log so far comes back, with how it ended, see `outcomes.Status`.
 
     Args:
         scenario: What to run.
@@ -59,34 +74,47 @@ def run(
             which ends the run as Ctrl-C does.
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
+        rows: Where the rows of the log go; None keeps them in memory.
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
-            that cannot be used; a user's controller that cannot.
+            that cannot be used; a user's controller that cannot; not enough memory for the rows.
         RunFailure: The start pose cannot be assembled; only with `check` off.
+        OutOfSpaceError: `rows` could not be written; what came before is where they go.
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
+    rows = RowsInMemory() if rows is None else rows
+    rows.check(scenario)
     if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
-    loop = ClosedLoop(scenario, meshcat)
+    # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
+    loop = ClosedLoop(scenario, meshcat, scenario.plant.time_step)
     _compile(loop)
     with drake_guard("preparing the simulator"):
         simulator = Simulator(loop, loop.create_start_context())
         _integrate_in_substeps(simulator, scenario.plant.time_step)
-    context = simulator.get_context()
+    context = simulator.get_mutable_context()
+    header = SimulationLog(
+        scenario=scenario,
+        signals={},
+        state_names=loop.plant.state_names,
+        status="interrupted",
+        reason="killed",
+        message="the process ended in the midst of the run",
+        versions=collect_versions(),
+        files=files,
+    )
+    rows.begin(header)
+    recorder = _Recorder(loop, context, rows)
 
     step = on_grid(scenario.plant.time_step)
     total = int(scenario.duration / scenario.plant.time_step + 1e-6)
     stride = max(1, int(CHUNK / scenario.plant.time_step))
     breaks = _breaks(scenario, total)
-    trip: dict[str, Any] | None = None
-    status: Status = "completed"
-    reason = message = None
-    leg: int | None = None
-    end: float | None = None
+    ended_by: RunFailure | KeyboardInterrupt | None = None
     # A mistake in a user's controller ends the run with its log; one in this package must show.
     users_own = user_code if isinstance(scenario.controller, PythonOptions) else nullcontext
     start = time.perf_counter()
@@ -94,33 +122,73 @@ def run(
         with drake_guard("simulation"), users_own(), _quiet():
             simulator.Initialize()
         for done in sorted({*range(stride, total, stride), total, *breaks}):
-            # What `progress` raises is the caller's own affair, so it stays outside of the guard.
+            # What `progress` raises is not ours, so it stays outside of the guard.
             with drake_guard("simulation"), users_own(), _quiet():
                 _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
-                loop.plant.break_rod(simulator.get_mutable_context(), breaks[done])
+                loop.plant.break_rod(context, breaks[done])
+            recorder.drain(ROWS_AT_ONCE)
             if progress is not None:
                 progress(_nominal(context.get_time(), scenario.plant.time_step))
-    except RunFailure as failure:
-        status, reason, message, leg, end = "failed", failure.reason, str(failure), failure.leg, failure.time
-        trip = failure.trip if isinstance(failure, SafetyStop) else None
-    except KeyboardInterrupt:
-        status, reason, message = "interrupted", "interrupted", "stopped by the user"
+    except (RunFailure, KeyboardInterrupt) as end:
+        ended_by = end
+    except MemoryError:
+        ended_by = OutOfMemoryError("there is no memory left to go on with")
     wall = time.perf_counter() - start
-    return SimulationLog(
-        scenario=scenario,
-        signals=_signals(loop, context),
-        state_names=loop.plant.state_names,
-        status=status,
-        reason=reason,
-        message=message,
-        end_time=_nominal(end if end is not None else context.get_time(), scenario.plant.time_step),
-        leg=leg,
-        safety=trip if trip is not None or loop.safety is None else loop.safety.first_trip(context),
+    recorder.drain()
+    figures = recorder.tally.figures()
+    trip = ended_by.trip if isinstance(ended_by, SafetyStop) else None
+    if trip is None and loop.safety is not None:
+        trip = loop.safety.first_trip(context)
+    when = ended_by.time if isinstance(ended_by, RunFailure) else None
+    end_time = _nominal(context.get_time() if when is None else when, scenario.plant.time_step)
+    outcome = judge(scenario.bounds, figures, trip, end_time, ended_by)
+    log = replace(
+        header,
+        status=outcome.status,
+        reason=outcome.reason,
+        message=outcome.message,
+        outcome_time=None if outcome.time is None else _nominal(outcome.time, scenario.plant.time_step),
+        end_time=end_time,
+        leg=outcome.leg,
+        warnings=tuple(plain_json(each) for each in find_warnings(outcome, figures, trip)),
+        safety=trip,
         wall_time=wall,
-        versions=collect_versions(),
-        files=files,
+        figures=plain_json(figures),
     )
+    return rows.end(log)
+
+
+class _Recorder:
+    """Empties a loop's sinks: every row into the tally, those of the log period into the log.
+
+    Attributes:
+        tally: Figures so far.
+    """
+
+    def __init__(self, loop: ClosedLoop, context: Context, rows: LogRows) -> None:
+        self.tally = Tally(loop.scenario)
+        self._loop, self._rows = loop, rows
+        self._logs = {name: sink.FindMutableLog(context) for name, sink in loop.sinks.items()}
+        scenario = loop.scenario
+        self._stride = steps_per("log_period", scenario.effective_log_period, scenario.plant.time_step)
+
+    def drain(self, at_least: int = 0) -> None:
+        """Takes what the sinks hold, if that are so many rows. A Ctrl-C meanwhile comes after it."""
+        if min(log.num_samples() for log in self._logs.values()) < at_least:
+            return
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        try:
+            with _quiet():
+                signals = _signals(self._loop, self._logs)
+                for log in self._logs.values():
+                    log.Clear()
+                self.tally.add(signals)
+                steps = np.rint(signals["time"] / self._loop.scenario.plant.time_step).astype(np.int64)
+                kept = steps % self._stride == 0
+                self._rows.add({name: values[kept] for name, values in signals.items()})
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _integrate_in_substeps(simulator: Simulator, time_step: float) -> None:
@@ -213,13 +281,12 @@ def _breaks(scenario: Scenario, total: int) -> dict[int, int]:
     return {step: rod.leg} if step < total else {}
 
 
-def _signals(loop: ClosedLoop, context: Context) -> dict[str, np.ndarray]:
+def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.ndarray]:
     scenario, plant = loop.scenario, loop.plant
-    data = {name: sink.FindLog(context) for name, sink in loop.sinks.items()}
     # A row is complete once the slowest sink has it: a failure can stop a publish halfway.
-    rows = min(log.num_samples() for log in data.values())
-    values = {name: np.array(log.data().T[:rows]) for name, log in data.items()}
-    time_on_grid = data["plant_state"].sample_times()[:rows]
+    rows = min(log.num_samples() for log in logs.values())
+    values = {name: np.array(log.data().T[:rows]) for name, log in logs.items()}
+    time_on_grid = logs["plant_state"].sample_times()[:rows]
     multiple = np.round(time_on_grid / scenario.plant.time_step)
     limit = scenario.robot.effort_limit
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])

@@ -18,7 +18,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SIGNALS, SimulationLog
 from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.metrics import INTEGRAL_TIME, run_metrics, tracking_error
+from stewart_drake.metrics import run_metrics, tracking_error
+from stewart_drake.tally import INTEGRAL_TIME
 
 DPI = 150
 """[1/inch] resolution of saved figures."""

@@ -14,12 +14,13 @@ from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.force_map import ForceMapKind
 from stewart_drake.log import SimulationLog
 from stewart_drake.lqi import lqi_gain
-from stewart_drake.metrics import INTEGRAL_TIME, integral_at, run_metrics, second_half, tracking_error
+from stewart_drake.metrics import integral_at, run_metrics, second_half, tracking_error
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.sampling import steps_per
 from stewart_drake.scenario import FixedTuner, Scenario
 from stewart_drake.state_space import acceleration_map
+from stewart_drake.tally import INTEGRAL_TIME
 from stewart_drake.training.collect import OMEGAS
 
 PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
