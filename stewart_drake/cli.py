@@ -28,7 +28,13 @@ EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
 
 _LONG = 100.0
 """[s] of a run whose check takes more than a second or two."""
-_STATUS = {"completed": 0, "failed": EXIT_RUN_FAILED, "interrupted": EXIT_INTERRUPTED}
+_STATUS = {
+    "completed": 0,
+    "stopped": EXIT_RUN_FAILED,
+    "lost": EXIT_RUN_FAILED,
+    "failed": EXIT_RUN_FAILED,
+    "interrupted": EXIT_INTERRUPTED,
+}
 
 
 def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -56,19 +62,23 @@ def cli(context: click.Context) -> None:
 @click.argument("scenario")
 @out_folder()
 @overrides()
+@click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
 @click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
-def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bool, quiet: bool) -> None:
+def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
     """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
 
-    Exit status: 0 completed, 2 bad input, 3 the run broke midway (its log is kept), 130 interrupted.
+    Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
-    from stewart_drake.outputs import keep_scenario_file, prepare_folder, space_for, write_run
+    from stewart_drake.log_rows import RowsInFile
+    from stewart_drake.outputs import ResultsFolder
     from stewart_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario, overrides)
     out = out if out is not None else Path("runs") / loaded.name
-    keep_scenario_file(out)
+    results = ResultsFolder(out, loaded, force)
+    rows = RowsInFile(results.folder)
+    rows.check(loaded)
 
     from stewart_drake.diagram import build_diagram
     from stewart_drake.simulation import check_scenario
@@ -79,28 +89,28 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], meshcat: bo
     check_scenario(loaded)
     graph = build_diagram(loaded).graph()
     # Only now, with everything checked, does anything appear on the disk.
-    folder = prepare_folder(out, space_for(loaded))
-    if not quiet:
-        announce_compilation(loaded.controller)
-    viewer = None
-    if meshcat:
-        from pydrake.geometry import Meshcat
+    with results:
+        if not quiet:
+            announce_compilation(loaded.controller)
+        viewer = None
+        if meshcat:
+            from pydrake.geometry import Meshcat
 
-        viewer = Meshcat()
-        click.echo(f"live view: {viewer.web_url()}", err=True)
-    with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
-        log = simulate(loaded, progress=advance, meshcat=viewer, check=False)
-    try:
-        metrics = write_run(log, folder, graph)
-    except KeyboardInterrupt:
-        click.echo(f"stewart-drake: interrupted while writing the results; some are missing in {folder}", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+            viewer = Meshcat()
+            click.echo(f"live view: {viewer.web_url()}", err=True)
+        with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
+            log = simulate(loaded, progress=advance, meshcat=viewer, check=False, rows=rows)
+        try:
+            metrics = results.finish(log, graph)
+        except KeyboardInterrupt:
+            where = f"the log is in {results.folder}"
+            click.echo(f"stewart-drake: interrupted while writing the results; {where}", err=True)
+            sys.exit(EXIT_INTERRUPTED)
     if not quiet:
-        print_run(log, metrics, folder)
-    if log.status == "failed":
-        click.echo(f"stewart-drake: {log.reason} at t = {log.end_time:.3f} s: {log.message}", err=True)
-    elif log.status == "interrupted":
-        click.echo(f"stewart-drake: interrupted at t = {log.end_time:.3f} s; results so far in {folder}", err=True)
+        print_run(log, metrics, out)
+    if log.status != "completed":
+        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
+        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
     sys.exit(_STATUS[log.status])
 
 

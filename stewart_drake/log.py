@@ -233,23 +233,22 @@ def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) 
     """
     import pyarrow as pa
 
+    run = {
+        "version": _VERSION,
+        "scenario": log.scenario.to_dict(),
+        "state_names": list(log.state_names),
+        "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
+    }
     waiting = iter(tables)
     held = [next(waiting)]
-    with SealedWriter(stream, held[0].schema, _FORMAT_KEY) as writer:
+    with SealedWriter(stream, held[0].schema, _FORMAT_KEY, run) as writer:
         for table in waiting:
             held.append(table)
             if sum(part.num_rows for part in held) >= ROW_GROUP:
-                writer.write(pa.concat_tables(held).combine_chunks())
+                writer.write(pa.concat_tables(held))
                 held = []
         if held:
-            writer.write(pa.concat_tables(held).combine_chunks())
-        run = {
-            "version": _VERSION,
-            "scenario": log.scenario.to_dict(),
-            "state_names": list(log.state_names),
-            "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
-        }
-        writer.seal(run)
+            writer.write(pa.concat_tables(held))
 
 
 def load_log(path: str | Path, most_rows: int | None = None) -> SimulationLog:

@@ -42,16 +42,16 @@ class Bounds:
     """[m] largest distance between the platform and its reference."""
     loop_gap: Positive | None = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    followed: Share | None = 0.5
-    """[-] least share of the reference's motion that is found in the platform's: the slope of a least-squares line
-    through all poses over all references. Friction that swallows a motion makes it 0."""
+    motion_ratio: Share | None = 0.5
+    """[-] least size of the platform's motion over that of its reference: RMS about the mean of all poses, rotations
+    times the robot's characteristic length. Friction that swallows a motion makes it 0."""
 
     def __post_init__(self) -> None:
         for name in ("rotation", "position", "loop_gap"):
             if getattr(self, name) is not None:
                 check_positive(f"bounds.{name}", getattr(self, name), allowed="a positive number, or null")
-        if self.followed is not None:
-            check_real("bounds.followed", self.followed, 0.0, "a number from 0 to 1, or null", 1.0)
+        if self.motion_ratio is not None:
+            check_real("bounds.motion_ratio", self.motion_ratio, 0.0, "a number from 0 to 1, or null", 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,9 @@ def judge(
         bound, worst = (f"{scale * value:.4g} {unit}" for value in (getattr(bounds, name), event["worst"]))
         text = f"{what} of {bound} at t = {event['time']:.3f} s; at most it was {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
-    share = figures["followed"]
-    if bounds.followed is not None and share is not None and not share >= bounds.followed:
-        text = f"only {share:.1%} of the reference's motion is found in the platform's; bound {bounds.followed:.0%}"
+    ratio = figures["motion_ratio"]
+    if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
+        text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
         return Outcome("lost", "not_followed", text, end_time)
     return Outcome("completed")
 

@@ -1,28 +1,34 @@
-"""The folder that a run leaves behind."""
+"""The folder that a run leaves behind: whole or not at all."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, BinaryIO, Self
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
-from stewart_drake.log import SimulationLog
+from stewart_drake.files import read_checked, sync_folder, write_atomically
+from stewart_drake.log import UNFINISHED, SimulationLog
 from stewart_drake.metrics import run_metrics
 from stewart_drake.scenario import Scenario
+from stewart_drake.yaml_files import MAX_BYTES
 
 SPACE = 50_000_000
-"""[byte] that a command asks for before it begins; 10 s logged at 1 kHz take 14."""
+"""[byte] that a command asks for before it begins."""
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
-_ROW = 1500
-"""[byte] of a row of a log, with its share of the replay."""
-_OPTIONAL = ("diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html")
-"""Files that not every run leaves."""
+_ROW = 2 * 1100
+"""[byte] of a row of a log; it is there twice before a run is done."""
+_PICTURES = {"states.png", "torques.png", "replay.html"}
+_FILES = {"log.parquet", "metrics.json", "scenario.yaml", "controller.py", "diagram.dot", "diagram.svg", *_PICTURES}
+"""All that a results folder may hold."""
+_MARK = ".stewart-drake"
+"""File in a folder under construction: says that it is one, and is locked while a process works there."""
 
 
 def prepare_folder(path: str | Path, space: int = 0) -> Path:
@@ -74,69 +80,196 @@ def prepare_file(path: Path, space: int = 0) -> None:
     prepare_folder(path.parent, space)
 
 
-def keep_scenario_file(folder: Path) -> None:
-    """Refuses a folder whose `scenario.yaml` is none that a run has left: it would be lost.
-
-    Raises:
-        ConfigurationError: Names the folder.
-    """
-    try:
-        with (folder / "scenario.yaml").open("rb") as stream:
-            own = stream.readline().rstrip() == _AS_RUN.encode().rstrip()
-    except OSError:
-        return
-    if not own:
-        allowed = "a folder without a scenario.yaml of your own, which would be lost"
-        raise ConfigurationError("--out", str(folder), allowed)
-
-
 def space_for(scenario: Scenario) -> int:
     """[byte] that a run's files take at most, and `SPACE` at least."""
     return SPACE + _ROW * int(scenario.duration / scenario.effective_log_period)
 
 
-def write_run(
-    log: SimulationLog, folder: str | Path, graph: str | None = None, pictures: bool = True
-) -> dict[str, Any]:
-    """Writes everything about a run.
+class ResultsFolder:
+    """A results folder under construction: beside its place, and renamed to it once all is in it.
 
-    Files: metrics.json, log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot. Each appears
-    whole or not at all; those of an earlier run in the same folder are replaced or, where this run has none, removed.
+    A context manager. While one is open, no other process can open one for the same place. What a process that was
+    killed has left beside the place is cleared away by the next. A block that raises leaves the rows of the log, if
+    there are any, in the folder under construction, and otherwise nothing.
+
+    Args:
+        place: Where the results will be.
+        scenario: Whose they will be.
+        force: Replace the results of another scenario.
+
+    Raises:
+        ConfigurationError: The place is a file, the current folder or a disk of its own; it holds files that are no
+            results, or the results of another scenario; another process works there; it cannot be written to, or the
+            disk is full.
+
+    Attributes:
+        folder: Where to write meanwhile.
+    """
+
+    def __init__(self, place: str | Path, scenario: Scenario, force: bool = False) -> None:
+        self.place, self._scenario, self._force = Path(os.path.abspath(place)), scenario, force  # noqa: PTH100 - no ..
+        self.folder = self.place.with_name(f".{self.place.name}.unfinished")
+        self._before = self.place.with_name(f".{self.place.name}.before")
+        self._named = str(place)
+        self._lock: BinaryIO | None = None
+        self._done = False
+        # Nothing is made as long as something may be refused.
+        self._refuse_loss()
+
+    def __enter__(self) -> Self:
+        place = self.place
+        prepare_folder(place.parent, space_for(self._scenario))
+        try:
+            self._take()
+            try:
+                if self._before.is_dir() and not place.exists():
+                    # Killed between the two renames of `finish`.
+                    self._before.rename(place)
+                self._refuse_loss()
+                for each in self.folder.iterdir():
+                    if each.name != _MARK:
+                        _remove(each)
+                _remove(self._before)
+            except BaseException:
+                self.__exit__(None, None, None)
+                raise
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
+        return self
+
+    def finish(self, log: SimulationLog, graph: str | None = None, pictures: bool = True) -> dict[str, Any]:
+        """Writes what `write_run` says but for the log itself, and puts the folder in its place.
+
+        Raises:
+            ConfigurationError: The disk is full, or the like.
+        """
+        metrics = run_metrics(log)
+        text = json.dumps(metrics, indent=2, allow_nan=False) + "\n"
+        write_atomically(self.folder / "metrics.json", text.encode())
+        write_atomically(self.folder / "scenario.yaml", (_AS_RUN + log.scenario.to_yaml()).encode())
+        if graph is not None:
+            write_atomically(self.folder / "diagram.dot", graph.encode())
+            svg = _render_graph(graph)
+            if svg is not None:
+                write_atomically(self.folder / "diagram.svg", svg)
+        if pictures and len(log.time):
+            # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
+            from stewart_drake.plotting import plot_states, plot_torques, save_figure
+            from stewart_drake.replay import write_replay
+
+            save_figure(plot_states(log), self.folder / "states.png")
+            save_figure(plot_torques(log), self.folder / "torques.png")
+            write_replay(log, self.folder / "replay.html")
+        try:
+            self._put()
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
+        return metrics
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        kept = (self.folder / UNFINISHED).is_dir() or (self.folder / "log.parquet").is_file()
+        if not self._done and not kept:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        if self._lock is not None:
+            self._lock.close()
+
+    def _take(self) -> None:
+        """Makes the folder under construction, or takes over one that nobody works in."""
+        taken = ConfigurationError("--out", self._named, "a folder that no other process is writing")
+        if os.path.lexists(self.folder) and not (self.folder / _MARK).is_file():
+            allowed = f"a folder beside which no {self.folder.name} of your own stands"
+            raise ConfigurationError("--out", self._named, allowed)
+        self.folder.mkdir(exist_ok=True)
+        self._lock = (self.folder / _MARK).open("ab")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._lock.close()
+            raise taken from None
+        try:
+            # Another process may have finished there since the file was opened.
+            if not os.path.samestat(os.fstat(self._lock.fileno()), (self.folder / _MARK).stat()):
+                raise taken
+        except FileNotFoundError:
+            raise taken from None
+
+    def _refuse_loss(self) -> None:
+        """Refuses a place that cannot be, or where something would be lost."""
+        here, place = Path.cwd(), self.place
+        try:
+            if not os.path.lexists(place):
+                return
+            if not place.is_dir():
+                raise ConfigurationError("--out", self._named, "a folder that can be written to (this is a file)")
+            if place == here or place in here.parents or place.is_mount():
+                raise ConfigurationError("--out", self._named, "a folder of its own: it is made anew as a whole")
+            names = {path.name for path in place.iterdir()}
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
+        text, kept = _AS_RUN + self._scenario.to_yaml(), b""
+        if "scenario.yaml" in names:
+            kept = read_checked(place / "scenario.yaml", f"--out {self._named}: scenario.yaml", MAX_BYTES)
+        others = sorted(names - _FILES)
+        if kept and not kept.startswith(_AS_RUN.encode()):
+            others.append("scenario.yaml")
+        if others:
+            allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
+            raise ConfigurationError("--out", self._named, allowed)
+        if names and kept != text.encode() and not self._force:
+            allowed = "a folder without the results of another scenario, or --force to replace them"
+            raise ConfigurationError("--out", self._named, allowed)
+
+    def _put(self) -> None:
+        for path in self.folder.iterdir():
+            with path.open("rb") as stream:
+                os.fsync(stream.fileno())
+        (self.folder / _MARK).unlink()
+        sync_folder(self.folder)
+        place = self.place
+        if place.exists():
+            place.rename(self._before)
+        self.folder.rename(place)
+        self._done = True
+        sync_folder(place.parent)
+        _remove(self._before)
+
+
+def write_run(
+    log: SimulationLog, folder: str | Path, graph: str | None = None, pictures: bool = True, force: bool = False
+) -> dict[str, Any]:
+    """Writes everything about a run into a folder, which appears as a whole.
+
+    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot.
+    Results of the same scenario that are there are replaced.
 
     Args:
         log: The run.
         folder: Where to.
         graph: Graphviz text of the diagram, or None to leave it out. An SVG beside it where graphviz is installed.
         pictures: Write the plots and the replay too.
+        force: Replace the results of another scenario.
 
     Returns:
         The metrics.
 
     Raises:
-        ConfigurationError: The folder cannot be written to.
+        ConfigurationError: See `ResultsFolder`.
     """
-    folder = prepare_folder(folder)
-    metrics = run_metrics(log)
-    log.save(folder / "log.parquet")
-    write_atomically(folder / "metrics.json", (json.dumps(metrics, indent=2) + "\n").encode())
-    write_atomically(folder / "scenario.yaml", (_AS_RUN + log.scenario.to_yaml()).encode())
-    for name in _OPTIONAL:
-        if (folder / name).is_file():
-            (folder / name).unlink()
-    if graph is not None:
-        write_atomically(folder / "diagram.dot", graph.encode())
-        svg = _render_graph(graph)
-        if svg is not None:
-            write_atomically(folder / "diagram.svg", svg)
-    if pictures and len(log.time):
-        # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
-        from stewart_drake.plotting import plot_states, plot_torques, save_figure
-        from stewart_drake.replay import write_replay
+    with ResultsFolder(folder, log.scenario, force) as results:
+        log.save(results.folder / "log.parquet")
+        return results.finish(log, graph, pictures)
 
-        save_figure(plot_states(log), folder / "states.png")
-        save_figure(plot_torques(log), folder / "torques.png")
-        write_replay(log, folder / "replay.html")
-    return metrics
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _render_graph(graph: str) -> bytes | None:

@@ -23,43 +23,41 @@ _BLOCK = 2**20
 
 
 class SealedWriter:
-    """Writes a table in row groups, and at the end what else there is to say and a checksum of the whole file.
+    """Writes a table in row groups, and at the end a checksum of the whole file.
 
     A context manager; where the block raises, the file has no checksum and will not be read.
 
     Args:
         stream: An empty file, open for writing and reading.
         schema: Its columns.
-        key: Under which `seal` writes.
+        key: Of the schema's metadata, under which `about` stands.
+        about: What else there is to say, in plain values with finite numbers.
 
     Raises:
         OSError: The disk is full, or the like; from every method.
     """
 
-    def __init__(self, stream: BinaryIO, schema: pa.Schema, key: bytes) -> None:
+    def __init__(self, stream: BinaryIO, schema: pa.Schema, key: bytes, about: Mapping[str, Any]) -> None:
         import pyarrow.parquet as pq
 
-        self._stream, self._key, self._sealed = stream, key, False
-        self._writer = pq.ParquetWriter(stream, schema, compression="zstd")
+        metadata = {key: json.dumps(about, allow_nan=False)}
+        self._stream, self._schema = stream, schema.with_metadata(metadata)
+        self._writer = pq.ParquetWriter(stream, self._schema, compression="zstd")
 
     def __enter__(self) -> Self:
         return self
 
     def write(self, table: pa.Table) -> None:
-        """Adds a row group."""
-        self._writer.write_table(table)
-
-    def seal(self, about: Mapping[str, Any]) -> None:
-        """Adds plain values with finite numbers to the file's metadata; nothing can be written after it."""
-        text = json.dumps(about, allow_nan=False)
-        self._writer.add_key_value_metadata({self._key: text, _SEAL: _MARK.decode() + "0" * _DIGITS})
-        self._sealed = True
+        """Adds a row group; the table's own metadata is not kept."""
+        self._writer.write_table(table.cast(self._schema))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is None:
+            self._writer.add_key_value_metadata({_SEAL: _MARK.decode() + "0" * _DIGITS})
         self._writer.close()
-        if self._sealed:
+        if error is None:
             place = _place_of_digits(self._stream)
             assert place is not None
             found = _digest(self._stream, place)
@@ -89,7 +87,7 @@ def read_sealed(
         stride: From the number of rows to which of them are kept: every so many, from the first.
 
     Returns:
-        What `seal` was given, and the columns by name, (rows kept,) each.
+        `about`, and the columns by name, (rows kept,) each.
 
     Raises:
         ConfigurationError: Missing, no regular file, too large, another file, or not what was written.

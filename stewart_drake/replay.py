@@ -187,7 +187,9 @@ def _captioned(page: str, log: SimulationLog) -> str:
     """Drake's page with a title, and a line on what is shown."""
     name = html.escape(log.scenario.name)
     end = f"{log.status} at {log.end_time:g} s"
-    why = "" if log.message is None else f"<br>{html.escape(log.message)}"
+    lines = [] if log.message is None else log.message.splitlines()
+    lines += [f"warning: {each['name']}, t = {each['time']:.3f} s: {each['text']}" for each in log.warnings]
+    why = "".join(f"<br>{html.escape(line)}" for line in lines)
     caption = (
         '<div style="position: fixed; left: 16px; top: 12px; max-width: 60vw; font: 14px/1.5 sans-serif; color: #222; '
         f'pointer-events: none"><b>{name}</b>: {end}{why}<br>green disc: reference</div>'

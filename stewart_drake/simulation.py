@@ -27,7 +27,7 @@ from stewart_drake.errors import (
 )
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.files import plain_json
-from stewart_drake.log import SimulationLog
+from stewart_drake.log import SIGNALS, SimulationLog
 from stewart_drake.log_rows import LogRows, RowsInMemory
 from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.motion_fit import motion_report
@@ -315,4 +315,4 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
     if isinstance(scenario.sensors, EncoderOptions) or scenario.sensors.faults:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
-    return signals
+    return {name: signals[name] for name in SIGNALS if name in signals}

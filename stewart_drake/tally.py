@@ -58,8 +58,8 @@ class Tally:
         self._left: dict[str, dict[str, Any] | None] = dict.fromkeys(_BOUNDED)
         self._level, self._interventions = 0, 0
         self._origin: np.ndarray | None = None
-        # Sums of the reference, the pose, the reference's squares and their products.
-        self._line, self._line_ticks = np.zeros((4, 6)), 0
+        # Sums of reference and pose, and of their squares.
+        self._motion, self._motion_ticks = np.zeros((2, 2, 6)), 0
 
     def add(self, signals: Mapping[str, np.ndarray]) -> None:
         """Takes in the next rows, named as in a log; rows between two ticks count for peaks and bounds alone."""
@@ -74,7 +74,7 @@ class Tally:
             self._add_error(signals["pose"] - signals["reference"], tick & late, late)
             self._add_torque(signals, time, tick)
             self._add_bounded(signals, time, in_charge)
-            self._add_line(signals["reference"], signals["pose"], tick & in_charge)
+            self._add_motion(signals["reference"], signals["pose"], tick & in_charge)
             self._add_weights(signals, tick)
         self._interventions += int(np.count_nonzero((np.diff(level, prepend=self._level) > 0) & (level > 0)))
         self._level = int(level[-1])
@@ -91,11 +91,15 @@ class Tally:
         Returns:
             rmse_deg, rmse_mm, peak_deg, peak_mm [3]; rmse_norm_deg, rmse_norm_mm, peak_norm_deg, peak_norm_mm of the
             length of (roll, pitch, yaw) and of (X, Y, Z); error_max_deg, error_max_mm: largest angle and distance from
-            the reference while the controller was in charge; followed: see `Bounds.followed`; torque_rms, torque_peak
+            the reference while the controller was in charge; motion_ratio: see `Bounds.motion_ratio`; torque_rms, torque_peak
             [N m] within the motors' limits, over the whole run; saturated_fraction of torques at the limit;
             loop_gap_max_m; omega_q, omega_r: means; omega_ratio: geometric mean of their ratio; integral_at_5s [6]
             [rad s, m s]; finite: whether all numbers are; events: when and where, for `outcomes.judge`.
         """
+        with np.errstate(all="ignore"):
+            return self._figures()
+
+    def _figures(self) -> dict[str, Any]:
         there, late = self._steps > 0, self._late_steps > 0
         rms = np.sqrt(self._late_squares / max(1, self._late_ticks))
         norms = np.linalg.norm(rms.reshape(2, 3), axis=1)
@@ -111,7 +115,7 @@ class Tally:
             "peak_norm_mm": float(1e3 * self._late_norms[1]) if late else None,
             "error_max_deg": float(np.degrees(self._largest["rotation"])) if there else None,
             "error_max_mm": 1e3 * self._largest["position"] if there else None,
-            "followed": self._followed(),
+            "motion_ratio": self._motion_ratio(),
             "torque_rms": float(np.sqrt(self._torque_squares / (6 * self._ticks))) if self._ticks else None,
             "torque_peak": self._torque_peak if there else None,
             "saturated_fraction": self._at_limit / (6 * self._ticks) if self._ticks else None,
@@ -186,19 +190,18 @@ class Tally:
             if event is not None:
                 event["worst"] = self._largest[name]
 
-    def _add_line(self, reference: np.ndarray, pose: np.ndarray, counts: np.ndarray) -> None:
+    def _add_motion(self, reference: np.ndarray, pose: np.ndarray, counts: np.ndarray) -> None:
         if self._origin is None:
             self._origin = reference[0].copy()
-        r, p = self._scale * (reference[counts] - self._origin), self._scale * (pose[counts] - self._origin)
-        self._line += np.stack([r.sum(axis=0), p.sum(axis=0), (r * r).sum(axis=0), (r * p).sum(axis=0)])
-        self._line_ticks += int(counts.sum())
+        both = self._scale * (np.stack([reference[counts], pose[counts]]) - self._origin)
+        self._motion += np.stack([both.sum(axis=1), (both * both).sum(axis=1)], axis=1)
+        self._motion_ticks += int(counts.sum())
 
-    def _followed(self) -> float | None:
-        """Slope of the least-squares line, all axes together; None for a reference that stands still."""
-        count = max(1, self._line_ticks)
-        r, p, rr, rp = self._line
-        spread, common = float(np.sum(rr - r * r / count)), float(np.sum(rp - r * p / count))
-        return common / spread if np.sqrt(max(0.0, spread) / count) > LEAST_MOTION else None
+    def _motion_ratio(self) -> float | None:
+        count = max(1, self._motion_ticks)
+        sums, squares = self._motion[:, 0], self._motion[:, 1]
+        wanted, made = np.sqrt(np.maximum(0.0, np.sum(squares - sums * sums / count, axis=1)) / count)
+        return float(made / wanted) if wanted > LEAST_MOTION else None
 
     def _add_weights(self, signals: Mapping[str, np.ndarray], tick: np.ndarray) -> None:
         if "weights" in signals and tick.any():

@@ -111,6 +111,7 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
         ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
         ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
+        ("largest error, whole run", _pair(metrics["error_max_deg"], metrics["error_max_mm"])),
         ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
     ]
     if len(log.time):
@@ -121,6 +122,11 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ]
     if metrics["omega_q"] is not None:
         rows.append(("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"))
+    rows += [(f"warning: {w['name']}", f"{w['text']}, t = {w['time']:.3f} s") for w in metrics["warnings"]]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
     print_table(log.scenario.name, rows)
+
+
+def _pair(degrees: float | None, millimetres: float | None) -> str:
+    return "-" if degrees is None or millimetres is None else f"{degrees:.4g} deg, {millimetres:.4g} mm"

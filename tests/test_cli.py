@@ -238,7 +238,7 @@ BAD = [
             "--set",
             "duration=20",
         ],
-        ["log_period", "1e7 rows"],
+        ["log_period", "1e8 rows"],
     ),
     (["collect", "--out", "a" * 300], ["--out", "too long"]),
     (["collect", "--out", "folder"], ["--out", "directory"]),

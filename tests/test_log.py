@@ -1,4 +1,5 @@
 import dataclasses
+import io
 import json
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from made_logs import STATES, made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.log import AXES, SIGNALS, SimulationLog, load_log
+from stewart_drake.parquet_files import SealedWriter
 from stewart_drake.plant import build_plant
 from stewart_drake.robot import RobotParameters
 
@@ -28,6 +30,9 @@ def log():
         reason="crank_dead_centre",
         message="crank of leg 2 at its dead centre: ü",
         leg=2,
+        outcome_time=0.65,
+        warnings=({"name": "saturation", "time": 0.5, "number": 0.25, "text": "a quarter"},),
+        figures={"rmse_mm": [1.0, None, 2.0], "events": {"level": 0}, "not_finite": {"rmse_mm.1": "nan"}},
         end_time=0.65,
         versions={"python": "3.11", "drake": None},
     )
@@ -109,10 +114,19 @@ def test_two_logs_compare_without_comparing_arrays(log):
     assert log != made_log()
 
 
-def parquet(metadata):
+def unsealed(metadata):
     stream = pa.BufferOutputStream()
     pq.write_table(pa.table({"time": [0.0]}).replace_schema_metadata(metadata), stream)
     return stream.getvalue().to_pybytes()
+
+
+def sealed(run, table=None):
+    """A file with a good checksum, and another content than `SimulationLog.save` would give it."""
+    table = pa.table({"time": [0.0]}) if table is None else table
+    stream = io.BytesIO()
+    with SealedWriter(stream, table.schema, b"stewart_drake.run", run) as writer:
+        writer.write(table)
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -122,13 +136,13 @@ def parquet(metadata):
         (b"", "a Parquet file"),
         (b"PAR1", "a Parquet file"),
         (b"time,pose\n0,0\n" * 100, "a Parquet file"),
-        (parquet({}), "a log written by this package"),
-        (parquet({"stewart_drake.run": json.dumps({"version": 2})}), "version 1"),
-        (parquet({"stewart_drake.run": "{"}), "metadata that cannot be read"),
-        (parquet({"stewart_drake.run": "[1]"}), "metadata that cannot be read"),
-        (parquet({"stewart_drake.run": json.dumps({"version": 1})}), "metadata that cannot be read"),
+        (unsealed({}), "one written by this package"),
+        (unsealed({"stewart_drake.run": "{}"}), "a checksum that is not that of its content"),
+        (sealed({"version": 1}), "version 2"),
+        (sealed([1]), "metadata that cannot be read"),
+        (sealed({"version": 2}), "metadata that cannot be read"),
     ],
-    ids=["missing", "empty", "short", "text", "other", "later", "broken", "list", "bare"],
+    ids=["missing", "empty", "short", "text", "other", "unsealed", "earlier", "list", "bare"],
 )
 @pytest.mark.parametrize("as_folder", [False, True])
 def test_what_is_no_log_is_named_in_one_line(tmp_path, content, words, as_folder):
@@ -151,14 +165,41 @@ def test_a_truncated_log_is_named(log, tmp_path):
             load_log(path)
 
 
-def test_a_log_of_a_scenario_that_is_not_allowed_is_refused(log, tmp_path):
+def parts_of(log):
     table = pq.read_table(pa.BufferReader(log.to_parquet()))
-    run = json.loads(table.schema.metadata[b"stewart_drake.run"])
+    return json.loads(table.schema.metadata[b"stewart_drake.run"]), table
+
+
+def test_a_log_of_a_scenario_that_is_not_allowed_is_refused(log, tmp_path):
+    run, table = parts_of(log)
     run["scenario"]["durration"] = 1
     path = tmp_path / "log.parquet"
-    pq.write_table(table.replace_schema_metadata({"stewart_drake.run": json.dumps(run)}), path)
+    path.write_bytes(sealed(run, table))
     with pytest.raises(ConfigurationError, match="durration"):
         load_log(path)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_flipped_bit_anywhere_is_refused(log, tmp_path, seed):
+    content, rng = log.to_parquet(), np.random.default_rng(seed)
+    path = tmp_path / "log.parquet"
+    for place in rng.integers(0, len(content), 150):
+        spoilt = bytearray(content)
+        spoilt[place] ^= 1 << rng.integers(8)
+        path.write_bytes(spoilt)
+        with pytest.raises(ConfigurationError) as caught:
+            load_log(path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("most", [1, 3, 7, 8])
+def test_of_a_long_log_every_so_many_rows_can_be_read(log, tmp_path, most):
+    log.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path, most_rows=most)
+    every = {1: 7, 3: 3, 7: 1, 8: 1}[most]
+    assert len(again.time) <= most
+    for name, values in log.signals.items():
+        np.testing.assert_array_equal(again[name], values[::every])
 
 
 def test_saving_where_nothing_can_be_written_leaves_nothing(log, tmp_path):
@@ -186,8 +227,9 @@ def test_entries_of_the_plants_state_have_their_own_units(name, unit):
 
 @pytest.mark.parametrize("column", ["time", "pose.x", "plant_state.state 1"])
 def test_a_log_that_has_lost_a_column_is_refused(log, tmp_path, column):
+    run, table = parts_of(log)
     path = tmp_path / "log.parquet"
-    pq.write_table(pq.read_table(pa.BufferReader(log.to_parquet())).drop_columns([column]), path)
+    path.write_bytes(sealed(run, table.drop_columns([column])))
     with pytest.raises(ConfigurationError, match=f"no column {column}"):
         load_log(path)
 

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import os
 import re
@@ -69,12 +70,105 @@ def test_numbers_alone_need_no_pictures(tmp_path):
     assert names(tmp_path) == ALWAYS
 
 
-def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_path):
-    for name in (*PICTURES, "diagram.dot", "diagram.svg", "metrics.json", "my notes.txt"):
-        (tmp_path / name).write_text("earlier")
-    write_run(made_log(), tmp_path, pictures=False)
-    assert names(tmp_path) == ALWAYS | {"my notes.txt"}
-    assert "earlier" not in (tmp_path / "metrics.json").read_text()
+def test_results_of_the_same_scenario_are_replaced_as_a_whole(short_run, tmp_path):
+    folder = tmp_path / "out"
+    write_run(short_run, folder, "digraph {}")
+    assert names(folder) >= PICTURES | {"diagram.dot"}
+    write_run(dataclasses.replace(short_run, wall_time=3.0), folder, pictures=False)
+    assert names(folder) == ALWAYS
+    assert load_log(folder).wall_time == 3.0
+    assert names(tmp_path) == {"out"}
+
+
+def test_results_of_another_scenario_are_replaced_only_when_asked_for(tmp_path):
+    folder, other = tmp_path / "out", made_log(scenario={"gravity": 0.0})
+    write_run(made_log(), folder, pictures=False)
+    with pytest.raises(ConfigurationError, match="the results of another scenario, or --force"):
+        write_run(other, folder, pictures=False)
+    assert load_log(folder).scenario.gravity != 0.0
+    write_run(other, folder, pictures=False, force=True)
+    assert load_log(folder).scenario.gravity == 0.0
+    # Without a scenario.yaml nobody knows whose results these are.
+    (folder / "scenario.yaml").unlink()
+    with pytest.raises(ConfigurationError, match="--force"):
+        write_run(other, folder, pictures=False)
+
+
+@pytest.mark.parametrize("name", ["my notes.txt", "log.parquet.bak", ".hidden", "scenario.yaml"])
+def test_nothing_of_the_users_own_is_ever_lost(tmp_path, name):
+    folder = tmp_path / "out"
+    write_run(made_log(), folder, pictures=False)
+    (folder / name).write_text("# mine\n")
+    for force in (False, True):
+        with pytest.raises(ConfigurationError, match=f"{re.escape(name)} would be lost"):
+            write_run(made_log(), folder, pictures=False, force=force)
+    assert (folder / name).read_text() == "# mine\n"
+    assert names(folder) == ALWAYS | {name}
+    assert names(tmp_path) == {"out"}
+
+
+def test_the_current_folder_and_those_above_it_are_not_replaced(tmp_path, monkeypatch):
+    below = tmp_path / "below"
+    below.mkdir()
+    monkeypatch.chdir(below)
+    for place in (".", "..", below, tmp_path):
+        with pytest.raises(ConfigurationError, match="a folder of its own"):
+            write_run(made_log(), place, pictures=False)
+    assert names(tmp_path) == {"below"}
+
+
+def test_a_folder_under_construction_is_locked_and_its_leftovers_are_cleared(tmp_path):
+    place, log = tmp_path / "out", made_log()
+    with outputs.ResultsFolder(place, log.scenario) as first:
+        (first.folder / "half a file").write_text("x")
+        with pytest.raises(ConfigurationError, match="a folder that no other process is writing"):
+            write_run(log, place, pictures=False)
+        assert not place.exists()
+        # As if the process had been killed: nobody tidies up.
+        copy = tmp_path / "copy"
+        shutil.copytree(first.folder, copy)
+    assert names(tmp_path) == {"copy"}
+    copy.rename(first.folder)
+    write_run(log, place, pictures=False)
+    assert names(tmp_path) == {"out"}
+    assert names(place) == ALWAYS
+
+
+def test_a_kill_between_the_two_renames_loses_nothing(tmp_path):
+    place, before = tmp_path / "out", tmp_path / ".out.before"
+    write_run(made_log(wall_time=7.0), place, pictures=False)
+    place.rename(before)
+    with outputs.ResultsFolder(place, made_log().scenario):
+        assert load_log(place).wall_time == 7.0
+    shutil.copytree(place, before)
+    write_run(made_log(wall_time=8.0), place, pictures=False)
+    assert load_log(place).wall_time == 8.0
+    assert names(tmp_path) == {"out"}
+
+
+def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path):
+    mine = tmp_path / ".out.unfinished"
+    mine.mkdir()
+    (mine / "work").write_text("mine")
+    with pytest.raises(ConfigurationError, match=re.escape(".out.unfinished of your own")):
+        write_run(made_log(), tmp_path / "out", pictures=False)
+    assert (mine / "work").read_text() == "mine"
+
+
+def test_numbers_that_are_not_finite_are_null_with_a_reason(tmp_path):
+    pose = np.zeros((101, 6))
+    pose[80:, 2], pose[90:, 4] = np.inf, np.nan
+    write_run(made_log(pose=pose), tmp_path / "out", pictures=False)
+
+    def refuse(text):
+        raise AssertionError(f"{text} is no JSON")
+
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text(), parse_constant=refuse)
+    assert metrics["rmse_deg"][2] is None
+    assert metrics["not_finite"]["rmse_deg.2"] == "inf"
+    assert metrics["not_finite"]["peak_mm.1"] == "nan"
+    assert metrics["finite"] is False
+    assert metrics["rmse_deg"][0] == 0.0
 
 
 def test_the_graph_is_rendered_where_graphviz_is_installed(tmp_path, monkeypatch):
@@ -104,8 +198,8 @@ def test_a_folder_that_cannot_be_is_named(tmp_path, write):
         with pytest.raises(ConfigurationError) as caught:
             write(path)
         assert caught.value.key == "--out"
-        assert str(path) in str(caught.value)
-        assert why in str(caught.value)
+        assert str(file) in str(caught.value)
+        assert why in str(caught.value) or "this is a file" in str(caught.value)
     assert file.read_text() == "mine"
 
 
@@ -151,20 +245,20 @@ def test_ctrl_c_while_writing_leaves_the_old_file_and_nothing_else(tmp_path, mon
     assert names(tmp_path) == {"metrics.json"}
 
 
-def test_a_disk_that_fills_up_midway_leaves_no_half_file(tmp_path, monkeypatch):
+@pytest.mark.parametrize("file", ["metrics.json", "scenario.yaml"])
+def test_a_disk_that_fills_up_midway_leaves_the_log_and_no_half_result(tmp_path, monkeypatch, file):
     real = outputs.write_atomically
 
     def full(path, content):
-        if path.name == "scenario.yaml":
+        if path.name == file:
             raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
         real(path, content)
 
     monkeypatch.setattr(outputs, "write_atomically", full)
     with pytest.raises(ConfigurationError, match="No space left"):
-        write_run(made_log(), tmp_path, pictures=False)
-    assert names(tmp_path) == {"log.parquet", "metrics.json"}
-    assert len(load_log(tmp_path).time) == 101
-    json.loads((tmp_path / "metrics.json").read_text())
+        write_run(made_log(), tmp_path / "out", pictures=False)
+    assert names(tmp_path) == {".out.unfinished"}
+    assert len(load_log(tmp_path / ".out.unfinished").time) == 101
 
 
 def test_written_files_can_be_read_by_whom_the_umask_allows(tmp_path):
@@ -174,6 +268,7 @@ def test_written_files_can_be_read_by_whom_the_umask_allows(tmp_path):
     finally:
         os.umask(old)
     assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {0o644}
+    assert tmp_path.stat().st_mode & 0o777 == 0o755
 
 
 def test_versions_name_what_computed():

@@ -1,0 +1,178 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from stewart_drake import log_rows
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.log import load_log
+from stewart_drake.log_rows import OutOfSpaceError, RowsInFile
+from stewart_drake.metrics import run_metrics
+from stewart_drake.scenario import Scenario
+from stewart_drake.simulation import run
+
+ROOT = Path(__file__).parent.parent
+
+
+def scenario(**changes):
+    base = {"name": "rows", "duration": 0.3, "tuner": {"kind": "fixed"}, "log_period": 0.001, "gravity": 0.0}
+    return Scenario.from_dict(base | changes)
+
+
+def same(one, other):
+    assert list(one.signals) == list(other.signals)
+    for name in one.signals:
+        np.testing.assert_array_equal(one[name], other[name])
+    for field in fields(one):
+        if field.name not in ("signals", "wall_time"):
+            assert getattr(one, field.name) == getattr(other, field.name), field.name
+
+
+def in_small_parts(monkeypatch, rows=64):
+    """Some rows to a part, so that a short run has many."""
+    monkeypatch.setattr("stewart_drake.simulation.ROWS_AT_ONCE", 1)
+    monkeypatch.setattr("stewart_drake.simulation.CHUNK", 0.02)
+    monkeypatch.setattr(log_rows, "ROW_GROUP", rows)
+
+
+def test_rows_that_went_to_a_file_are_those_that_stayed_in_memory(tmp_path, monkeypatch):
+    kept = run(scenario())
+    in_small_parts(monkeypatch)
+    written = run(scenario(), rows=RowsInFile(tmp_path))
+    same(written, kept)
+    same(load_log(tmp_path), kept)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.parquet"]
+
+
+def test_of_a_long_log_only_some_rows_come_back_but_the_file_has_all(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_rows, "PICTURE_ROWS", 100)
+    log = run(scenario(), rows=RowsInFile(tmp_path))
+    assert len(log.time) == 76
+    assert len(load_log(tmp_path).time) == 301
+    assert run_metrics(log)["rmse_mm"] == run_metrics(load_log(tmp_path))["rmse_mm"]
+
+
+@pytest.mark.parametrize("when", [0, 2])
+def test_a_full_disk_ends_the_run_and_what_was_written_is_readable(tmp_path, monkeypatch, when):
+    in_small_parts(monkeypatch)
+    real, calls = log_rows.write_log, []
+
+    def full(log, tables, stream):
+        calls.append(stream)
+        if len(calls) > when:
+            stream.write(b"half")
+            raise OSError(28, "No space left on device")
+        real(log, tables, stream)
+
+    monkeypatch.setattr(log_rows, "write_log", full)
+    with pytest.raises(OutOfSpaceError, match=r"No space left on device.*those before are in"):
+        run(scenario(), rows=RowsInFile(tmp_path))
+    if when:
+        log = load_log(tmp_path)
+        assert len(log.time) >= 64 * when
+        assert (log.status, log.reason) == ("interrupted", "killed")
+
+
+def test_no_memory_left_ends_the_run_with_its_log(monkeypatch):
+    from stewart_drake.systems.lqi_controller import LqiController
+
+    tick, calls = LqiController.tick, []
+
+    def hungry(self, context, previous):
+        calls.append(1)
+        if len(calls) > 20:
+            raise MemoryError
+        return tick(self, context, previous)
+
+    monkeypatch.setattr(LqiController, "tick", hungry)
+    log = run(scenario(controller={"compiled": False}))
+    assert (log.status, log.reason) == ("failed", "out_of_memory")
+    assert len(log.time) > 10
+
+
+def test_a_log_that_cannot_fit_into_memory_is_refused_before_the_run(monkeypatch):
+    free = psutil.virtual_memory()._replace(available=int(1e9))
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
+    long = scenario(duration=3000.0, log_period=0.001)
+    with pytest.raises(ConfigurationError, match=r"log_period: got 0.001; .* it takes 7.02 GB, and 1 are free"):
+        run(long)
+    RowsInFile(Path()).check(long)
+
+
+MEMORY = """
+import resource, sys
+from pathlib import Path
+from stewart_drake.log_rows import RowsInFile
+from stewart_drake.scenario import Scenario
+from stewart_drake.simulation import run
+import stewart_drake.simulation as simulation
+import stewart_drake.log_rows as log_rows
+log_rows.ROW_GROUP = 2000
+duration, folder = float(sys.argv[1]), Path(sys.argv[2])
+scenario = Scenario.from_dict({"duration": duration, "tuner": {"kind": "fixed"}, "log_period": 0.001,
+    "reference": {"kind": "hold"}, "plant": {"time_step": 0.001}})
+log_rows.PICTURE_ROWS = 1000
+log = run(scenario, check=False, rows=RowsInFile(folder))
+print(log.status, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_length_of_a_run(tmp_path):
+    peaks = []
+    for duration in (5.0, 50.0):
+        folder = tmp_path / f"{duration}"
+        folder.mkdir()
+        command = [sys.executable, "-c", MEMORY, str(duration), str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+        status, peak = done.stdout.split()
+        assert status == "completed"
+        peaks.append(int(peak) * 1024)
+    # 45,000 rows more are 38 MB; in memory they would be there twice.
+    assert peaks[1] - peaks[0] < 20e6
+    assert peaks[1] < 600e6
+
+
+def killed_after(command, folder, delay):
+    """Starts a run, kills it so many seconds after its first rows, and returns its unfinished folder."""
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    unfinished = folder / ".out.unfinished"
+    deadline = time.monotonic() + 60.0
+    while process.poll() is None and not list(unfinished.glob("rows/*.parquet")):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    return unfinished
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_keeps_its_rows_and_the_next_one_clears_them(tmp_path):
+    driver = "import stewart_drake.log_rows as r; r._FLUSH_TIME = 0.05; from stewart_drake.cli import main; main()"
+    changes = ["tuner={kind: fixed}", "log_period=0.001", "reference={kind: hold}"]
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    os.environ["PYTHONPATH"] = path
+
+    def command(duration):
+        sets = [word for change in [*changes, f"duration={duration}"] for word in ("--set", change)]
+        return [sys.executable, "-c", driver, "run", "paper_fig7", "--out", "out", "--quiet", *sets]
+
+    rng = np.random.default_rng(0)
+    for delay in rng.uniform(0.0, 0.8, 3):
+        unfinished = killed_after(command(60), tmp_path, delay)
+        assert not (tmp_path / "out").exists()
+        rows = load_log(unfinished)
+        assert (rows.status, rows.reason) == ("interrupted", "killed")
+        np.testing.assert_allclose(rows.time, 0.001 * np.arange(len(rows.time)), atol=1e-12)
+    subprocess.run(command(0.5), cwd=tmp_path, check=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    undisturbed = run(load_log(tmp_path / "out").scenario)
+    same(load_log(tmp_path / "out"), undisturbed)

@@ -1,0 +1,236 @@
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_logs import made_log
+
+from stewart_drake.errors import NotFiniteError, SafetyStop
+from stewart_drake.log import load_log
+from stewart_drake.metrics import run_metrics
+from stewart_drake.outcomes import find_warnings, judge
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.simulation import run
+from stewart_drake.tally import Tally
+
+STILL = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.3]}
+TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
+
+
+def tallied(parts=1, scenario=None, **signals):
+    """Figures of a log made by hand, taken in so many parts."""
+    log = made_log(scenario=scenario, **signals)
+    tally = Tally(log.scenario)
+    for rows in np.array_split(np.arange(len(log.time)), parts):
+        tally.add({name: values[rows] for name, values in log.signals.items()})
+    return log.scenario, tally.figures()
+
+
+def verdict(trip=None, ended_by=None, **changes):
+    scenario, figures = tallied(**changes)
+    return judge(scenario.bounds, figures, trip, 10.0, ended_by)
+
+
+def level(values):
+    rows = np.zeros((101, 3))
+    rows[:, 0], rows[:, 2] = values, -1.0
+    return rows
+
+
+def moving(share):
+    """A reference that swings by 10 mm, and a pose that follows with a share of it."""
+    swing = np.zeros((101, 6))
+    swing[:, 5] = 0.01 * np.sin(np.linspace(0.0, 12.0, 101))
+    return {"reference": 0.3 + swing, "pose": 0.3 + share * swing}
+
+
+# --- the rules, on logs made by hand ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("signal", "column", "bound", "reason"),
+    [("pose", 1, math.radians(10.0), "rotation_bound"), ("pose", 4, 0.03, "position_bound")]
+    + [("loop_gap", 3, 0.001, "loop_gap_bound")],
+)
+def test_an_error_that_leaves_its_bound_in_a_single_step_is_a_run_lost(signal, column, bound, reason):
+    values = np.zeros((101, 6))
+    values[37, column] = 0.999 * bound
+    assert verdict(**{signal: values}).status == "completed"
+    values[37, column] = 1.001 * bound
+    outcome = verdict(**{signal: values})
+    assert (outcome.status, outcome.reason) == ("lost", reason)
+    assert outcome.time == pytest.approx(3.7)
+    assert outcome.leg == (3 if signal == "loop_gap" else None)
+    off = {"bounds": {reason.removesuffix("_bound"): None}}
+    assert verdict(scenario=off, **{signal: values}).status == "completed"
+
+
+def test_the_bound_that_was_left_first_gives_the_reason_and_the_message_has_the_largest_error():
+    pose, gap = np.zeros((101, 6)), np.zeros((101, 6))
+    pose[50:, 4], pose[70, 4], gap[40:, 1] = 0.04, 0.2, 0.002
+    outcome = verdict(pose=pose, loop_gap=gap)
+    assert (outcome.reason, outcome.time, outcome.leg) == ("loop_gap_bound", pytest.approx(4.0), 1)
+    assert "at most it was 200 mm" in verdict(pose=pose).message
+
+
+def test_a_start_that_is_off_has_to_come_back():
+    pose = np.zeros((101, 6))
+    pose[:20, 3] = 0.05
+    assert verdict(pose=pose).status == "completed"
+    pose[60, 3] = 0.05
+    assert verdict(pose=pose).time == pytest.approx(6.0)
+    never = verdict(pose=np.full((101, 6), 0.05))
+    assert (never.status, never.reason, never.time) == ("lost", "position_bound", 0.0)
+
+
+@pytest.mark.parametrize(("share", "status"), [(1.0, "completed"), (0.51, "completed"), (0.49, "lost"), (0.0, "lost")])
+def test_a_motion_that_is_not_in_the_pose_was_not_followed(share, status):
+    outcome = verdict(**moving(share))
+    assert outcome.status == status
+    assert outcome.reason == (None if status == "completed" else "not_followed")
+    assert verdict(scenario={"bounds": {"motion_ratio": None}}, **moving(share)).status == "completed"
+
+
+def test_a_reference_that_stands_still_asks_for_no_motion():
+    rng = np.random.default_rng(0)
+    assert verdict(pose=1e-3 * rng.normal(size=(101, 6))).status == "completed"
+    assert tallied()[1]["motion_ratio"] is None
+
+
+def test_nan_poses_are_not_inside_of_any_bound():
+    assert verdict(pose=np.full((101, 6), np.nan)).status == "lost"
+    pose = np.zeros((101, 6))
+    pose[30:, 0] = np.nan
+    assert verdict(pose=pose).time == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(("last", "status"), [(0, "completed"), (1, "stopped"), (2, "stopped"), (3, "stopped")])
+def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last, status):
+    rows = level([0.0] * 90 + [max(1.0, last)] * 10 + [float(last)])
+    outcome = verdict(trip=TRIP, safety=rows)
+    assert outcome.status == status
+    if status == "stopped":
+        assert (outcome.reason, outcome.time, outcome.leg) == ("deadline", 0.4, 2)
+
+
+def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_loss():
+    pose = np.zeros((101, 6))
+    pose[60:, 3] = 0.5
+    held = level([0.0] * 50 + [2.0] * 51)
+    assert verdict(trip=TRIP, pose=pose, safety=held).status == "stopped"
+    assert tallied(pose=pose, safety=held)[1]["error_max_mm"] == 0.0
+
+
+def test_a_stop_that_held_is_stopped_and_one_that_could_not_hold_failed():
+    held = SafetyStop("deadline", "deadline: stopped, and held for 0.5 s", 2, TRIP)
+    given_up = SafetyStop("deadline", "a crank turns at 40 rad/s", 2, {**TRIP, "worst": "end"})
+    assert verdict(trip=held.trip, ended_by=held).status == "stopped"
+    outcome = verdict(trip=given_up.trip, ended_by=given_up)
+    assert (outcome.status, outcome.reason, outcome.leg) == ("failed", "deadline", 2)
+
+
+def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
+    error = NotFiniteError("torque", [1.0])
+    error.time = 3.0
+    far = np.full((101, 6), 9.0)
+    assert dataclasses.astuple(verdict(pose=far, ended_by=error))[:2] == ("failed", "not_finite")
+    assert verdict(pose=far, ended_by=error).time == 3.0
+    assert verdict(pose=far, ended_by=KeyboardInterrupt()).status == "interrupted"
+
+
+@given(st.integers(1, 60), st.integers(0, 10**6))
+def test_figures_do_not_depend_on_the_parts_they_are_taken_in(parts, seed):
+    rng = np.random.default_rng(seed)
+    signals = {name: 0.05 * rng.normal(size=(101, 6)) for name in ("pose", "reference", "torque", "integral")}
+    signals |= {"loop_gap": np.abs(rng.normal(size=(101, 6))), "safety": level(rng.integers(0, 3, 101))}
+    whole, split = (tallied(n, **signals)[1] for n in (1, parts))
+    assert whole["events"] == split["events"]
+    for name in whole:
+        if name != "events" and whole[name] is not None:
+            np.testing.assert_allclose(split[name], whole[name], rtol=1e-12, atol=1e-15)
+
+
+def test_warnings_name_what_a_completed_run_hides():
+    torque, gap, pose = np.zeros((101, 6)), np.zeros((101, 6)), np.zeros((101, 6))
+    torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-4, 1e-3
+    rows = level([0.0] * 40 + [1.0] * 5 + [0.0] * 10 + [1.0] + [0.0] * 45)
+    scenario, figures = tallied(torque=torque, loop_gap=gap, pose=pose, safety=rows)
+    trip = {**TRIP, "time": 4.0, "worst": "hold"}
+    outcome = judge(scenario.bounds, figures, trip, 10.0, None)
+    assert outcome.status == "completed"
+    found = {each["name"]: each for each in find_warnings(outcome, figures, trip)}
+    assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
+    assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
+    assert found["saturation"]["time"] == pytest.approx(1.0)
+    assert found["saturation"]["number"] == pytest.approx(10 / 606)
+    assert found["loop_gap"]["time"] == pytest.approx(3.3)
+    assert found["loop_gap"]["number"] == pytest.approx(0.2)
+    quiet = tallied(pose=pose)[1]
+    assert find_warnings(outcome, quiet, None) == ()
+
+
+# --- runs ---------------------------------------------------------------------------------------------------------
+
+
+def exact(**changes):
+    return load_scenario("exact_fig7").replace({"duration": 0.6, "reference": STILL, **changes})
+
+
+def push(time, **keys):
+    return {"disturbances": [{"time": time, **keys}]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "reason"),
+    [
+        ({}, "completed", None),
+        (push(0.2, kind="step", wrench=[0, 0, 0, 150, 0, 0]), "lost", "position_bound"),
+        ({"motors": {"dead": {"leg": 0, "time": 0.2}}}, "lost", None),
+        (push(0.2, kind="impulse", impulse=[0, 0, 0, 0, 20.0, 0]), "lost", None),
+        ({"reference": {"kind": "breathing"}, "duration": 1.5, "plant.motor_friction": 8.0}, "lost", "not_followed"),
+        ({"safety": {}, "link.stop_time": 0.5}, "stopped", "deadline"),
+        ({"safety": {"safe_hold_time": 100.0}, "link.stop_time": 0.2}, "stopped", "deadline"),
+        ({"safety": {"safe_hold_time": 0.1}, "link.stop_time": 0.2}, "stopped", "deadline"),
+    ],
+    ids=["well", "150N", "dead", "blow", "friction", "ramp", "held", "held to its end"],
+)
+def test_no_run_is_completed_because_the_clock_ran_out(changes, status, reason, tmp_path):
+    log = run(exact(**changes))
+    assert log.status == status
+    if reason is not None:
+        assert log.reason == reason
+    assert log.outcome_time is None if status == "completed" else 0.2 <= log.outcome_time <= log.end_time
+    log.save(tmp_path / "log.parquet")
+    metrics = run_metrics(load_log(tmp_path))
+    assert (metrics["status"], metrics["reason"]) == (log.status, log.reason)
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == run_metrics(log)
+
+
+def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
+    blow = push(0.25, kind="impulse", impulse=[0, 0, 0, 0, 2.0, 0])
+    logs = [run(exact(log_period=period, **blow)) for period in (None, 0.6, 0.007)]
+    assert [len(log.time) for log in logs] == [601, 2, 86]
+    figures = [{k: v for k, v in run_metrics(log).items() if k != "real_time_factor"} for log in logs]
+    assert figures[0] == figures[1] == figures[2]
+    assert figures[0]["error_max_mm"] > 10.0
+    assert [log.warnings for log in logs[1:]] == [logs[0].warnings] * 2
+
+
+def test_peaks_are_those_of_every_step_of_the_plant():
+    coarse = Scenario.from_dict(
+        {"duration": 0.5, "reference": STILL, "tuner": {"kind": "fixed"}}
+        | push(0.301, kind="impulse", impulse=[0, 0, 0, 0, 0.3, 0])
+    )
+    fine = run(coarse.replace({"log_period": 0.001}))
+    sizes = np.abs(fine["pose"] - fine["reference"])[fine.time >= 0.25].max(axis=0)
+    peaks = run_metrics(run(coarse))["peak_mm"]
+    np.testing.assert_allclose(peaks, 1e3 * sizes[3:], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "exact_breathing", "exact_heart", "exact_fig7"])
+def test_a_committed_scenario_without_a_fault_is_completed(name):
+    log = run(load_scenario(name).replace({"duration": 1.0}))
+    assert (log.status, log.reason) == ("completed", None)
