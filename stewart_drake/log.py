@@ -161,6 +161,11 @@ class SimulationLog:
             raise KeyError(f"{name}; this log has {', '.join(self.signals)}") from None
 
     @property
+    def reached_end(self) -> bool:
+        """Whether the controller was in charge for the whole duration, its motion followed or lost."""
+        return self.status in ("completed", "lost")
+
+    @property
     def time(self) -> np.ndarray:
         """(n,) [s] simulated time of each row."""
         return self.signals["time"]

@@ -91,7 +91,7 @@ class Tally:
         Returns:
             rmse_deg, rmse_mm, peak_deg, peak_mm [3]; rmse_norm_deg, rmse_norm_mm, peak_norm_deg, peak_norm_mm of the
             length of (roll, pitch, yaw) and of (X, Y, Z); error_max_deg, error_max_mm: largest angle and distance from
-            the reference while the controller was in charge; motion_ratio: see `Bounds.motion_ratio`; torque_rms, torque_peak
+            the reference while the controller was in charge; motion_ratio: see `Bounds`; torque_rms, torque_peak
             [N m] within the motors' limits, over the whole run; saturated_fraction of torques at the limit;
             loop_gap_max_m; omega_q, omega_r: means; omega_ratio: geometric mean of their ratio; integral_at_5s [6]
             [rad s, m s]; finite: whether all numbers are; events: when and where, for `outcomes.judge`.

@@ -43,8 +43,8 @@ def in_small_parts(monkeypatch, rows=64):
 
 
 def test_rows_that_went_to_a_file_are_those_that_stayed_in_memory(tmp_path, monkeypatch):
-    kept = run(scenario())
     in_small_parts(monkeypatch)
+    kept = run(scenario())
     written = run(scenario(), rows=RowsInFile(tmp_path))
     same(written, kept)
     same(load_log(tmp_path), kept)

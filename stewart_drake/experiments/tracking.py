@@ -14,7 +14,7 @@ from stewart_drake.scenario import Scenario
 
 @dataclass(frozen=True)
 class TrackingScore:
-    """Errors over the second half of a run that completed.
+    """Errors over the second half of a run that reached its end.
 
     Attributes:
         pose_mm: [mm] RMS of the pose error, rotations times the robot's characteristic length (0.11 m by default, the
@@ -32,7 +32,7 @@ class TrackingScore:
 
 def tracking_score(log: SimulationLog) -> TrackingScore | None:
     """The score of a run; None where it ended early, for then there is no second half to speak of."""
-    if log.status != "completed":
+    if not log.reached_end:
         return None
     rows = second_half(log)
     squared = np.mean(tracking_error(log)[rows] ** 2, axis=0)

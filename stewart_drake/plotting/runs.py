@@ -259,8 +259,12 @@ def _outcome(log: SimulationLog) -> tuple[str, str]:
     if log.status == "completed":
         return f"completed, {log.end_time:g} s", _TEXT
     leg = "" if log.leg is None else f", leg {log.leg}"
-    end = f"{log.status} at {log.end_time:.3f} s of {log.scenario.duration:g} s"
+    end = f"{log.status} at {_decided(log):.3f} s of {log.scenario.duration:g} s"
     return (end if log.reason in (None, log.status) else f"{end}: {log.reason}{leg}"), _FAILURE
+
+
+def _decided(log: SimulationLog) -> float:
+    return log.end_time if log.outcome_time is None else log.outcome_time
 
 
 def _settings(log: SimulationLog) -> str:
@@ -286,15 +290,16 @@ def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = Fal
 
 
 def _finish(figure: Figure, axes: np.ndarray, log: SimulationLog) -> None:
-    """Last touch of every figure: aligned labels, and where and why the run ended early."""
+    """Last touch of every figure: aligned labels, and from when on and why the run is not a good one."""
     figure.align_ylabels(axes)
     if log.status == "completed":
         return
+    when = _decided(log)
     for panel in axes.flat:
-        panel.axvline(log.end_time, color=_FAILURE, linewidth=1.4)
-        panel.axvspan(log.end_time, panel.get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
+        panel.axvline(when, color=_FAILURE, linewidth=1.4)
+        panel.axvspan(when, panel.get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
     for panel in axes[0]:
-        middle = 0.5 * (log.end_time + panel.get_xlim()[1])
+        middle = 0.5 * (when + panel.get_xlim()[1])
         style: dict[str, Any] = {"rotation": 90.0, "ha": "center", "va": "center", "fontsize": 9, "color": _FAILURE}
         panel.text(middle, 0.5, log.reason or log.status, transform=panel.get_xaxis_transform(), **style)
 

@@ -141,7 +141,7 @@ def dataset_from_logs(
 
 
 def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
-    if log.status != "completed" or len(log.time) < samples:
+    if not log.reached_end or len(log.time) < samples:
         omega_q, omega_r = log.scenario.tuner.weights
         raise RunFailure(
             f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "

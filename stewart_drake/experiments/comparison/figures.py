@@ -39,7 +39,7 @@ def measure_run(log: SimulationLog, band: float) -> dict[str, Any]:
         "pose_rmse_mm": rms(pose[late]),
         "worst_half_rmse_deg": worst_half_rms(log.time, rotation, log.scenario.duration),
         "worst_half_rmse_mm": worst_half_rms(log.time, position, log.scenario.duration),
-        "settling_s": settling_time(log.time, pose, band) if log.status == "completed" else None,
+        "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
         "torque_rms": rms(log["torque_applied"][late]),
         "torque_change_rms": torque_change_rms(log, late),
         "trace": {
@@ -60,7 +60,7 @@ def measure_band(log: SimulationLog, frequency: float, axis: int, window: float)
     """
     empty: dict[str, Any] = dict.fromkeys(("ratio", "phase_deg", "rest"))
     row = {"end_time": log.end_time, "leg": log.leg, **empty}
-    if log.status != "completed":
+    if not log.reached_end:
         return row
     rows = log.time > log.time[-1] - window + 1e-9
     reference, pose = log["reference"][rows, axis], log["pose"][rows, axis]

@@ -342,7 +342,7 @@ def _incomplete(section: Section, runs: Runs, refused: Mapping[str, str]) -> Non
     rows += [
         (name, "tuner" if ratio is None else f"ratio {ratio:g}", outcome(log))
         for (name, ratio), log in runs.items()
-        if log.status != "completed"
+        if not log.reached_end
     ]
     section.numbers["incomplete"] = [dict(zip(columns, row, strict=True)) for row in rows]
     if rows:

@@ -112,16 +112,18 @@ def growth(log: SimulationLog) -> float | None:
 
     The two axes that (37), (38) move; below 1 the error shrinks.
     """
-    if log.status != "completed":
+    if not log.reached_end:
         return None
     error, late = tracking_error(log)[:, (0, 5)], second_half(log)
     return float(np.sqrt(np.mean(error[late] ** 2, axis=0) / np.mean(error[~late] ** 2, axis=0)).max())
 
 
 def outcome(log: SimulationLog) -> str:
-    """`completed`, or reason, leg and time."""
+    """`completed`, or what happened, with its leg and time."""
     if log.status == "completed":
         return "completed"
+    if log.status == "lost":
+        return f"lost: {(log.reason or '').replace('_', ' ')}, {log.outcome_time:.3f} s"
     return f"{(log.reason or '').replace('_', ' ')}, leg {log.leg}, {log.end_time:.3f} s"
 
 
@@ -252,7 +254,7 @@ def _time_to_failure(section: Section, study: Study) -> None:
     logs = dict(zip(cells, study.store.run_all(scenarios, lambda s: study.progress(0.7 + 0.3 * s)), strict=True))
 
     def ends(kind: str) -> int:
-        return sum(log.status != "completed" for (_, k, _), log in logs.items() if k == kind)
+        return sum(not log.reached_end for (_, k, _), log in logs.items() if k == kind)
 
     drop = [1e3 * float(-tracking_error(log)[:, 5].min(initial=0.0)) for log in logs.values()]
     rows = [
@@ -274,7 +276,7 @@ def _time_to_failure(section: Section, study: Study) -> None:
     )
 
     def ended(log: SimulationLog) -> float | None:
-        return None if log.status == "completed" else log.end_time
+        return None if log.reached_end else log.end_time
 
     section.numbers["largest_drop_mm"] = [min(drop), max(drop)]
     section.numbers["time_to_failure"] = {
@@ -304,9 +306,9 @@ def verdict(numbers: dict[str, Any], logs: Mapping[Cell, SimulationLog]) -> str:
     change = [value for value in map(growth, free) if value is not None]
     shrinks = sum(value < 1.0 for value in change)
     bare = [log for (g, f, _), log in logs.items() if g != 0.0 and f == "none"]
-    lost = sum(log.status != "completed" for log in bare)
+    lost = sum(not log.reached_end for log in bare)
     kept = [log for (g, f, _), log in logs.items() if g != 0.0 and f != "none"]
-    survived = sum(log.status == "completed" for log in kept)
+    survived = sum(log.reached_end for log in kept)
     numbers |= {
         "near_zero_at_5s": near,
         "error_growth": change,

@@ -149,9 +149,9 @@ def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
         regions: Of the runs that left a log, the scenario's own motion first.
         runs: All that were tried.
     """
-    done = [region for region in regions if region.log.status == "completed"]
+    done = [region for region in regions if region.log.reached_end]
     if 2 * len(done) <= runs:
-        reasons = sorted({str(region.log.reason) for region in regions if region.log.status != "completed"})
+        reasons = sorted({str(region.log.reason) for region in regions if not region.log.reached_end})
         why = f" ({', '.join(reasons)})" if reasons else ""
         return f"Does not hold: only {len(done)} of {runs} controlled motions came to their end{why}."
     peaks = [region.peak_torque for region in done]

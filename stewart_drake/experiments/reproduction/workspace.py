@@ -363,7 +363,7 @@ def _region_row(region: VisitedRegion) -> tuple[str, ...]:
     middle = np.array(getattr(log.scenario.reference, "center", log.scenario.robot.home_pose))
     far = _SCALES * np.abs(region.envelope.pose - middle).max(axis=0)
     uses = (region.worst, region.reference_worst)
-    ended = f"{log.end_time:g} s" if log.status == "completed" else f"{log.reason} at {log.end_time:.3f} s"
+    ended = f"{log.end_time:g} s" if log.reached_end else f"{log.reason} at {log.end_time:.3f} s"
     return (
         region.name, ended, f"{far[:3].max():.1f}", f"{far[3:].max():.1f}", f"{region.speed:.2f}",
         f"{region.peak_torque:.3f}", f"{region.reference_torque:.3f}", f"{100.0 * region.torque_use:.1f} %",
