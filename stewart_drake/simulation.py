@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +30,8 @@ from stewart_drake.named_files import file_digests
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid, times_of
 from stewart_drake.scenario import Scenario
-from stewart_drake.user_controller import ControllerStop, PythonOptions, user_code
+from stewart_drake.user_controller import PythonOptions, user_code
+from stewart_drake.user_errors import ControllerStop
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def run(
     files = file_digests(scenario.to_dict())
     loop = ClosedLoop(scenario, meshcat)
     _compile(loop)
-    with drake_guard("preparing the simulator"):
+    with drake_guard("preparing the simulator"), user_code(scenario.controller):
         simulator = Simulator(loop, loop.create_start_context())
         _integrate_in_substeps(simulator, scenario.plant.time_step)
     context = simulator.get_context()
@@ -87,15 +88,13 @@ def run(
     reason = message = None
     leg: int | None = None
     end: float | None = None
-    # A mistake in a user's controller ends the run with its log; one in this package must show.
-    users_own = user_code if isinstance(scenario.controller, PythonOptions) else nullcontext
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"), users_own(), _quiet():
+        with drake_guard("simulation"), user_code(scenario.controller), _quiet():
             simulator.Initialize()
         for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is the caller's own affair, so it stays outside of the guard.
-            with drake_guard("simulation"), users_own(), _quiet():
+            with drake_guard("simulation"), user_code(scenario.controller), _quiet():
                 _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
                 loop.plant.break_rod(simulator.get_mutable_context(), breaks[done])
