@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from stewart_drake.cli_options import OutPath, overrides
-from stewart_drake.errors import InfeasibleReferenceError
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.terminal import print_margins
+
+if TYPE_CHECKING:
+    from stewart_drake.scenario import Scenario
 
 
 @click.command()
@@ -23,17 +27,19 @@ from stewart_drake.terminal import print_margins
     help="Write the scenario with the motion so made feasible; with one of --scale, --retime.",
 )
 def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None) -> None:
-    """Check the motion of SCENARIO against its limits, over the whole run, without running it.
+    """Check the motion of SCENARIO against its limits, over the whole run, and name its code; nothing is run.
 
     Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
     """
-    from stewart_drake.files import write_atomically
     from stewart_drake.motion_fit import fit_amplitude, fit_speed, motion_report
     from stewart_drake.scenario import load_scenario
+    from stewart_drake.user_controller import PythonOptions
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs one of --scale and --retime")
     loaded = load_scenario(scenario, overrides)
+    if isinstance(loaded.controller, PythonOptions):
+        click.echo(f"runs code: {loaded.controller.code}")
     report = motion_report(loaded)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}
@@ -52,7 +58,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         except InfeasibleReferenceError as error:
             found.append(f"feasible at no speed; standing still, {error}")
     if out is not None and changes:
-        write_atomically(out, loaded.replace(changes).to_yaml().encode())
+        _write_scenario(loaded.replace(changes), out)
         found.append(f"scenario in {out}")
     # Last, so that a reader who leaves early costs nothing but the text.
     print_margins(f"{loaded.name}, {loaded.duration:g} s", report)
@@ -62,3 +68,18 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     from stewart_drake.simulation import check_scenario
 
     check_scenario(loaded)
+
+
+def _write_scenario(scenario: Scenario, out: Path) -> None:
+    """Writes a scenario with the controller's file, if it has one, beside it."""
+    from stewart_drake.files import write_atomically
+    from stewart_drake.named_files import digest, take_code_along
+    from stewart_drake.yaml_files import to_yaml
+
+    data, files = take_code_along(scenario.to_dict())
+    for name, content in files.items():
+        there = out.parent / name
+        if there.exists() and digest(there) != hashlib.sha256(content).hexdigest():
+            raise ConfigurationError("--out", str(out), f"a folder without another {name}, which would be lost")
+        write_atomically(there, content)
+    write_atomically(out, to_yaml(data).encode())

@@ -13,7 +13,22 @@ from typing import Any
 
 import numpy as np
 
-_SHORT = reprlib.Repr()
+
+class _Short(reprlib.Repr):
+    """A value in a few words, whatever its type; where it cannot be shown, what it is."""
+
+    def repr1(self, x: Any, level: int) -> str:
+        try:
+            return super().repr1(x, level)
+        except Exception:  # whatever the value's own __repr__, __len__ or the like may raise
+            return f"<{type(x).__name__}>"
+
+    def repr_int(self, x: int, level: int) -> str:
+        # Python refuses to write out thousands of digits.
+        return super().repr_int(x, level) if x.bit_length() < 2000 else f"<a whole number of {x.bit_length()} bits>"
+
+
+_SHORT = _Short()
 _SHORT.maxother = _SHORT.maxstring = 120
 
 
@@ -79,9 +94,11 @@ class RunFailure(StewartDrakeError, RuntimeError):
     Attributes:
         leg: Leg 0..5 to which the failure belongs, or None.
         time: [s] simulated time, filled in by the system in which it happened.
+        traceback: Lines of the traceback where a user's code raised; empty otherwise.
     """
 
     reason = "run_failure"
+    traceback = ""
 
     def __init__(self, message: str, leg: int | None = None) -> None:
         self.leg = leg

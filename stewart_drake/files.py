@@ -11,8 +11,9 @@ import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from stewart_drake.errors import ConfigurationError
 
@@ -22,7 +23,7 @@ CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
-def open_checked(path: str | Path, what: str, largest: int, allowed: str = "a readable file") -> BinaryIO:
+def open_checked(path: str | Path, what: str, largest: int, allowed: str = "a readable file") -> BufferedReader:
     """Opens a file for reading, if it is a regular file of at most `largest` bytes.
 
     Args:

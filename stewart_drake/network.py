@@ -16,12 +16,14 @@ import numpy as np
 
 from stewart_drake.density import DensityKind
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
+from stewart_drake.files import plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.option_checks import check_choice
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT = "stewart-drake tuner"
-VERSION = 1
+VERSION = 2
+MAX_BYTES = 1_000_000
+"""Of a weights file."""
 
 _LARGEST_DENSITY = 1e6
 """Densities lie within +-(m + 1); anything beyond this is as good as it, and products of it stay finite."""
@@ -139,16 +141,19 @@ class TunerNetwork:
         return answer
 
     def to_bytes(self) -> bytes:
-        """The network as JSON; the same network gives the same bytes."""
+        """The network as JSON with a checksum; the same network gives the same bytes.
+
+        Numbers of the provenance that are not finite become null, see `files.plain_json`.
+        """
         document = {
             "format": FORMAT,
             "version": VERSION,
             "density": self.density,
             "window": self.window,
             **{name: getattr(self, name).tolist() for name in _SHAPES},
-            "provenance": self.provenance,
+            "provenance": plain_json(self.provenance),
         }
-        return (json.dumps(document, indent=1) + "\n").encode()
+        return (json.dumps(seal(document), indent=1) + "\n").encode()
 
     def save(self, path: str | Path) -> None:
         """Writes `to_bytes` to a file.
@@ -166,21 +171,24 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         path: File written by `TunerNetwork.save`; None takes the one that the package carries.
 
     Raises:
-        ConfigurationError: Missing or unreadable file, wrong format, version or shape, numbers that are not finite
-            or beyond 1e100, scales or ranges that are not positive.
+        ConfigurationError: See `read_weights`; wrong format, version, checksum or shape, numbers that are not finite or
+            beyond 1e100, scales or ranges that are not positive.
     """
     path = default_network_path() if path is None else Path(path)
     key = f"weights file {path}"
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(key, error.strerror or str(error), "a readable file") from error
+        document = json.loads(read_weights(path).decode())
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(key, str(error), "a JSON document") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
     if document.get("version") != VERSION:
-        raise ConfigurationError(f"{key}: version", document.get("version"), str(VERSION))
+        allowed = f"{VERSION}; `stewart-drake train` makes the file anew"
+        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
+    try:
+        document = unseal(document)
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
     provenance = document.get("provenance", {})
     if not isinstance(provenance, dict):
         raise ConfigurationError(f"{key}: provenance", provenance, "a mapping")
@@ -190,6 +198,15 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         return TunerNetwork(**arrays, density=kind, window=window, provenance=provenance)
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+
+
+def read_weights(path: Path) -> bytes:
+    """Content of a weights file, not yet looked at.
+
+    Raises:
+        ConfigurationError: Missing, unreadable, no regular file, or larger than `MAX_BYTES`.
+    """
+    return read_checked(path, f"weights file {path}", MAX_BYTES)
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:

@@ -61,7 +61,7 @@ class Outcome:
     Attributes:
         status: See `Status`.
         reason: Stable name of what happened; None for completed.
-        message: One line on it, or None.
+        message: One line on it, or None; where a user's code raised, its traceback follows.
         time: [s] when it was decided; None for completed.
         leg: Leg 0..5 to which it belongs, or None.
     """
@@ -94,7 +94,8 @@ def judge(
     held = isinstance(ended_by, SafetyStop) and trip is not None and trip["worst"] != "end"
     if ended_by is not None and not held:
         when = end_time if ended_by.time is None else ended_by.time
-        return Outcome("failed", ended_by.reason, str(ended_by), when, ended_by.leg)
+        text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))
+        return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
     events = figures["events"]
     if trip is not None and (held or events["level"] > 0):
         text = str(ended_by) if held else f"{trip['monitor']}: {LEVELS[events['level']]} when the time was up"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
@@ -16,6 +16,7 @@ from stewart_drake.files import open_checked
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 _SEAL = "stewart_drake.sha256"
 _MARK, _DIGITS = b"sha256 of all other bytes: ", 64
@@ -104,8 +105,7 @@ def read_sealed(
             place = _place_of_digits(stream)
             if place is None or not _is_whole(stream, place):
                 raise ConfigurationError(what, "a checksum that is not that of its content", f"a file from {made_by}")
-            if file.metadata.num_rows > most_rows:
-                raise ConfigurationError(what, f"{file.metadata.num_rows} rows", f"at most {most_rows} rows")
+            refuse_bomb(file, what, file.schema_arrow.names, most_rows)
             about = json.loads(metadata[key])
             names, every, first = file.schema_arrow.names, stride(file.metadata.num_rows), 0
             parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
@@ -119,6 +119,34 @@ def read_sealed(
             text = " ".join(str(error).split()) or type(error).__name__
             raise ConfigurationError(what, text, "a Parquet file that is whole") from None
     return about, {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
+
+
+def refuse_bomb(file: pq.ParquetFile, what: str, names: Iterable[str], most_rows: int) -> None:
+    """Refuses, before it is unpacked, what would take more memory than its rows of numbers: by its metadata alone.
+
+    Args:
+        file: Open.
+        what: What it is, with its path, for messages.
+        names: Of the columns that will be read; each has one number of at most 32 bytes a row.
+        most_rows: That it may have: a few kilobytes can hold billions of equal ones.
+
+    Raises:
+        ConfigurationError: Too many rows, or a column of anything but numbers.
+    """
+    import pyarrow as pa
+
+    rows, schema = file.metadata.num_rows, file.schema_arrow
+    if rows > most_rows:
+        raise ConfigurationError(what, f"{rows} rows", f"at most {most_rows} rows")
+    for name in names:
+        kind = schema.field(name).type
+        if not any(is_kind(kind) for is_kind in (pa.types.is_primitive, pa.types.is_decimal, pa.types.is_null)):
+            raise ConfigurationError(what, f"column {name} of {kind}", "a table of numbers")
+        index = schema.get_field_index(name)
+        groups = (file.metadata.row_group(number) for number in range(file.num_row_groups))
+        size = sum(group.column(index).total_uncompressed_size for group in groups)
+        if size > 64 * (rows + _BLOCK):
+            raise ConfigurationError(what, f"column {name} of {size} bytes for {rows} rows", "a table of numbers")
 
 
 def _place_of_digits(stream: BinaryIO) -> int | None:

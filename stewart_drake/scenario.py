@@ -6,7 +6,6 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterable, Mapping
-from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
@@ -23,7 +22,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from ruamel.yaml import YAML
 
 from stewart_drake.command_link import LinkOptions
 from stewart_drake.computed_torque import ComputedTorqueOptions
@@ -49,7 +47,7 @@ from stewart_drake.scalars import SECTION, Count, Real, Vector6
 from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
 from stewart_drake.sensor_faults import PoseFault
 from stewart_drake.user_controller import PythonOptions
-from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder
+from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder, to_yaml
 
 MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
@@ -259,13 +257,7 @@ class Scenario(_Section):
 
     def to_yaml(self) -> str:
         """The whole scenario, defaults included, as YAML that `load_scenario` reads back."""
-        yaml = YAML(typ="safe", pure=True)
-        yaml.default_flow_style = None
-        yaml.width = 120
-        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-        stream = StringIO()
-        yaml.dump(self.to_dict(), stream)
-        return stream.getvalue()
+        return to_yaml(self.to_dict())
 
     @property
     def believed_robot(self) -> RobotParameters:
@@ -361,11 +353,11 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     """Reads a scenario file.
 
     Args:
-        path: YAML file; `weights_file`, `motion_file` and a controller's file in it are relative to its folder. A bare
-            name such as `paper_fig7` is looked up among the scenarios of the package.
-        overrides: `key=value` texts, keys dotted, values as YAML; a `weights_file` or `motion_file` among them is
-            relative to the current folder. Another `kind` of reference, tuner, sensors or controller drops the keys
-            that only the old kind has.
+        path: YAML file; `weights_file`, `motion_file` and a controller's file in it are relative to its folder, and the
+            last lies in it or below. A bare name such as `paper_fig7` is looked up among the scenarios of the package.
+        overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
+            others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
+            keys that only the old kind has.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -377,8 +369,9 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
-        _assign(data, key.strip(), parse_yaml(value, f"--set {shown(key.strip())}"))
-    anchor_files(data, Path())
+        change = {key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}
+        anchor_files(change, Path())
+        _assign(data, key.strip(), change[key.strip()])
     return Scenario.from_dict(data)
 
 

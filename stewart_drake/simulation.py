@@ -6,7 +6,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,8 @@ from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sam
 from stewart_drake.sampling import on_grid, steps_per, times_of
 from stewart_drake.scenario import Scenario
 from stewart_drake.tally import Tally
-from stewart_drake.user_controller import ControllerStop, PythonOptions, user_code
+from stewart_drake.user_controller import PythonOptions, user_code
+from stewart_drake.user_errors import ControllerStop
 from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def run(
     # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
     loop = ClosedLoop(scenario, meshcat, scenario.plant.time_step)
     _compile(loop)
-    with drake_guard("preparing the simulator"):
+    with drake_guard("preparing the simulator"), user_code(scenario.controller):
         simulator = Simulator(loop, loop.create_start_context())
         _integrate_in_substeps(simulator, scenario.plant.time_step)
     context = simulator.get_mutable_context()
@@ -115,15 +116,13 @@ def run(
     stride = max(1, int(CHUNK / scenario.plant.time_step))
     breaks = _breaks(scenario, total)
     ended_by: RunFailure | KeyboardInterrupt | None = None
-    # A mistake in a user's controller ends the run with its log; one in this package must show.
-    users_own = user_code if isinstance(scenario.controller, PythonOptions) else nullcontext
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"), users_own(), _quiet():
+        with drake_guard("simulation"), user_code(scenario.controller), _quiet():
             simulator.Initialize()
         for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is not ours, so it stays outside of the guard.
-            with drake_guard("simulation"), users_own(), _quiet():
+            with drake_guard("simulation"), user_code(scenario.controller), _quiet():
                 _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
                 loop.plant.break_rod(context, breaks[done])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
 import inspect
 import json
+import linecache
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -16,23 +16,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Literal
 
-from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import read_checked
+from stewart_drake.installed import distribution_of
 from stewart_drake.option_checks import check_positive
 from stewart_drake.scalars import SECTION, Flag, Positive
+from stewart_drake.user_errors import UserCode, describe
 
-_PATH = re.compile(r"(?P<file>.+\.py):(?P<class>[A-Za-z_]\w*)|(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
-
-
-class ControllerError(RunFailure):
-    """A controller of the user's own raised something in the midst of a run."""
-
-    reason = "controller_raised"
-
-
-class ControllerStop(RunFailure):
-    """A controller of the user's own asked for the end of the run before its time."""
-
-    reason = "controller_stopped"
+MAX_BYTES = 1_000_000
+"""Of a file with a controller."""
+_NAME = r"[A-Za-z_]\w*"
+_PATH = re.compile(rf"(?P<file>.+\.py):{_NAME}|(?P<module>{_NAME}(?:\.{_NAME})*):{_NAME}")
+_FILES = "stewart_drake_user"
+"""Package that modules made from a user's files count to; there is none of this name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +50,8 @@ class PythonOptions:
 
     kind: Literal["python"] = "python"
     system: str
-    """module:Class, or path/to/file.py:Class, relative to the scenario file."""
+    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
+    class is a System of pydrake, and its code is run."""
     arguments: dict[str, Any] = field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
@@ -80,19 +77,51 @@ class PythonOptions:
         assert match is not None
         return Path(match["file"]) if match["file"] else None
 
+    @property
+    def code(self) -> str:
+        """What is run: the path of the file, or the module with the installed package that it is part of.
+
+        Raises:
+            ConfigurationError: The module is part of none.
+        """
+        if self.file is not None:
+            return str(self.file)
+        module = self._module
+        distribution = distribution_of(module)
+        if distribution is None:
+            own = f"{module.rpartition('.')[2]}.py:{self.system.rpartition(':')[2]}"
+            allowed = f"a class of an installed package, or for a file of your own {own}"
+            raise ConfigurationError("controller.system", self.system, allowed)
+        return f"{module} (installed with {distribution})"
+
+    @property
+    def _module(self) -> str:
+        return self.system.rpartition(":")[0]
+
+    @property
+    def _own(self) -> str:
+        """Package that the user's frames in a traceback are of."""
+        return _FILES if self.file is not None else self._module.partition(".")[0]
+
 
 def load_class(options: PythonOptions) -> type:
-    """The class that `options.system` names.
+    """The class that `options.system` names; it is not called.
 
     Raises:
-        ConfigurationError: It cannot be imported, or is no class.
+        ConfigurationError: Its module is no file of the user's and of no installed package, and then not imported; it
+            cannot be imported; the class is not there, or no System of pydrake.
     """
-    path, _, name = options.system.rpartition(":")
-    with _refused(options.system, f"a module that can be imported, with a class {name}"):
-        module = importlib.import_module(path) if options.file is None else _load_file(options.file)
+    from pydrake.systems.framework import System
+
+    _, _, name = options.system.rpartition(":")
+    source = options.code
+    with _refused(options, f"a module that can be imported, with a class {name}"):
+        module = importlib.import_module(options._module) if options.file is None else _load_file(Path(source))
         found = getattr(module, name)
     if not isinstance(found, type):
         raise ConfigurationError("controller.system", options.system, f"a class; {name} is a {type(found).__name__}")
+    if not issubclass(found, System):
+        raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
     return found
 
 
@@ -104,59 +133,44 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     """
     kind = load_class(options)
     arguments = dict(options.arguments)
-    with _refused(options.system, "a constructor that takes controller.arguments and does not raise"):
+    with _refused(options, "a constructor that takes controller.arguments and does not raise"):
         for name, parameter in inspect.signature(kind).parameters.items():
             if name in offered and parameter.kind is not inspect.Parameter.VAR_KEYWORD:
                 arguments.setdefault(name, offered[name])
         return kind(**arguments)
 
 
+def user_code(options: object) -> UserCode:
+    """The guard around what may call a controller of the user's, see `UserCode`; none for `options` of other kinds."""
+    return UserCode(options._own if isinstance(options, PythonOptions) else None)
+
+
 @contextmanager
-def user_code() -> Iterator[None]:
-    """Turns what a user's controller raises in a run into `ControllerError`, which ends the run and keeps its log.
-
-    Drake's own verdicts (`SystemExit`, `RuntimeError`) pass to `drake_guard`; Python's kinds of RuntimeError, such as
-    RecursionError, are none.
-
-    Raises:
-        ControllerError: In place of what was raised.
-    """
+def _refused(options: PythonOptions, allowed: str) -> Iterator[None]:
     try:
         yield
-    except (StewartDrakeError, KeyboardInterrupt, SystemExit):
+    except (ConfigurationError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        if type(error) is RuntimeError:
-            raise
-        raise ControllerError(
-            f"the controller raised {type(error).__name__}: {' '.join(str(error).split())}"
-        ) from error
-
-
-@contextmanager
-def _refused(system: str, allowed: str) -> Iterator[None]:
-    try:
-        yield
-    except ConfigurationError:
-        raise
-    except (Exception, SystemExit) as error:
-        what = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigurationError("controller.system", system, f"{allowed} ({what})") from error
+        what, _ = describe(error, error.__traceback__, options._own)
+        raise ConfigurationError("controller.system", options.system, f"{allowed} ({what})") from error
 
 
 def _load_file(path: Path) -> ModuleType:
+    content = read_checked(path, f"controller file {path}", MAX_BYTES)
     # By content: an edited file is another module, and two files of one name are two.
-    content = path.read_bytes()
-    name = f"stewart_drake_user_{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
+    name = f"{_FILES}.{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(name)
+    module.__file__ = str(path)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # What was read is what runs; the lines of a traceback are its lines too.
+        code = compile(content, str(path), "exec")
+        text = content.decode(errors="replace")
+        linecache.cache[str(path)] = (len(text), None, text.splitlines(keepends=True), str(path))
+        exec(code, vars(module))
     except BaseException:
         del sys.modules[name]
         raise

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
+from stewart_drake.files import read_checked, write_atomically
+
+MAX_PICTURE_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -162,10 +163,7 @@ def to_html(markdown: str, title: str, folder: Path) -> str:
 
     def inline(match: re.Match[str]) -> str:
         path = folder / unquote(html.unescape(match[1]))
-        try:
-            picture = path.read_bytes()
-        except OSError as error:
-            raise ConfigurationError(f"figure {path}", error.strerror, "the picture that its section made") from None
+        picture = read_checked(path, f"figure {path}", MAX_PICTURE_BYTES, "the picture that its section made")
         return f'src="data:image/png;base64,{base64.b64encode(picture).decode()}"'
 
     def heading(match: re.Match[str]) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.log import SimulationLog, load_log
 from stewart_drake.named_files import file_digests
-from stewart_drake.network import default_network_path
+from stewart_drake.network import default_network_path, read_weights
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
 from stewart_drake.versions import collect_versions
@@ -52,10 +52,8 @@ def weights_text(tuner: AnnTuner) -> str:
         ConfigurationError: It cannot be read.
     """
     path = default_network_path() if tuner.weights_file is None else Path(tuner.weights_file)
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"weights file {path}", str(error), "a readable file") from None
+    # Any bytes are a text in this code; whether they are weights shows in the run.
+    return read_weights(path).decode("latin-1")
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +13,8 @@ import numpy as np
 from pydantic import StrictStr
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import open_checked
+from stewart_drake.parquet_files import refuse_bomb
 from stewart_drake.references.base import check_numbers, check_positive
 from stewart_drake.scalars import SECTION, Positive
 
@@ -18,6 +22,8 @@ COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 """[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""
 MAX_RECORDING_BYTES = 100_000_000
 MAX_RECORDING_ROWS = 1_000_000
+MAX_COLUMNS, MAX_HEADER_BYTES = 1000, 100_000
+"""Of a CSV file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,20 +111,11 @@ def load_recording(path: str | Path) -> np.ndarray:
     try:
         if path.suffix.lower() not in (".csv", ".parquet"):
             raise ConfigurationError(key, path.suffix, "a file that ends in .csv or .parquet")
-        with path.open("rb") as stream:
-            size = path.stat().st_size
-            if size > MAX_RECORDING_BYTES:
-                raise ConfigurationError(key, f"{size} bytes", f"at most {MAX_RECORDING_BYTES} bytes")
-            names, table = _read(stream, path.suffix.lower() == ".csv", key)
-        missing = [name for name in COLUMNS if names.count(name) != 1]
-        if missing:
-            found = f"{names.count(missing[0])} columns {missing[0]} among {', '.join(names)}"
-            raise ConfigurationError(key, found, f"one column each of {', '.join(COLUMNS)}")
-        columns = [table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS]
-    except (OSError, ValueError, pa.ArrowException) as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise ConfigurationError(key, error.strerror, "a readable file") from None
-        raise ConfigurationError(key, " ".join(str(error).split()), "a table of numbers with a header") from None
+        with open_checked(path, key, MAX_RECORDING_BYTES) as stream:
+            columns = (_read_csv if path.suffix.lower() == ".csv" else _read_parquet)(stream, key)
+    except (OSError, ValueError, TypeError, KeyError, MemoryError, csv.Error, pa.ArrowException) as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigurationError(key, text, "a table of numbers with a header") from None
     data = np.stack(columns, axis=-1)
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
@@ -134,18 +131,47 @@ def load_recording(path: str | Path) -> np.ndarray:
     return data
 
 
-def _read(stream: BinaryIO, csv: bool, key: str) -> tuple[list[str], Any]:
-    """Names of all columns and the table."""
+def _read_csv(stream: BinaryIO, key: str) -> list[np.ndarray]:
+    """Values of `COLUMNS`, (n,) each."""
+    import pyarrow as pa
     import pyarrow.csv as pc
+
+    head = stream.read(MAX_HEADER_BYTES).decode("utf-8-sig", "replace").lstrip("\r\n")
+    line = re.split("[\r\n]", head, maxsplit=1)[0]
+    if len(line) == len(head) and stream.read(1):
+        raise ConfigurationError(key, f"a first line of over {MAX_HEADER_BYTES} bytes", "a table with a header")
+    names = next(csv.reader([line]), [])
+    if not line:
+        raise ConfigurationError(key, "no header", "a table of numbers with a header")
+    if len(names) > MAX_COLUMNS:
+        raise ConfigurationError(key, f"{len(names)} columns", f"at most {MAX_COLUMNS}")
+    _refuse_missing(names, key)
+    stream.seek(0)
+    kinds = pc.ConvertOptions(include_columns=COLUMNS, column_types=dict.fromkeys(COLUMNS, pa.float64()))
+    batches: list[list[np.ndarray]] = []
+    rows = 0
+    for batch in pc.open_csv(stream, convert_options=kinds):
+        rows += batch.num_rows
+        if rows > MAX_RECORDING_ROWS:
+            raise ConfigurationError(key, f"at least {rows} rows", f"at most {MAX_RECORDING_ROWS} rows")
+        batches.append([column.to_numpy(zero_copy_only=False) for column in batch.columns])
+    return [np.concatenate(parts) for parts in zip(*batches, strict=True)] or [np.empty(0)] * len(COLUMNS)
+
+
+def _read_parquet(stream: BinaryIO, key: str) -> list[np.ndarray]:
+    """Values of `COLUMNS`, (n,) each."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if csv:
-        table = pc.read_csv(stream)
-        rows, names = table.num_rows, table.column_names
-    else:
-        file = pq.ParquetFile(stream)
-        rows, names = file.metadata.num_rows, file.schema_arrow.names
-    # Before a Parquet file is unpacked: a few kilobytes can hold billions of equal rows.
-    if rows > MAX_RECORDING_ROWS:
-        raise ConfigurationError(key, f"{rows} rows", f"at most {MAX_RECORDING_ROWS} rows")
-    return names, table if csv else file.read(columns=list(dict.fromkeys(n for n in names if n in COLUMNS)))
+    file = pq.ParquetFile(stream)
+    _refuse_missing(file.schema_arrow.names, key)
+    refuse_bomb(file, key, COLUMNS, MAX_RECORDING_ROWS)
+    table = file.read(columns=list(COLUMNS))
+    return [table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS]
+
+
+def _refuse_missing(names: list[str], key: str) -> None:
+    missing = [name for name in COLUMNS if names.count(name) != 1]
+    if missing:
+        found = f"{names.count(missing[0])} columns {missing[0]} among {', '.join(names)}"
+        raise ConfigurationError(key, found, f"one column each of {', '.join(COLUMNS)}")

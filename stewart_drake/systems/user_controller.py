@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydrake.systems.framework import PortDataType, System
+from pydrake.systems.framework import PortDataType
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
@@ -24,11 +24,9 @@ def load_user_controller(options: PythonOptions, robot: RobotParameters, gravity
         weights: Size that a port `weights` must have.
 
     Raises:
-        ConfigurationError: It cannot be loaded or made, is no System, or a port is missing or of the wrong size.
+        ConfigurationError: It cannot be loaded or made, or a port is missing or of the wrong size.
     """
     system = construct(options, {"robot": robot, "period": options.period, "gravity": gravity})
-    if not isinstance(system, System):
-        raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
     inputs = {**_INPUTS, "weights": weights} if system.HasInputPort("weights") else _INPUTS
     has = [name for name in _ANSWERS if system.HasOutputPort(name)]
     outputs = {"torque": 6, **(_ANSWERS if has else {})}

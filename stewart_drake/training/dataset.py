@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,13 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
+from stewart_drake.parquet_files import SealedWriter, read_sealed
 
 _INPUTS = tuple(f"density_{i}" for i in range(12))
 _FORMAT_KEY = b"stewart_drake.dataset"
-_VERSION = 1
+_VERSION = 2
+MAX_BYTES = 500_000_000
+MAX_ROWS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -45,21 +47,22 @@ class Dataset:
         return content.hexdigest()
 
     def save(self, path: str | Path) -> None:
-        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; metadata in its schema.
+        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; metadata and a checksum.
 
         Raises:
             ConfigurationError: The folder is missing or not writable.
+        ValueError, TypeError: The metadata are no plain values with finite numbers.
         """
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         columns = {"time": self.time, "run": self.run}
         columns |= dict(zip(_INPUTS, self.inputs.T, strict=True))
         columns |= {"omega_q": self.outputs[:, 0], "omega_r": self.outputs[:, 1]}
-        document = {"version": _VERSION, **self.metadata}
-        table = pa.table(columns).replace_schema_metadata({_FORMAT_KEY: json.dumps(document).encode()})
+        table = pa.table(columns)
         stream = io.BytesIO()
-        pq.write_table(table, stream, compression="zstd")
+        about = {"version": _VERSION, **self.metadata}
+        with SealedWriter(stream, table.schema, _FORMAT_KEY, about) as writer:
+            writer.write(table)
         write_atomically(Path(path), stream.getvalue())
 
 
@@ -67,26 +70,12 @@ def load_dataset(path: str | Path) -> Dataset:
     """Reads a dataset.
 
     Raises:
-        ConfigurationError: Missing file, another format or version, missing columns, numbers that are not finite,
-            weights that are not positive, runs that are no whole numbers, a kind of density or a window that no network
-            can have, no samples.
+        ConfigurationError: Missing, unreadable or not as it was written, see `read_sealed`; another version, missing
+            columns, numbers that are not finite, weights that are not positive, runs that are no whole numbers, a kind
+            of density or a window that no network can have, no samples.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     key = f"dataset {path}"
-    try:
-        # Not read_table: of a folder such as runs/run=3 it would make a column, and it takes folders for files.
-        with Path(path).open("rb") as stream:
-            table = pq.ParquetFile(stream).read()
-    except (OSError, pa.ArrowException) as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise ConfigurationError(key, error.strerror, "a readable file; `collect` makes one") from None
-        raise ConfigurationError(key, " ".join(str(error).split()), "a Parquet file") from None
-    try:
-        document = json.loads((table.schema.metadata or {}).get(_FORMAT_KEY, b"{}"))
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a dataset written by `collect`") from None
+    document, table = read_sealed(path, key, _FORMAT_KEY, MAX_BYTES, MAX_ROWS, "`collect`")
     version = document.pop("version", None) if isinstance(document, dict) else None
     if version != _VERSION:
         found = "another format" if version is None else f"version {version}"
@@ -96,11 +85,12 @@ def load_dataset(path: str | Path) -> Dataset:
     if type(document.get("window", 1)) is not int or document.get("window", 1) < 1:
         raise ConfigurationError(f"{key}: window", document["window"], "an integer >= 1")
     columns = ("time", "run", *_INPUTS, "omega_q", "omega_r")
-    missing = [name for name in columns if name not in table.column_names]
-    if missing or not table.num_rows:
-        raise ConfigurationError(key, f"{table.num_rows} rows, missing {missing}", "samples in all columns")
+    missing = [name for name in columns if name not in table]
+    rows = len(next(iter(table.values()), ()))
+    if missing or not rows:
+        raise ConfigurationError(key, f"{rows} rows, missing {missing}", "samples in all columns")
     try:
-        data = {name: table.column(name).to_numpy().astype(float) for name in columns}
+        data = {name: table[name].astype(float) for name in columns}
     except (TypeError, ValueError) as error:
         raise ConfigurationError(key, str(error), "columns of numbers") from None
     for name, values in data.items():

@@ -128,12 +128,12 @@ def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, rows, suffi
         ("motion.csv", None, "No such file"),
         ("motion.csv", b"", "a table of numbers"),
         ("motion.csv", b"\xff\xfe\x00", "allowed"),
-        ("motion.csv", b"time,roll\n1,2,3\n", "a table of numbers"),
+        ("motion.csv", b"time,roll\n1,2,3\n", "0 columns pitch"),
         ("motion.parquet", b"time,roll\n1,2\n", "a table of numbers"),
         ("motion.parquet", b"", "a table of numbers"),
         ("motion.txt", b"", "ends in .csv or .parquet"),
         ("motion", b"", "ends in .csv or .parquet"),
-        ("motion\0.csv", None, "a table of numbers"),
+        ("motion\0.csv", None, "a readable file"),
     ],
 )
 def test_a_file_that_is_no_recording_is_one_clear_line(tmp_path, name, content, words):
@@ -146,7 +146,7 @@ def test_a_file_that_is_no_recording_is_one_clear_line(tmp_path, name, content, 
 
 def test_a_folder_and_a_twofold_column_are_refused(tmp_path):
     (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(ConfigurationError, match="directory"):
+    with pytest.raises(ConfigurationError, match="a folder"):
         load_recording(tmp_path / "folder.csv")
     twice = ",".join((*COLUMNS, "x")) + "\n" + "0,0,0,0,0,0,0,0\n" * 5
     (tmp_path / "twice.csv").write_text(twice)

@@ -10,12 +10,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.report import Figure, Section, write_report
 from stewart_drake.experiments.reproduction.region import NEAR
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.runs import weights_text
-from stewart_drake.files import write_atomically
-from stewart_drake.named_files import file_digests
+from stewart_drake.files import read_checked, seal, unseal, write_atomically
+from stewart_drake.named_files import digest, file_digests
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.references import paper_reference
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY
@@ -37,6 +38,7 @@ SECTIONS = (
 )
 """Modules of this package in the report's order; each has `make(study) -> Section`."""
 
+MAX_PART_BYTES = 100_000_000
 PAPER_DURATION = 10.0
 """[s] for which the robot must be able to follow (37), (38)."""
 _VERSIONS = ("stewart-drake", "drake", "numpy", "scipy", "torch", "source")
@@ -117,23 +119,24 @@ def _keep(section: Section, path: Path, folder: Path) -> Section:
     """Writes a finished part, the section and digests of its files; returns the section as it will be read back."""
     text = section.to_json()
     part = {"section": json.loads(text), "digests": _digests(section, folder)}
-    write_atomically(path, json.dumps(part, indent=1, allow_nan=False).encode())
+    write_atomically(path, json.dumps(seal(part), indent=1, allow_nan=False).encode())
     return Section.from_json(text)
 
 
 def _kept(path: Path, folder: Path) -> Section | None:
-    """The part at `path`; None where there is none, or where its files are no longer those that it was made with."""
+    """The part at `path`; None where there is none, or where it or its files are no longer what was written."""
     try:
-        part = json.loads(path.read_text(encoding="utf-8"))
+        part = unseal(json.loads(read_checked(path, f"part {path}", MAX_PART_BYTES).decode()))
         section = Section.from_json(json.dumps(part["section"]))
-        return section if part["digests"] == _digests(section, folder) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        digests = _digests(section, folder)
+        return section if part["digests"] == digests and None not in digests.values() else None
+    except (ConfigurationError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
-def _digests(section: Section, folder: Path) -> dict[str, str]:
+def _digests(section: Section, folder: Path) -> dict[str, str | None]:
     figures = [f"figures/{item.file}" for item in section.items if isinstance(item, Figure)]
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (*figures, *section.files)}
+    return {name: digest(folder / name) for name in (*figures, *section.files)}
 
 
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
