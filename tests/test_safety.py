@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 
 import numpy as np
@@ -8,7 +9,7 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import FAILURES, ConfigurationError, SafetyStop, failure_code
 from stewart_drake.kinematics import leg_geometry, twist_jacobian
-from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.safety import (
     FROZEN_SIZE,
     HOLD,
@@ -28,6 +29,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
+from stewart_drake.safety.monitors import look
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -436,23 +438,83 @@ def test_a_motion_that_would_trip_is_refused_with_its_time(motion, key):
     time = np.linspace(0.0, 1.0, 101)
     pose = np.array([motion(t) for t in time])
     with pytest.raises(ConfigurationError) as caught:
-        refuse_motion(ROBOT, OPTIONS, time, pose, np.zeros((101, 6)))
+        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, *np.zeros((2, 101, 6))))
     assert caught.value.key == f"safety.{key}"
     assert "t = 0.9" in caught.value.allowed or "t = 1.0" in caught.value.allowed
-    refuse_motion(ROBOT, OPTIONS, time[:80], pose[:80], np.zeros((80, 6)))
+    refuse_motion(ROBOT, OPTIONS, 0.0, time[:80], (pose[:80], *np.zeros((2, 80, 6))))
 
 
 def test_a_motion_that_is_too_fast_is_refused():
     time, pose = np.array([0.0, 0.5]), np.tile(HOME, (2, 1))
     with pytest.raises(ConfigurationError, match=r"safety\.crank_speed.*leg") as caught:
-        refuse_motion(ROBOT, OPTIONS, time, pose, np.array([STILL, FAST]))
+        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, np.array([STILL, FAST]), np.zeros((2, 6))))
     assert "0.500 s" in caught.value.allowed
 
 
 def test_a_start_that_would_trip_is_refused():
-    refuse_start(ROBOT, OPTIONS, HOME, STILL, HOME)
+    refuse_start(ROBOT, OPTIONS, 9.81, HOME, STILL, HOME)
     with pytest.raises(ConfigurationError, match=r"initial_offset.*following_error"):
-        refuse_start(ROBOT, OPTIONS, at(x=0.03), STILL, HOME)
+        refuse_start(ROBOT, OPTIONS, 9.81, at(x=0.03), STILL, HOME)
+    # At rest at the start the motors need what the weight needs, whatever the motion is.
+    weak = np.abs(WEIGHT).max() / ROBOT.effort_limit
+    refuse_start(ROBOT, SafetyOptions(torque_limit=1.001 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
+    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*standing at the start.*t = 0\.000 s, leg"):
+        refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
+
+
+def swing(frequency, amplitude):
+    """Times, and poses, rates and accelerations of two periods along Z."""
+    time = np.arange(0.0, 2.0 / frequency, PERIOD)
+    omega, along = 2.0 * np.pi * frequency, np.eye(6)[5]
+    phase = omega * time[:, None]
+    sine, cosine = amplitude * np.sin(phase) * along, amplitude * np.cos(phase) * along
+    return time, (HOME + sine, omega * cosine, -(omega**2) * sine)
+
+
+@given(st.floats(0.5, 6.0), st.floats(0.001, 0.005))
+@settings(max_examples=30)
+def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(frequency, amplitude):
+    time, motion = swing(frequency, amplitude)
+    torque = inverse_dynamics(ROBOT, *motion)
+    share = np.abs(torque).max() / ROBOT.effort_limit
+    steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
+    for factor, refused in ((1.001, ()), (0.999, ("torque_limit", "torque_rate"))):
+        for name, value in (("torque_limit", share), ("torque_rate", steepest)):
+            options = SafetyOptions(**{name: factor * value}, torque_rate_time=0.0)
+            if name in refused:
+                with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d") as caught:
+                    refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+                assert "\n" not in str(caught.value)
+            else:
+                refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+
+
+def test_torques_that_change_too_fast_only_for_a_while_that_the_layer_forgives_are_not_refused():
+    time, motion = swing(2.0, 0.005)
+    slope = np.abs(np.diff(inverse_dynamics(ROBOT, *motion), axis=0)).max() / PERIOD
+    fast = SafetyOptions(torque_rate=0.999 * slope, torque_rate_time=0.05)
+    refuse_motion(ROBOT, fast, STANDARD_GRAVITY, time, motion)
+    with pytest.raises(ConfigurationError, match=r"torque_rate"):
+        refuse_motion(ROBOT, SafetyOptions(torque_rate=0.2 * slope), STANDARD_GRAVITY, time, motion)
+
+
+@pytest.mark.parametrize("limit", ["workspace", "transmission", "conditioning"])
+def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused(limit):
+    # As fast as it may be: the layer sees the pose of so many seconds later already.
+    others = {"workspace": None, "transmission": None, "conditioning": None, "crank_speed": None}
+    options = SafetyOptions(**{**others, limit: getattr(OPTIONS, limit)}, horizon=0.2)
+    time = np.linspace(0.0, 1.0, 101)
+    end = {"workspace": at(x=0.11), "transmission": at(z=-0.1), "conditioning": at(pitch=-1.0)}[limit] - HOME
+    motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
+    with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
+        refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+    tripped = [
+        look(ROBOT, options, 9.81, inputs(pose=p, rate=r), 0.0).trip is not None
+        for p, r in zip(*motion[:2], strict=True)
+    ]
+    assert any(tripped)
+    short = dataclasses.replace(options, horizon=0.0)
+    refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
 
 
 @pytest.mark.parametrize(

@@ -235,6 +235,11 @@ def test_a_users_own_system_runs_behind_it(what, reason):
         ({"safety": {"transmission": 0.9}, "duration": 2.0}, "safety.transmission"),
         ({"initial_offset": [0, 0, 0, 0.03, 0, 0]}, "initial_offset"),
         ({"safety": {"damping": 1.0}}, "safety.damping"),
+        ({"safety": {"torque_limit": 0.05}}, "safety.torque_limit"),
+        ({"safety": {"torque_limit": 0.05}, "reference": {"kind": "hold"}}, "safety.torque_limit"),
+        ({"safety": {"torque_rate": 0.1}}, "safety.torque_rate"),
+        ({"safety": {"horizon": 0.5}, "duration": 2.0}, "safety.horizon"),
+        ({"safety": {"hold_time": 0.0009}}, "safety.hold_time"),
     ],
 )
 def test_what_would_trip_is_refused_before_the_start(changes, key):
