@@ -276,7 +276,56 @@ def test_a_ramp_leads_to_the_weights_torque_within_its_time_and_ends_the_run_wit
         "leg": None,
         "cause": None,
         "worst": "safe_hold",
+        "last": "safe_hold",
+        "stopped": {"monitor": "workspace", "time": 0.001, "leg": None},
     }
+
+
+def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_first():
+    # Held through once, long before; then the robot leaves the workspace, and the run ends while it is held there.
+    done, _ = run([GOOD, BAD, *[GOOD] * 50, *[inputs(pose=at(x=0.13))] * 30], SafetyOptions(safe_hold_time=1e9))
+    told = [first_trip(memory, PERIOD) for memory in done]
+    assert told[0] is None
+    assert [(t["last"], t["stopped"]) for t in told[1:3]] == [("hold", None), ("none", None)]
+    assert (told[-1]["monitor"], told[-1]["time"], told[-1]["last"]) == ("command_not_finite", 0.001, "safe_hold")
+    assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
+    # A run that is given up says so too.
+    _, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
+    assert (stop.trip["last"], stop.trip["stopped"]["monitor"], stop.trip["stopped"]["time"]) == (
+        "end",
+        "crank_speed",
+        0.003,
+    )
+
+
+def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor():
+    frozen_one = (failure_code("frozen"), 2.0)
+    unguarded = SafetyOptions(failures=False)
+    done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
+    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("sensor_failed", 2.0)
+    # Another failure is told by a system that nobody asked to tell: the pose is looked at all the same.
+    done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=(failure_code("encoder"), -1.0))], unguarded)
+    assert MONITORS[int(done[-1].monitor)] == "workspace"
+
+
+@pytest.mark.parametrize(
+    ("bad", "monitor"),
+    [
+        ({"age": np.nan}, "deadline"),
+        ({"sensor": (np.nan, np.nan)}, "sensor_failed"),
+        ({"controller": (np.nan, 0.0)}, "controller_failed"),
+    ],
+)
+def test_a_message_that_is_not_a_number_is_no_good_one(bad, monitor):
+    for compiled in (False, True):
+        one = flat_tick(ROBOT, OPTIONS, STANDARD_GRAVITY, PERIOD, compiled)
+        memory = SafetyMemory.from_flat(one(inputs(**bad), initial_memory(WEIGHT).flat()))
+        assert (MONITORS[int(memory.monitor)], memory.level) == (monitor, HOLD)
+
+
+def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
+    done, _ = run([GOOD, inputs(rate=np.full(6, 1e300))], SafetyOptions(horizon=1e10))
+    assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
 @given(vectors(6, 0.4))
@@ -341,6 +390,8 @@ def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
         assert np.isfinite(memory.torque).all()
         assert np.abs(memory.torque).max() <= ROBOT.effort_limit
     for before, after in itertools.pairwise(done):
+        # The layer keeps to its own rate, whatever it does; the first torque has nothing before it.
+        assert np.abs(after.torque - before.torque).max() <= OPTIONS.torque_rate * PERIOD * (1.0 + 1e-9)
         # Levels are left downwards from hold alone.
         assert after.level >= before.level or before.level == HOLD
         assert after.worst >= before.worst
