@@ -65,7 +65,7 @@ class EncoderOptions:
     noise_seed: Natural = 0
     """Of the noise."""
     faults: tuple[EncoderFault, ...] = ()
-    """Encoders that fail; in order, of two at once on one encoder the later wins."""
+    """Encoders that fail, in order: each acts on what those before it left of the readings."""
     rate_cutoff: Positive | None = None
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
     max_speed: Positive = 60.0

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.option_checks import check_leg, check_real
+from stewart_drake.option_checks import check_choice, check_leg, check_other_leg, check_real
 from stewart_drake.robot import LEGS, SMALLEST
 from stewart_drake.scalars import SECTION, Leg, Natural, NotNegative
+
+MotorFaultKind = Literal["reversed", "swapped"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +37,40 @@ class DeadMotor:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MotorFault:
+    """Motors wired wrong, for good.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: MotorFaultKind
+    """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
+    leg: Leg
+    """0 to 5."""
+    other: Leg | None = None
+    """0 to 5, of swapped motors."""
+    time: NotNegative = 0.0
+    """[s] when it begins."""
+
+    def __post_init__(self) -> None:
+        check_choice("motors.faults.kind", self.kind, *get_args(MotorFaultKind))
+        check_leg("motors.faults.leg", self.leg)
+        check_other_leg("motors.faults.other", self.kind, self.leg, self.other)
+        check_real("motors.faults.time", self.time)
+
+    def spoil(self, torque: np.ndarray) -> None:
+        """Changes torques (6,) [N m] in place."""
+        if self.kind == "reversed":
+            torque[self.leg] *= -1.0
+        else:
+            pair = np.array([self.leg, self.other], dtype=int)
+            torque[pair] = torque[pair[::-1]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class MotorOptions:
     """Imperfections of the motors; by default there are none.
 
@@ -52,6 +88,8 @@ class MotorOptions:
     """[N m] step of the amplifier; the torque is rounded to whole steps. 0 for none."""
     dead: DeadMotor | None = None
     """A motor that fails; null for none."""
+    faults: tuple[MotorFault, ...] = ()
+    """Motors wired wrong, in order, between amplifier and motor."""
 
     def __post_init__(self) -> None:
         check_real("motors.ripple", self.ripple)
@@ -65,7 +103,7 @@ class MotorOptions:
     @cached_property
     def perfect(self) -> bool:
         """Whether the torque asked for is the torque."""
-        return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None
+        return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
     def torque(self, wanted: np.ndarray, crank_angles: np.ndarray, time: float) -> np.ndarray:
         """What the motors give.
@@ -81,6 +119,9 @@ class MotorOptions:
         torque = np.array(wanted, dtype=float)
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
+        for fault in self.faults:
+            if time >= fault.time:
+                fault.spoil(torque)
         if self.ripple > 0.0:
             torque += self.ripple * np.sin(self.ripple_periods * crank_angles)
         if self.dead is not None and time >= self.dead.time:

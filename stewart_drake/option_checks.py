@@ -53,6 +53,17 @@ def check_leg(key: str, leg: Any) -> None:
     check_whole(key, leg, 0, 5, "a leg, 0 to 5")
 
 
+def check_other_leg(key: str, kind: str, leg: Any, other: Any) -> None:
+    """Raises a `ConfigurationError` unless two swapped legs are two, and only they have an `other`."""
+    if kind != "swapped":
+        if other is not None:
+            raise ConfigurationError(key, other, "null, but for kind swapped")
+        return
+    check_leg(key, other)
+    if other == leg:
+        raise ConfigurationError(key, other, f"another leg than {leg}")
+
+
 def check_choice(key: str, value: Any, *choices: str) -> None:
     """Raises a `ConfigurationError` for what is none of at least two choices."""
     if not isinstance(value, str) or value not in choices:

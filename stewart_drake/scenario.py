@@ -328,10 +328,7 @@ class Scenario(_Section):
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
-            largest = self.safety.largest_damping(self.believed_robot, self.controller.period)
-            if self.safety.damping is not None and self.safety.damping > largest:
-                allowed = f"at most {largest:.3g} N m s/rad at this control period"
-                raise ConfigurationError("safety.damping", self.safety.damping, allowed)
+            self.safety.check_against(self.believed_robot, self.controller.period)
         if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):
             allowed = f"at most {MAX_STEPS * self.plant.time_step:g} s, which are 1e9 steps of the plant"
             raise ConfigurationError("duration", self.duration, allowed)

@@ -250,12 +250,13 @@ def check_scenario(scenario: Scenario) -> None:
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     """Refuses what the safety layer would stop, if everything goes well."""
     time = sample_times(scenario.duration, scenario.controller.period)
-    pose, rate, _ = scenario.reference.evaluate(time)
+    motion = scenario.reference.evaluate(time)
     start, start_rate = scenario.start()
+    robot, gravity = scenario.believed_robot, scenario.gravity
     try:
-        refuse_motion(scenario.believed_robot, safety, time, pose, rate)
-        refuse_start(scenario.believed_robot, safety, start, start_rate, pose[0])
-    except UnreachablePoseError as failure:
+        refuse_motion(robot, safety, gravity, time, motion)
+        refuse_start(robot, safety, gravity, start, start_rate, motion[0][0])
+    except (UnreachablePoseError, np.linalg.LinAlgError) as failure:
         key = "reference" if scenario.model_robot is None else "model_robot"
         raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
 

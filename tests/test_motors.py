@@ -7,7 +7,7 @@ from strategies import ROBOT, poses
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.kinematics import twist_jacobian
-from stewart_drake.motors import DeadMotor, MotorOptions, holdable_load
+from stewart_drake.motors import DeadMotor, MotorFault, MotorOptions, holdable_load
 from stewart_drake.rigid_body_model import static_torque
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
@@ -41,6 +41,19 @@ def test_a_motor_dies_at_its_time_and_alone():
     np.testing.assert_array_equal(np.delete(alive, 3), np.delete(dead, 3))
 
 
+def test_motors_wired_wrong_give_the_torques_asked_for_elsewhere_or_with_the_other_sign():
+    faults = (MotorFault(kind="reversed", leg=3, time=0.5), MotorFault(kind="swapped", leg=3, other=1, time=0.6))
+    motor = MotorOptions(faults=faults)
+    assert not motor.perfect
+    signs = np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.4999), WANTED)
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.5), signs * WANTED)
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.6), (signs * WANTED)[[0, 3, 2, 1, 4, 5]])
+    # Ripple is the motor's own, whatever torque it is sent.
+    ripple = MotorOptions(faults=faults, ripple=0.02).torque(WANTED, ANGLES, 0.6) - motor.torque(WANTED, ANGLES, 0.6)
+    np.testing.assert_allclose(ripple, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("make", "key"),
     [
@@ -51,6 +64,11 @@ def test_a_motor_dies_at_its_time_and_alone():
         (lambda: MotorOptions(resolution=5e-324), "motors.resolution"),
         (lambda: DeadMotor(leg=6), "motors.dead.leg"),
         (lambda: DeadMotor(leg=0, time=-1.0), "motors.dead.time"),
+        (lambda: MotorFault(kind="loud", leg=0), "motors.faults.kind"),
+        (lambda: MotorFault(kind="reversed", leg=None), "motors.faults.leg"),
+        (lambda: MotorFault(kind="reversed", leg=0, other=1), "motors.faults.other"),
+        (lambda: MotorFault(kind="swapped", leg=0, other=0), "motors.faults.other"),
+        (lambda: MotorFault(kind="reversed", leg=0, time=-1.0), "motors.faults.time"),
     ],
 )
 def test_a_bad_value_is_named(make, key):

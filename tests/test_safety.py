@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 
 import numpy as np
@@ -8,7 +9,7 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import FAILURES, ConfigurationError, SafetyStop, failure_code
 from stewart_drake.kinematics import leg_geometry, twist_jacobian
-from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
+from stewart_drake.rigid_body_model import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.safety import (
     FROZEN_SIZE,
     HOLD,
@@ -28,6 +29,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
+from stewart_drake.safety.monitors import look
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -274,7 +276,56 @@ def test_a_ramp_leads_to_the_weights_torque_within_its_time_and_ends_the_run_wit
         "leg": None,
         "cause": None,
         "worst": "safe_hold",
+        "last": "safe_hold",
+        "stopped": {"monitor": "workspace", "time": 0.001, "leg": None},
     }
+
+
+def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_first():
+    # Held through once, long before; then the robot leaves the workspace, and the run ends while it is held there.
+    done, _ = run([GOOD, BAD, *[GOOD] * 50, *[inputs(pose=at(x=0.13))] * 30], SafetyOptions(safe_hold_time=1e9))
+    told = [first_trip(memory, PERIOD) for memory in done]
+    assert told[0] is None
+    assert [(t["last"], t["stopped"]) for t in told[1:3]] == [("hold", None), ("none", None)]
+    assert (told[-1]["monitor"], told[-1]["time"], told[-1]["last"]) == ("command_not_finite", 0.001, "safe_hold")
+    assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
+    # A run that is given up says so too.
+    _, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
+    assert (stop.trip["last"], stop.trip["stopped"]["monitor"], stop.trip["stopped"]["time"]) == (
+        "end",
+        "crank_speed",
+        0.003,
+    )
+
+
+def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor():
+    frozen_one = (failure_code("frozen"), 2.0)
+    unguarded = SafetyOptions(failures=False)
+    done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
+    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("sensor_failed", 2.0)
+    # Another failure is told by a system that nobody asked to tell: the pose is looked at all the same.
+    done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=(failure_code("encoder"), -1.0))], unguarded)
+    assert MONITORS[int(done[-1].monitor)] == "workspace"
+
+
+@pytest.mark.parametrize(
+    ("bad", "monitor"),
+    [
+        ({"age": np.nan}, "deadline"),
+        ({"sensor": (np.nan, np.nan)}, "sensor_failed"),
+        ({"controller": (np.nan, 0.0)}, "controller_failed"),
+    ],
+)
+def test_a_message_that_is_not_a_number_is_no_good_one(bad, monitor):
+    for compiled in (False, True):
+        one = flat_tick(ROBOT, OPTIONS, STANDARD_GRAVITY, PERIOD, compiled)
+        memory = SafetyMemory.from_flat(one(inputs(**bad), initial_memory(WEIGHT).flat()))
+        assert (MONITORS[int(memory.monitor)], memory.level) == (monitor, HOLD)
+
+
+def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
+    done, _ = run([GOOD, inputs(rate=np.full(6, 1e300))], SafetyOptions(horizon=1e10))
+    assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
 @given(vectors(6, 0.4))
@@ -339,6 +390,8 @@ def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
         assert np.isfinite(memory.torque).all()
         assert np.abs(memory.torque).max() <= ROBOT.effort_limit
     for before, after in itertools.pairwise(done):
+        # The layer keeps to its own rate, whatever it does; the first torque has nothing before it.
+        assert np.abs(after.torque - before.torque).max() <= OPTIONS.torque_rate * PERIOD * (1.0 + 1e-9)
         # Levels are left downwards from hold alone.
         assert after.level >= before.level or before.level == HOLD
         assert after.worst >= before.worst
@@ -436,23 +489,83 @@ def test_a_motion_that_would_trip_is_refused_with_its_time(motion, key):
     time = np.linspace(0.0, 1.0, 101)
     pose = np.array([motion(t) for t in time])
     with pytest.raises(ConfigurationError) as caught:
-        refuse_motion(ROBOT, OPTIONS, time, pose, np.zeros((101, 6)))
+        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, *np.zeros((2, 101, 6))))
     assert caught.value.key == f"safety.{key}"
     assert "t = 0.9" in caught.value.allowed or "t = 1.0" in caught.value.allowed
-    refuse_motion(ROBOT, OPTIONS, time[:80], pose[:80], np.zeros((80, 6)))
+    refuse_motion(ROBOT, OPTIONS, 0.0, time[:80], (pose[:80], *np.zeros((2, 80, 6))))
 
 
 def test_a_motion_that_is_too_fast_is_refused():
     time, pose = np.array([0.0, 0.5]), np.tile(HOME, (2, 1))
     with pytest.raises(ConfigurationError, match=r"safety\.crank_speed.*leg") as caught:
-        refuse_motion(ROBOT, OPTIONS, time, pose, np.array([STILL, FAST]))
+        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, np.array([STILL, FAST]), np.zeros((2, 6))))
     assert "0.500 s" in caught.value.allowed
 
 
 def test_a_start_that_would_trip_is_refused():
-    refuse_start(ROBOT, OPTIONS, HOME, STILL, HOME)
+    refuse_start(ROBOT, OPTIONS, 9.81, HOME, STILL, HOME)
     with pytest.raises(ConfigurationError, match=r"initial_offset.*following_error"):
-        refuse_start(ROBOT, OPTIONS, at(x=0.03), STILL, HOME)
+        refuse_start(ROBOT, OPTIONS, 9.81, at(x=0.03), STILL, HOME)
+    # At rest at the start the motors need what the weight needs, whatever the motion is.
+    weak = np.abs(WEIGHT).max() / ROBOT.effort_limit
+    refuse_start(ROBOT, SafetyOptions(torque_limit=1.001 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
+    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*standing at the start.*t = 0\.000 s, leg"):
+        refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
+
+
+def swing(frequency, amplitude):
+    """Times, and poses, rates and accelerations of two periods along Z."""
+    time = np.arange(0.0, 2.0 / frequency, PERIOD)
+    omega, along = 2.0 * np.pi * frequency, np.eye(6)[5]
+    phase = omega * time[:, None]
+    sine, cosine = amplitude * np.sin(phase) * along, amplitude * np.cos(phase) * along
+    return time, (HOME + sine, omega * cosine, -(omega**2) * sine)
+
+
+@given(st.floats(0.5, 6.0), st.floats(0.001, 0.005))
+@settings(max_examples=30)
+def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(frequency, amplitude):
+    time, motion = swing(frequency, amplitude)
+    torque = inverse_dynamics(ROBOT, *motion)
+    share = np.abs(torque).max() / ROBOT.effort_limit
+    steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
+    for factor, refused in ((1.001, ()), (0.999, ("torque_limit", "torque_rate"))):
+        for name, value in (("torque_limit", share), ("torque_rate", steepest)):
+            options = SafetyOptions(**{name: factor * value}, torque_rate_time=0.0)
+            if name in refused:
+                with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d") as caught:
+                    refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+                assert "\n" not in str(caught.value)
+            else:
+                refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+
+
+def test_torques_that_change_too_fast_only_for_a_while_that_the_layer_forgives_are_not_refused():
+    time, motion = swing(2.0, 0.005)
+    slope = np.abs(np.diff(inverse_dynamics(ROBOT, *motion), axis=0)).max() / PERIOD
+    fast = SafetyOptions(torque_rate=0.999 * slope, torque_rate_time=0.05)
+    refuse_motion(ROBOT, fast, STANDARD_GRAVITY, time, motion)
+    with pytest.raises(ConfigurationError, match=r"torque_rate"):
+        refuse_motion(ROBOT, SafetyOptions(torque_rate=0.2 * slope), STANDARD_GRAVITY, time, motion)
+
+
+@pytest.mark.parametrize("limit", ["workspace", "transmission", "conditioning"])
+def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused(limit):
+    # As fast as it may be: the layer sees the pose of so many seconds later already.
+    others = {"workspace": None, "transmission": None, "conditioning": None, "crank_speed": None}
+    options = SafetyOptions(**{**others, limit: getattr(OPTIONS, limit)}, horizon=0.2)
+    time = np.linspace(0.0, 1.0, 101)
+    end = {"workspace": at(x=0.11), "transmission": at(z=-0.1), "conditioning": at(pitch=-1.0)}[limit] - HOME
+    motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
+    with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
+        refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
+    tripped = [
+        look(ROBOT, options, 9.81, inputs(pose=p, rate=r), 0.0).trip is not None
+        for p, r in zip(*motion[:2], strict=True)
+    ]
+    assert any(tripped)
+    short = dataclasses.replace(options, horizon=0.0)
+    refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
 
 
 @pytest.mark.parametrize(

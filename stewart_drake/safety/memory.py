@@ -135,15 +135,27 @@ def initial_memory(torque: np.ndarray) -> SafetyMemory:
 
 
 def first_trip(memory: SafetyMemory, period: float) -> dict[str, Any] | None:
-    """monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level."""
+    """What the layer has to tell of a run; None where no monitor tripped.
+
+    Returns:
+        monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level; last,
+        the level now; stopped, monitor, time and leg (or None) of the trip that took the robot from its controller, or
+        None where none did.
+    """
     monitor, level, leg, tick, cause = memory.first
     if monitor == 0.0:
         return None
+
+    def told(monitor: float, tick: float, leg: float) -> dict[str, Any]:
+        time = round(float(tick) * period, 9)
+        return {"monitor": MONITORS[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
+
+    stopped = memory.level >= RAMP
     return {
-        "monitor": MONITORS[int(monitor)],
+        **told(monitor, tick, leg),
         "level": LEVELS[int(level)],
-        "time": round(float(tick) * period, 9),
-        "leg": int(leg) if leg >= 0.0 else None,
         "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
         "worst": LEVELS[int(memory.worst)],
+        "last": LEVELS[int(memory.level)],
+        "stopped": told(memory.monitor, memory.ticks - memory.since, memory.leg) if stopped else None,
     }

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.errors import UnreachablePoseError, failure_code
 from stewart_drake.kinematics import (
     crank_rates,
     leg_geometry,
@@ -111,17 +111,30 @@ def _beyond(values: tuple[float, float], limits: tuple[float, float]) -> bool:
     return not (values[0] <= limits[0] and values[1] <= limits[1])
 
 
+def measured(options: SafetyOptions, inputs: SafetyInputs) -> bool:
+    """Whether the measurement is one, and can be led ahead."""
+    with np.errstate(all="ignore"):
+        ahead = inputs.pose + options.horizon * inputs.pose_rate
+    return bool(np.isfinite(ahead).all() and np.isfinite(inputs.pose_rate).all())
+
+
+def failed(options: SafetyOptions, health: tuple[float, float]) -> bool:
+    """Whether a sensor or controller has failed; a frozen sensor has switches of its own."""
+    return health[0] == failure_code("frozen") or (options.failures and health[0] != 0.0)
+
+
 def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> Trip | None:
     """What is wrong with this tick's messages, apart from what they say."""
-    if options.finite and not (np.isfinite(inputs.pose).all() and np.isfinite(inputs.pose_rate).all()):
+    if options.finite and not measured(options, inputs):
         return Trip(MONITORS.index("measurement_not_finite"), HOLD)
-    for name, (cause, leg) in (("sensor_failed", inputs.sensor), ("controller_failed", inputs.controller)):
-        if options.failures and cause > 0.0:
+    for name, health in (("sensor_failed", inputs.sensor), ("controller_failed", inputs.controller)):
+        if failed(options, health):
+            cause, leg = (float(x) if np.isfinite(x) else -1.0 for x in health)
             return Trip(MONITORS.index(name), HOLD, int(leg), int(cause))
     finite = np.isfinite(inputs.command)
     if options.finite and not finite.all():
         return Trip(MONITORS.index("command_not_finite"), HOLD, int(finite.argmin()))
-    if options.deadline is not None and inputs.age > options.deadline:
+    if options.deadline is not None and not inputs.age <= options.deadline:
         return Trip(MONITORS.index("deadline"), HOLD)
     if np.abs(inputs.command).max() > _ABSURD * limit:
         return Trip(MONITORS.index("torque_limit"), HOLD, int(np.abs(inputs.command).argmax()))

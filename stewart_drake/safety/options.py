@@ -30,7 +30,7 @@ class SafetyOptions:
     failures: Flag = True
     """A tick of estimator or controller that fails is held like a late one; otherwise it ends the run at once."""
     deadline: Natural | None = 2
-    """Ticks that a command may be old."""
+    """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
     """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
     bit."""
@@ -98,6 +98,20 @@ class SafetyOptions:
         for name in ("ramp_time", "safe_hold_time"):
             check_positive(f"safety.{name}", getattr(self, name))
         check_real("safety.runaway", self.runaway, 1.0, "a number, at least 1")
+
+    def check_against(self, robot: RobotParameters, period: float) -> None:
+        """Rules between these options, the robot as believed and the control period [s].
+
+        Raises:
+            ConfigurationError: Damping that the cranks cannot bear; a hold that is shorter than any tick.
+        """
+        largest = self.largest_damping(robot, period)
+        if self.damping is not None and self.damping > largest:
+            allowed = f"at most {largest:.3g} N m s/rad at this control period"
+            raise ConfigurationError("safety.damping", self.damping, allowed)
+        if self.hold_time > 0.0 and self.hold_ticks > 0 and self.budget(period) == 0:
+            allowed = f"0 for no hold, or at least a control period, {period:g} s"
+            raise ConfigurationError("safety.hold_time", self.hold_time, allowed)
 
     def budget(self, period: float) -> int:
         """Ticks that may be held."""

@@ -11,10 +11,12 @@ from stewart_drake.kinematics import (
     crank_rates,
     leg_geometry,
     line_conditioning,
+    reach_margin,
     rod_lines,
     rotation_angle,
     rotation_matrix,
 )
+from stewart_drake.rigid_body_model import inverse_dynamics, static_torque
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import MONITORS, SafetyInputs
 from stewart_drake.safety.monitors import look
@@ -24,47 +26,102 @@ _SAMPLES = 4000
 
 
 def refuse_motion(
-    robot: RobotParameters, options: SafetyOptions, time: np.ndarray, pose: np.ndarray, pose_rate: np.ndarray
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: float,
+    time: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Refuses a motion that, followed without error, would trip a monitor.
 
     Args:
         robot: As believed.
         options: Limits.
+        gravity: [m/s^2].
         time: (n,) [s].
-        pose: (n, 6) [rad, m], within reach.
-        pose_rate: (n, 6) [rad/s, m/s].
+        motion: Poses (n, 6) [rad, m], within reach, with their first and second derivatives (n, 6).
 
     Raises:
         ConfigurationError: Names the limit, its time and leg.
     """
-    legs = leg_geometry(robot, pose)
-    lines = rod_lines(legs)
-    turn = rotation_angle(rotation_matrix(pose[:, :3]))
-    away = np.linalg.norm(pose[:, 3:] - robot.home_pose[3:], axis=1)
-    transmission = np.abs(legs.transmission)
-    crossed = np.sign(np.linalg.det(lines)) * np.sign(np.linalg.det(lines[0]))
-    conditioning = line_conditioning(robot, legs) * crossed
-    speed = np.abs(crank_rates(robot, legs, pose, pose_rate))
-    if options.workspace is not None:
-        _refuse("workspace", options.workspace, turn / options.workspace[0], 1.0, time, "the angle")
-        _refuse("workspace", options.workspace, away / options.workspace[1], 1.0, time, "the distance")
-    if options.transmission is not None:
-        _refuse("transmission", options.transmission, -transmission, -options.transmission, time)
-    if options.conditioning is not None:
-        _refuse("conditioning", options.conditioning, -conditioning, -options.conditioning, time)
+    pose, rate, _ = motion
+    for name, values, largest, what in _places(robot, options, pose):
+        _refuse(name, getattr(options, name), values, largest, time, what)
     if options.crank_speed is not None:
+        speed = np.abs(crank_rates(robot, leg_geometry(robot, pose), pose, rate))
         _refuse("crank_speed", options.crank_speed, speed, options.crank_speed, time)
+    # What the layer looks at: the pose led ahead. Where that is out of reach, a crank is beyond its dead centre.
+    ahead = pose + options.horizon * rate
+    reached = (reach_margin(robot, ahead) >= 0.0).all(axis=1)
+    if options.transmission is not None:
+        _refuse("horizon", options.horizon, (~reached).astype(float), 0.0, time, "the reach, ahead of it,")
+    if reached.any():
+        for name, values, largest, _ in _places(robot, options, ahead[reached]):
+            _refuse("horizon", options.horizon, values, largest, time[reached], f"safety.{name}, ahead of it,")
+    torque = inverse_dynamics(robot, *motion, gravity)
+    _refuse_effort(robot, options, time, torque, "the motion")
+    _refuse_torque_rate(options, time, torque)
+
+
+def _refuse_effort(
+    robot: RobotParameters, options: SafetyOptions, time: np.ndarray, torque: np.ndarray, doing: str
+) -> None:
+    """Refuses a limit below the torques (n, 6) [N m] that the motors need."""
+    if options.torque_limit is not None:
+        needed = np.abs(torque)
+        what = f"for {doing}, which needs up to {needed.max():.3g} N m, it"
+        _refuse("torque_limit", options.torque_limit, needed, options.torque_limit * robot.effort_limit, time, what)
+
+
+def _refuse_torque_rate(options: SafetyOptions, time: np.ndarray, torque: np.ndarray) -> None:
+    """Refuses a limit that the motion's own torques (n, 6) [N m] break for too long, counted as the layer does it."""
+    if options.torque_rate is None or len(time) < 2:
+        return
+    step = np.diff(time)[:, None]
+    change = np.abs(np.diff(torque, axis=0)) / step
+    fast = (change > options.torque_rate).any(axis=1, keepdims=True)
+    # Changes that are too fast add to a sum, others take away from it, down to zero.
+    total = np.cumsum(np.where(fast, step, -step), axis=0)
+    total -= np.minimum(np.minimum.accumulate(total, axis=0), 0.0)
+    too_long = np.where(fast & (total > options.torque_rate_time + 1e-9), change, 0.0)
+    what = f"for the motion, which needs up to {change.max():.3g} N m/s, it"
+    _refuse("torque_rate", options.torque_rate, too_long, options.torque_rate, time[1:], what)
+
+
+def _places(
+    robot: RobotParameters, options: SafetyOptions, pose: np.ndarray
+) -> list[tuple[str, np.ndarray, float, str]]:
+    """Limits of where the platform may be: key, values at poses (n, 6) within reach, their bound, and what is bound."""
+    legs = leg_geometry(robot, pose)
+    found: list[tuple[str, np.ndarray, float, str]] = []
+    if options.workspace is not None:
+        turn = np.asarray(rotation_angle(rotation_matrix(pose[:, :3])))
+        away = np.linalg.norm(pose[:, 3:] - robot.home_pose[3:], axis=1)
+        found.append(("workspace", turn / options.workspace[0], 1.0, "the angle"))
+        found.append(("workspace", away / options.workspace[1], 1.0, "the distance"))
+    if options.transmission is not None:
+        found.append(("transmission", -np.abs(legs.transmission), -options.transmission, "it"))
+    if options.conditioning is not None:
+        lines = rod_lines(legs)
+        crossed = np.sign(np.linalg.det(lines)) * np.sign(np.linalg.det(lines[:1]))
+        found.append(("conditioning", -line_conditioning(robot, legs) * crossed, -options.conditioning, "it"))
+    return found
 
 
 def refuse_start(
-    robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, pose_rate: np.ndarray, reference: np.ndarray
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: float,
+    pose: np.ndarray,
+    pose_rate: np.ndarray,
+    reference: np.ndarray,
 ) -> None:
-    """Refuses a start at which a monitor would trip in the very first tick.
+    """Refuses a start at which a monitor would trip in the very first tick, or where the motors cannot hold the robot.
 
     Args:
         robot: As believed.
         options: Limits.
+        gravity: [m/s^2].
         pose: (6,) [rad, m] at the start.
         pose_rate: (6,) [rad/s, m/s].
         reference: (6,) [rad, m].
@@ -79,6 +136,7 @@ def refuse_start(
             # The motion itself has been looked at: it is the look ahead that leads out of bounds.
             raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")
         raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
+    _refuse_effort(robot, options, np.zeros(1), static_torque(robot, pose, gravity)[None], "standing at the start")
 
 
 def sample_times(duration: float, period: float) -> np.ndarray:

@@ -21,7 +21,15 @@ from stewart_drake.safety.memory import (
     Trip,
     first_trip,
 )
-from stewart_drake.safety.monitors import USABLE_CONDITIONING, USABLE_TRANSMISSION, View, look, unusable
+from stewart_drake.safety.monitors import (
+    USABLE_CONDITIONING,
+    USABLE_TRANSMISSION,
+    View,
+    failed,
+    look,
+    measured,
+    unusable,
+)
 from stewart_drake.safety.options import SafetyOptions
 
 _REFILL = 0.05
@@ -49,9 +57,9 @@ def safety_tick(
     Raises:
         SafetyStop: The run is over; its reason is the monitor that tripped.
     """
-    seen = bool(np.isfinite(inputs.pose).all() and np.isfinite(inputs.pose_rate).all()) and inputs.sensor[0] == 0.0
     # A finite blow-up may overflow on the way; what is not a number then trips a monitor.
     with np.errstate(all="ignore"):
+        seen = measured(options, inputs) and not failed(options, inputs.sensor)
         view = look(robot, options, gravity, inputs, memory.side) if seen else None
     memory = memory._replace(ticks=memory.ticks + 1.0)
     if view is not None:
@@ -70,15 +78,12 @@ def safety_tick(
     torque = np.clip(command, -limit, limit)
     full = np.abs(command) >= limit * (1.0 - 1e-9)
     change = command - memory.command
-    # The first command has nothing before it.
-    bound = math.inf if options.torque_rate is None or memory.ticks <= 1.0 else options.torque_rate * period
+    bound = _largest_change(options, period, memory)
     steep = np.abs(change) > bound * (1.0 + 1e-9)
     if steep.any():
         # Led after it, a command that chatters would leave a mean torque that nobody asked for.
         torque = memory.good
-    ahead = torque - memory.torque
-    # To the last bit the command, where nothing limits it.
-    led = np.where(np.abs(ahead) > bound, memory.torque + np.clip(ahead, -bound, bound), torque)
+    led = _led(torque, memory, bound)
     memory = memory._replace(
         command=command,
         at_limit=max(0.0, memory.at_limit + (1.0 if full.any() else -1.0)),
@@ -94,6 +99,17 @@ def safety_tick(
     return memory._replace(
         torque=led, good=good, level=0.0, monitor=0.0, leg=-1.0, held=max(0.0, memory.held - _REFILL)
     )
+
+
+def _largest_change(options: SafetyOptions, period: float, memory: SafetyMemory) -> float:
+    """[N m] from one tick to the next; the first command has nothing before it."""
+    return math.inf if options.torque_rate is None or memory.ticks <= 1.0 else options.torque_rate * period
+
+
+def _led(torque: np.ndarray, memory: SafetyMemory, bound: float) -> np.ndarray:
+    """Torques (6,) [N m] towards those wanted; to the last bit those, where nothing limits the change."""
+    ahead = torque - memory.torque
+    return np.where(np.abs(ahead) > bound, memory.torque + np.clip(ahead, -bound, bound), torque)
 
 
 FlatTick = Callable[[SafetyInputs, np.ndarray], np.ndarray]
@@ -172,7 +188,7 @@ def _react(
         worst=max(memory.worst, float(level)),
     )
     if level == HOLD:
-        return memory._replace(torque=memory.good)
+        return memory._replace(torque=_led(memory.good, memory, _largest_change(options, period, memory)))
     return _stopping(robot, options, period, view, memory)
 
 
@@ -180,7 +196,7 @@ def _stopping(
     robot: RobotParameters, options: SafetyOptions, period: float, view: View | None, memory: SafetyMemory
 ) -> SafetyMemory:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
-    since = memory.since + 1.0
+    memory = memory._replace(since=memory.since + 1.0)
     if view is None and memory.held >= options.budget(period):
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
         raise _stop(memory, period, "stopped: no measurement to hold the robot by", held=False)
@@ -188,17 +204,16 @@ def _stopping(
     fastest = options.runaway * (15.0 if options.crank_speed is None else options.crank_speed)
     if np.abs(speed).max() > fastest:
         raise _stop(memory, period, f"stopping, but a crank turns at {np.abs(speed).max():.3g} rad/s", held=False)
-    if since * period > options.ramp_time + options.safe_hold_time + 1e-9:
+    if memory.since * period > options.ramp_time + options.safe_hold_time + 1e-9:
         raise _stop(memory, period, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
-    share = min(1.0, since * period / options.ramp_time)
+    share = min(1.0, memory.since * period / options.ramp_time)
     level = SAFE_HOLD if share >= 1.0 else RAMP
     damping = 0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping
     torque = (1.0 - share) * memory.good + share * memory.weight - damping * speed
     limit = robot.effort_limit * (1.0 if options.torque_limit is None else options.torque_limit)
     return memory._replace(
-        torque=np.clip(torque, -limit, limit),
+        torque=_led(np.clip(torque, -limit, limit), memory, _largest_change(options, period, memory)),
         level=float(level),
-        since=since,
         held=memory.held + 1.0 if view is None else 0.0,
         worst=max(memory.worst, float(level)),
     )
@@ -206,5 +221,5 @@ def _stopping(
 
 def _stop(memory: SafetyMemory, period: float, what: str, held: bool) -> SafetyStop:
     name = MONITORS[int(memory.monitor)]
-    trip = first_trip(memory if held else memory._replace(worst=float(END)), period)
+    trip = first_trip(memory if held else memory._replace(level=float(END), worst=float(END)), period)
     return SafetyStop(name, f"{name}: {what}", int(memory.leg) if memory.leg >= 0.0 else None, trip)

@@ -102,6 +102,11 @@ class SafetyLayer(TickedSystem):
         return np.concatenate([self._tick(inputs, previous[:MEMORY_SIZE]), seen])
 
     def first_trip(self, context: Context) -> dict[str, Any] | None:
-        """See `safety.first_trip`; `context` is that of the whole Diagram."""
-        values = self.GetMyContextFromRoot(context).get_discrete_state(0).value()
+        """See `safety.first_trip`; `context` is that of the whole Diagram.
+
+        The last tick of a run is told too: it has been asked for (by a log), though nothing has stored it.
+        """
+        mine = self.GetMyContextFromRoot(context)
+        asked = not self.get_output_port(self.result.get_index()).cache_entry().is_out_of_date(mine)
+        values = self.result.Eval(mine) if asked else mine.get_discrete_state(0).value()
         return first_trip(SafetyMemory.from_flat(values[:MEMORY_SIZE]), self._nominal)

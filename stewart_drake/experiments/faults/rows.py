@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
-from stewart_drake.experiments.faults.catalogue import FAULTS, MOTIONS, Fault, Reaction
+from stewart_drake.experiments.faults.catalogue import FAULTS
+from stewart_drake.experiments.faults.fault import MOTIONS, Fault, Reaction
 from stewart_drake.kinematics import rotation_angle, rotation_matrix, twist_jacobian
 from stewart_drake.log import SimulationLog
 from stewart_drake.motors import HoldableLoad, holdable_load
@@ -24,8 +25,8 @@ class FaultRow:
 
     Attributes:
         fault: Name in `catalogue.FAULTS`.
-        motion: Name in `catalogue.MOTIONS`.
-        reaction: See `catalogue.Reaction`; `broke` where the run ended without the safety layer.
+        motion: Name in `fault.MOTIONS`.
+        reaction: See `fault.Reaction`; `broke` where the run ended without the safety layer.
         monitor: That tripped first, or None.
         cause: Of the trip, where an estimator or controller failed.
         leg: Of the trip, or None.
@@ -84,7 +85,7 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
 
     Args:
         fault: Of `catalogue.FAULTS`, or one of the caller's.
-        motion: Of `catalogue.MOTIONS`.
+        motion: Of `fault.MOTIONS`.
     """
     from stewart_drake.simulation import run
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.experiments.faults.catalogue import DURATION, FAULTS, MOTIONS, ONSET
+from stewart_drake.experiments.faults.catalogue import FAULTS
+from stewart_drake.experiments.faults.fault import DURATION, MOTIONS, ONSET, Fault
 from stewart_drake.experiments.faults.rows import FaultRow, all_rows, named_row
 from stewart_drake.experiments.sweeps.executors import LocalProcesses
 from stewart_drake.experiments.sweeps.store import RowStore
@@ -158,7 +159,7 @@ def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
 
 def markdown_table(rows: Sequence[FaultRow]) -> str:
     """The table as a Markdown page."""
-    texts = {fault.name: fault.text for fault in FAULTS}
+    faults = {fault.name: fault for fault in FAULTS}
     page = [
         "# Fault table",
         "",
@@ -177,12 +178,17 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "",
         "What the faults are:",
         "",
-        *(f"- `{name}`: {texts[name]}" for name in dict.fromkeys(row.fault for row in rows)),
+        *(_told(faults[name]) for name in dict.fromkeys(row.fault for row in rows)),
         "",
         "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
         "",
     ]
     return "\n".join(page)
+
+
+def _told(fault: Fault) -> str:
+    bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
+    return f"- `{fault.name}`: {fault.text}{bound}"
 
 
 def _end(row: FaultRow) -> str:
