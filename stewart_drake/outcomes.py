@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Literal
 
 from stewart_drake.errors import RunFailure, SafetyStop
 from stewart_drake.option_checks import check_positive, check_real
-from stewart_drake.safety import LEVELS
 from stewart_drake.scalars import SECTION, Positive, Share
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
@@ -91,16 +90,16 @@ def judge(
     """
     if isinstance(ended_by, KeyboardInterrupt):
         return Outcome("interrupted", "interrupted", "stopped by the user", end_time)
-    held = isinstance(ended_by, SafetyStop) and trip is not None and trip["worst"] != "end"
+    held = isinstance(ended_by, SafetyStop) and trip is not None and trip["last"] != "end"
     if ended_by is not None and not held:
         when = end_time if ended_by.time is None else ended_by.time
         text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))
         return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
-    events = figures["events"]
-    if trip is not None and (held or events["level"] > 0):
-        text = str(ended_by) if held else f"{trip['monitor']}: {LEVELS[events['level']]} when the time was up"
-        return Outcome("stopped", trip["monitor"], text, trip["time"], trip["leg"])
-    left = {name: event for name, event in events["left"].items() if event is not None}
+    if trip is not None and trip["stopped"] is not None:
+        by = trip["stopped"]
+        text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} when the time was up"
+        return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
+    left = {name: event for name, event in figures["events"]["left"].items() if event is not None}
     if left:
         name = min(left, key=lambda name: float(left[name]["time"]))
         event = left[name]

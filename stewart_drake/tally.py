@@ -135,7 +135,6 @@ class Tally:
         }
         figures["events"] = {
             "left": {**self._left, **never},
-            "level": self._level,
             "interventions": self._interventions,
             "saturated_at": self._saturated_at,
             "gap_at": self._gap_at,

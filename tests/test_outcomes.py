@@ -18,6 +18,12 @@ from stewart_drake.tally import Tally
 
 STILL = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.3]}
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
+TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
+
+
+def trip(last, worst="safe_hold"):
+    """What the safety layer tells: a deadline missed at first, and if it has the robot, a crank that was too fast."""
+    return {**TRIP, "last": last, "worst": worst, "stopped": None if last == "none" else TAKEN}
 
 
 def tallied(parts=1, scenario=None, **signals):
@@ -107,29 +113,30 @@ def test_nan_poses_are_not_inside_of_any_bound():
     assert verdict(pose=pose).time == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(("last", "status"), [(0, "completed"), (1, "stopped"), (2, "stopped"), (3, "stopped")])
-def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last, status):
-    rows = level([0.0] * 90 + [max(1.0, last)] * 10 + [float(last)])
-    outcome = verdict(trip=TRIP, safety=rows)
-    assert outcome.status == status
-    if status == "stopped":
-        assert (outcome.reason, outcome.time, outcome.leg) == ("deadline", 0.4, 2)
+@pytest.mark.parametrize("last", ["none", "hold", "ramp", "safe_hold"])
+def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last):
+    outcome = verdict(trip=trip(last))
+    if last == "none":
+        assert outcome.status == "completed"
+    else:
+        assert dataclasses.astuple(outcome)[:2] == ("stopped", "crank_speed")
+        assert (outcome.time, outcome.leg) == (0.5, 1)
 
 
 def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_loss():
     pose = np.zeros((101, 6))
     pose[60:, 3] = 0.5
     held = level([0.0] * 50 + [2.0] * 51)
-    assert verdict(trip=TRIP, pose=pose, safety=held).status == "stopped"
+    assert verdict(trip=trip("ramp"), pose=pose, safety=held).status == "stopped"
     assert tallied(pose=pose, safety=held)[1]["error_max_mm"] == 0.0
 
 
 def test_a_stop_that_held_is_stopped_and_one_that_could_not_hold_failed():
-    held = SafetyStop("deadline", "deadline: stopped, and held for 0.5 s", 2, TRIP)
-    given_up = SafetyStop("deadline", "a crank turns at 40 rad/s", 2, {**TRIP, "worst": "end"})
+    held = SafetyStop("crank_speed", "crank_speed: stopped, and held for 0.5 s", 1, trip("safe_hold"))
+    given_up = SafetyStop("crank_speed", "a crank turns at 40 rad/s", 1, trip("end", "end"))
     assert verdict(trip=held.trip, ended_by=held).status == "stopped"
     outcome = verdict(trip=given_up.trip, ended_by=given_up)
-    assert (outcome.status, outcome.reason, outcome.leg) == ("failed", "deadline", 2)
+    assert (outcome.status, outcome.reason, outcome.leg) == ("failed", "crank_speed", 1)
 
 
 def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
@@ -158,10 +165,10 @@ def test_warnings_name_what_a_completed_run_hides():
     torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-4, 1e-3
     rows = level([0.0] * 40 + [1.0] * 5 + [0.0] * 10 + [1.0] + [0.0] * 45)
     scenario, figures = tallied(torque=torque, loop_gap=gap, pose=pose, safety=rows)
-    trip = {**TRIP, "time": 4.0, "worst": "hold"}
-    outcome = judge(scenario.bounds, figures, trip, 10.0, None)
+    seen = {**trip("none", "hold"), "time": 4.0}
+    outcome = judge(scenario.bounds, figures, seen, 10.0, None)
     assert outcome.status == "completed"
-    found = {each["name"]: each for each in find_warnings(outcome, figures, trip)}
+    found = {each["name"]: each for each in find_warnings(outcome, figures, seen)}
     assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
     assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
     assert found["saturation"]["time"] == pytest.approx(1.0)
