@@ -85,7 +85,7 @@ def test_level_monitor_and_leg_are_logged_and_told_in_the_metrics(tmp_path):
     # In torques: held, then carried over to those of the weight.
     np.testing.assert_array_equal(log["torque_applied"][50:70], np.tile(log["torque_applied"][49], (20, 1)))
     metrics = run_metrics(log)
-    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "command_not_finite", 3)
+    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("stopped", "command_not_finite", 3)
     assert metrics["end_time"] == pytest.approx(0.05 + 0.02 + 0.02 + 0.5, abs=0.002)
     assert metrics["safety"] == {
         "monitor": "command_not_finite",
@@ -111,8 +111,9 @@ def test_a_run_that_ends_before_the_layer_has_done_with_it_tells_the_trip_all_th
     log = run(scenario(link=fault, safety={"safe_hold_time": safe_hold_time}))
     assert (log.safety["monitor"], log.safety["time"], log.safety["last"]) == ("command_not_finite", time, last)
     assert LEVELS[int(log["safety"][-1, 0])] == last
-    stopped = {"monitor": "command_not_finite", "time": 0.07, "leg": 3} if last == "safe_hold" else None
-    assert log.safety["stopped"] == stopped
+    taken = 0.07 if last == "safe_hold" else 0.12
+    assert log.safety["stopped"] == {"monitor": "command_not_finite", "time": taken, "leg": 3}
+    assert (log.status, log.reason, log.leg) == ("stopped", "command_not_finite", 3)
 
 
 def test_the_safe_hold_slows_the_robot_down():
