@@ -57,6 +57,7 @@ class Unshowable:
 @pytest.mark.parametrize(
     "value",
     [10**5000, -(10**5000), {10**5000: [Unshowable()]}, Unshowable(), "\ud800\n", b"\0" * 10**6, np.zeros(10**6)],
+    ids=range(7),
 )
 def test_any_value_can_be_shown_in_one_short_line(value):
     text = str(ConfigurationError("key", value, "another"))

@@ -260,7 +260,7 @@ def test_a_module_of_no_installed_package_is_refused_before_anything_is_imported
 
 @pytest.mark.parametrize("system", ["numpy:array", "numpy:ndarray", "numpy.testing:run_threaded", "click:Command"])
 def test_what_is_no_system_is_not_called_although_it_is_installed(system):
-    with pytest.raises(ConfigurationError, match="a class|a LeafSystem|with a class"):
+    with pytest.raises(ConfigurationError, match=r"a class|a LeafSystem|with a class"):
         construct(PythonOptions(system=system), {})
 
 
