@@ -177,7 +177,7 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
     path = default_network_path() if path is None else Path(path)
     key = f"weights file {path}"
     try:
-        document = json.loads(read_weights(path).decode())
+        document = json.loads(read_weights(path))
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(key, str(error), "a JSON document") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -200,13 +200,17 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
 
 
-def read_weights(path: Path) -> bytes:
-    """Content of a weights file, not yet looked at.
+def read_weights(path: Path) -> str:
+    """Text of a weights file, not yet looked at.
 
     Raises:
-        ConfigurationError: Missing, unreadable, no regular file, or larger than `MAX_BYTES`.
+        ConfigurationError: Missing, unreadable, no regular file, larger than `MAX_BYTES`, or no text in UTF-8.
     """
-    return read_checked(path, f"weights file {path}", MAX_BYTES)
+    key = f"weights file {path}"
+    try:
+        return read_checked(path, key, MAX_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(key, str(error), "a JSON document") from None
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:

@@ -50,6 +50,26 @@ def test_what_cannot_be_done_is_one_line_and_status_2(check):
     assert "feasible" not in out
 
 
+def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes(check, tmp_path):
+    folder = tmp_path / "given"
+    folder.mkdir()
+    (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
+    text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
+    (folder / "mine.yaml").write_text(text)
+    status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
+    assert f"runs code: {folder / 'mine.py'}\n" in out
+    assert load_scenario("fit.yaml").controller.file == tmp_path / "mine.py"
+    assert (tmp_path / "mine.py").read_bytes() == (folder / "mine.py").read_bytes()
+    (tmp_path / "mine.py").write_text("own = 1\n")
+    status, _, err = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
+    assert (status, (tmp_path / "mine.py").read_text()) == (2, "own = 1\n")
+    assert "without another mine.py" in err
+    _, out, _ = check("given/mine.yaml", "--set", "controller.system=numpy.linalg:Mine")
+    assert "runs code: numpy.linalg (installed with numpy)\n" in out
+    status, out, err = check("given/mine.yaml", "--set", "controller.system=subprocess:Popen")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+
+
 @pytest.mark.parametrize("how", ["--scale", "--retime"])
 def test_the_scenario_written_can_be_done(check, how):
     status, out, _ = check("paper_fig7", *FAST, how, "--out", "fit.yaml")

@@ -49,6 +49,22 @@ def test_every_error_is_caught_as_one_of_the_package_and_has_a_stable_reason(err
     assert str(error)
 
 
+class Unshowable:
+    def __repr__(self):
+        raise ZeroDivisionError
+
+
+@pytest.mark.parametrize(
+    "value",
+    [10**5000, -(10**5000), {10**5000: [Unshowable()]}, Unshowable(), "\ud800\n", b"\0" * 10**6, np.zeros(10**6)],
+    ids=range(7),
+)
+def test_any_value_can_be_shown_in_one_short_line(value):
+    text = str(ConfigurationError("key", value, "another"))
+    assert len(text) < 200
+    assert text.isprintable()
+
+
 def test_reasons_tell_the_errors_apart():
     reasons = [error.reason for error in EXAMPLES]
     assert len(set(reasons)) == len(reasons)

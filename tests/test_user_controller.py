@@ -1,14 +1,22 @@
+import sys
+from functools import partial
+
 import numpy as np
 import pytest
+from pydrake.systems.framework import PortDataType
 from strategies import ROBOT
 
 from stewart_drake.diagram import ClosedLoop
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.experiments.comparison.spec import comparison_folder
 from stewart_drake.experiments.runs import run_key
+from stewart_drake.kinematics import twist_jacobian
+from stewart_drake.lqi_options import LqiOptions
+from stewart_drake.network import load_network
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import run
-from stewart_drake.user_controller import PythonOptions, construct, load_class
+from stewart_drake.user_controller import PythonOptions, construct, load_class, user_code
+from stewart_drake.user_errors import ControllerError
 
 HEAD = """
 import numpy as np
@@ -165,13 +173,118 @@ def test_what_it_raises_in_the_run_ends_the_run_and_keeps_the_log(written):
     assert 0.04 < log.time[-1] < 0.06
 
 
-RAISED = ["NotImplementedError('later')", "RecursionError('deep')", "type('Own', (BaseException,), {})('own')"]
+SET = "        output.Set"
+RAISED = [
+    *(
+        "KeyError('x')",
+        "RuntimeError('own')",
+        "NotImplementedError('later')",
+        "RecursionError('deep')",
+        "SystemExit(3)",
+    ),
+    *("StopIteration()", "StopAsyncIteration('end')", "GeneratorExit()", "MemoryError()", "UnicodeError(b'\\xff')"),
+    *("type('Own', (BaseException,), {})('own')", "type('Mute', (Exception,), {'__str__': None})()"),
+    "__import__('stewart_drake').ConfigurationError('key', 3, 'four')",
+]
 
 
 @pytest.mark.parametrize("error", RAISED)
-def test_kinds_of_runtime_error_and_of_base_exception_are_no_traceback(written, error):
-    log = run(scenario(written(GOOD.replace("        output.Set", f"        raise {error}\n        output.Set"))))
+def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, error):
+    text = GOOD.replace(
+        "        output.Set", f"        if context.get_time() > 0.05:\n            raise {error}\n{SET}"
+    )
+    log = run(scenario(written(text)))
     assert (log.status, log.reason) == ("failed", "controller_raised")
+    assert len(log.time) > 40
+    line = text.splitlines().index(f"            raise {error}") + 1
+    assert log.message.endswith(f" (mine.py, line {line}, in calc)")
+    assert log.message.isprintable()
+
+
+def guarded(options, function):
+    with pytest.raises(BaseException) as caught, user_code(options):
+        function()
+    return caught.value
+
+
+def test_its_traceback_begins_with_its_own_first_frame_and_is_no_longer_than_a_page(written):
+    options = scenario(
+        written(GOOD + "\ndef ping(n):\n    pong(n)\n\ndef pong(n):\n    n[0]\n    ping(n)\n")
+    ).controller
+    functions = vars(sys.modules[load_class(options).__module__])
+    lines = guarded(options, lambda: functions["ping"]({})).traceback.splitlines()
+    assert lines[0] == "Traceback (most recent call last):"
+    assert lines[1].endswith(", in ping")
+    assert lines[2].strip() == "pong(n)"
+    assert lines[-1] == "KeyError: 0"
+    assert 20 < guarded(options, lambda: functions["ping"]([0])).traceback.count("\n") < 50
+
+
+def test_drakes_verdicts_and_mistakes_of_this_package_are_not_blamed_on_it(written):
+    options = scenario(written(GOOD)).controller
+
+    def fail(error):
+        raise error
+
+    # Code in this test stands for a user's; without a frame of any the verdict is Drake's.
+    drakes = guarded(options, partial(PortDataType, "none"))
+    assert isinstance(drakes, ControllerError)
+    assert drakes.traceback == ""
+    assert type(guarded(options, partial(load_network, "none"))) is ConfigurationError
+    assert type(guarded(options, partial(twist_jacobian, None, None))) is not ControllerError
+    for error in (KeyboardInterrupt(), RunFailure("its own")):
+        assert guarded(options, partial(fail, error)) is error
+    assert type(guarded(LqiOptions(), partial(fail, KeyError("x")))) is KeyError
+
+
+NOT_RUN = [
+    *("subprocess:Popen", "os:system", "builtins:print", "__main__:Mine", "stewart_drake_user.mine:Mine"),
+    *("loose:Mine", "package.inside:Mine", "space.inside:Mine", "nothing_of_this_name:Mine", "numpy.none:Mine"),
+    *("stewart_drake.none:Mine", "numpy.linalg.loose:Mine"),
+]
+
+
+@pytest.mark.parametrize("system", NOT_RUN)
+def test_a_module_of_no_installed_package_is_refused_before_anything_is_imported(tmp_path, monkeypatch, system):
+    for name in ("loose", "package/__init__", "package/inside", "space/inside"):
+        (tmp_path / f"{name}.py").parent.mkdir(exist_ok=True)
+        (tmp_path / f"{name}.py").write_text("raise AssertionError('it was run')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    loaded = set(sys.modules)
+    with pytest.raises(ConfigurationError, match=r"installed package.*\.py:") as caught:
+        run(scenario({"kind": "python", "system": system, "arguments": {"args": ["touch", str(tmp_path / "bad")]}}))
+    assert caught.value.key == "controller.system"
+    assert not (tmp_path / "bad").exists()
+    assert not [name for name in set(sys.modules) - loaded if name.partition(".")[0] in ("loose", "package", "space")]
+
+
+@pytest.mark.parametrize("system", ["numpy:array", "numpy:ndarray", "numpy.testing:run_threaded", "click:Command"])
+def test_what_is_no_system_is_not_called_although_it_is_installed(system):
+    with pytest.raises(ConfigurationError, match=r"a class|a LeafSystem|with a class"):
+        construct(PythonOptions(system=system), {})
+
+
+def test_a_file_that_hides_an_installed_package_is_not_taken_for_it(tmp_path, monkeypatch):
+    (tmp_path / "ruff.py").write_text("raise AssertionError('it was run')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigurationError, match="installed package"):
+        load_class(PythonOptions(system="ruff:Mine"))
+
+
+def test_an_installed_module_is_named_with_its_package():
+    assert PythonOptions(system="numpy.linalg:norm").code == "numpy.linalg (installed with numpy)"
+    assert PythonOptions(system="pydrake.systems.framework:LeafSystem").code.endswith("(installed with drake)")
+    assert PythonOptions(system="a/b.py:Mine").code == "a/b.py"
+
+
+@pytest.mark.parametrize("what", ["module", "constructor"])
+def test_a_mistake_before_the_run_is_shown_with_its_line(written, what):
+    bad = GOOD.replace("self.scale = scale", "self.scale = {}['a']") if what == "constructor" else GOOD + "\n{}['a']\n"
+    line = next(number for number, text in enumerate(bad.splitlines(), 1) if "{}['a']" in text)
+    where = "__init__" if what == "constructor" else "<module>"
+    with pytest.raises(ConfigurationError) as caught:
+        run(scenario(written(bad)))
+    assert f"(KeyError: 'a' (mine.py, line {line}, in {where}))" in str(caught.value)
 
 
 @pytest.mark.parametrize("value", ["np.nan", "np.inf", "-np.inf"])

@@ -51,9 +51,7 @@ def weights_text(tuner: AnnTuner) -> str:
     Raises:
         ConfigurationError: It cannot be read.
     """
-    path = default_network_path() if tuner.weights_file is None else Path(tuner.weights_file)
-    # Any bytes are a text in this code; whether they are weights shows in the run.
-    return read_weights(path).decode("latin-1")
+    return read_weights(default_network_path() if tuner.weights_file is None else Path(tuner.weights_file))
 
 
 @dataclass(frozen=True)

@@ -45,19 +45,24 @@ def refuse_motion(
         ConfigurationError: Names the limit, its time and leg.
     """
     pose, rate, _ = motion
-    for name, values, largest, what in _places(robot, options, pose):
-        _refuse(name, getattr(options, name), values, largest, time, what)
+    for name, _, values, largest in [*_bounds(robot, options, pose), *_singularities(robot, options, pose)]:
+        key, _, what = name.partition(" ")
+        allowed = f"a limit that the reference keeps to; {what or 'it'} is broken"
+        _refuse(key, getattr(options, key), values, largest, time, allowed)
     if options.crank_speed is not None:
         speed = np.abs(crank_rates(robot, leg_geometry(robot, pose), pose, rate))
         _refuse("crank_speed", options.crank_speed, speed, options.crank_speed, time)
-    # What the layer looks at: the pose led ahead. Where that is out of reach, a crank is beyond its dead centre.
+    # What the layer looks at is the pose led ahead. Where that is out of reach, a crank is beyond its dead centre.
     ahead = pose + options.horizon * rate
     reached = (reach_margin(robot, ahead) >= 0.0).all(axis=1)
+    looked = [(time, *found[1:]) for found in _bounds(robot, options, ahead)]
     if options.transmission is not None:
-        _refuse("horizon", options.horizon, (~reached).astype(float), 0.0, time, "the reach, ahead of it,")
+        looked.append((time, "serial_singularity", (~reached).astype(float), 0.0))
     if reached.any():
-        for name, values, largest, _ in _places(robot, options, ahead[reached]):
-            _refuse("horizon", options.horizon, values, largest, time[reached], f"safety.{name}, ahead of it,")
+        looked += [(time[reached], *found[1:]) for found in _singularities(robot, options, ahead[reached])]
+    for when, monitor, values, largest in looked:
+        allowed = f"one that does not trip {monitor} along the reference, as it does"
+        _refuse("horizon", options.horizon, values, largest, when, allowed)
     torque = inverse_dynamics(robot, *motion, gravity)
     _refuse_effort(robot, options, time, torque, "the motion")
     _refuse_torque_rate(options, time, torque)
@@ -69,8 +74,8 @@ def _refuse_effort(
     """Refuses a limit below the torques (n, 6) [N m] that the motors need."""
     if options.torque_limit is not None:
         needed = np.abs(torque)
-        what = f"for {doing}, which needs up to {needed.max():.3g} N m, it"
-        _refuse("torque_limit", options.torque_limit, needed, options.torque_limit * robot.effort_limit, time, what)
+        allowed = f"enough for {doing}, which needs up to {needed.max():.3g} N m; it is broken"
+        _refuse("torque_limit", options.torque_limit, needed, options.torque_limit * robot.effort_limit, time, allowed)
 
 
 def _refuse_torque_rate(options: SafetyOptions, time: np.ndarray, torque: np.ndarray) -> None:
@@ -84,27 +89,37 @@ def _refuse_torque_rate(options: SafetyOptions, time: np.ndarray, torque: np.nda
     total = np.cumsum(np.where(fast, step, -step), axis=0)
     total -= np.minimum(np.minimum.accumulate(total, axis=0), 0.0)
     too_long = np.where(fast & (total > options.torque_rate_time + 1e-9), change, 0.0)
-    what = f"for the motion, which needs up to {change.max():.3g} N m/s, it"
-    _refuse("torque_rate", options.torque_rate, too_long, options.torque_rate, time[1:], what)
+    allowed = f"enough for the motion, which needs up to {change.max():.3g} N m/s; it is broken for too long"
+    _refuse("torque_rate", options.torque_rate, too_long, options.torque_rate, time[1:], allowed)
 
 
-def _places(
-    robot: RobotParameters, options: SafetyOptions, pose: np.ndarray
-) -> list[tuple[str, np.ndarray, float, str]]:
-    """Limits of where the platform may be: key, values at poses (n, 6) within reach, their bound, and what is bound."""
+_Found = list[tuple[str, str, np.ndarray, float]]
+"""Key of each limit (and what of it), its monitor, values (n,) or (n, 6), and the largest allowed."""
+
+
+def _bounds(robot: RobotParameters, options: SafetyOptions, pose: np.ndarray) -> _Found:
+    """The workspace at poses (n, 6)."""
+    if options.workspace is None:
+        return []
+    turn = np.asarray(rotation_angle(rotation_matrix(pose[:, :3])))
+    away = np.linalg.norm(pose[:, 3:] - robot.home_pose[3:], axis=1)
+    return [
+        ("workspace the angle", "workspace", turn, options.workspace[0]),
+        ("workspace the distance", "workspace", away, options.workspace[1]),
+    ]
+
+
+def _singularities(robot: RobotParameters, options: SafetyOptions, pose: np.ndarray) -> _Found:
+    """The limits near singularities at poses (n, 6) within reach."""
     legs = leg_geometry(robot, pose)
-    found: list[tuple[str, np.ndarray, float, str]] = []
-    if options.workspace is not None:
-        turn = np.asarray(rotation_angle(rotation_matrix(pose[:, :3])))
-        away = np.linalg.norm(pose[:, 3:] - robot.home_pose[3:], axis=1)
-        found.append(("workspace", turn / options.workspace[0], 1.0, "the angle"))
-        found.append(("workspace", away / options.workspace[1], 1.0, "the distance"))
+    found: _Found = []
     if options.transmission is not None:
-        found.append(("transmission", -np.abs(legs.transmission), -options.transmission, "it"))
+        found.append(("transmission", "serial_singularity", -np.abs(legs.transmission), -options.transmission))
     if options.conditioning is not None:
         lines = rod_lines(legs)
         crossed = np.sign(np.linalg.det(lines)) * np.sign(np.linalg.det(lines[:1]))
-        found.append(("conditioning", -line_conditioning(robot, legs) * crossed, -options.conditioning, "it"))
+        values = -line_conditioning(robot, legs) * crossed
+        found.append(("conditioning", "parallel_singularity", values, -options.conditioning))
     return found
 
 
@@ -144,12 +159,18 @@ def sample_times(duration: float, period: float) -> np.ndarray:
     return np.linspace(0.0, duration, min(_SAMPLES, max(2, round(duration / period) + 1)))
 
 
-def _refuse(name: str, given: Any, values: np.ndarray, largest: float, time: np.ndarray, what: str = "it") -> None:
+def _refuse(
+    name: str,
+    given: Any,
+    values: np.ndarray,
+    largest: float,
+    time: np.ndarray,
+    allowed: str = "a limit that the reference keeps to; it is broken",
+) -> None:
     """Raises for the first sample (of any leg) above a bound."""
     values = values.reshape(len(time), -1)
     bad = ~(values <= largest)
     if bad.any():
         row = int(bad.any(axis=1).argmax())
         where = f", leg {int(bad[row].argmax())}" if values.shape[1] == 6 else ""
-        allowed = f"a limit that the reference keeps to; {what} is broken at t = {time[row]:.3f} s{where}"
-        raise ConfigurationError(f"safety.{name}", given, allowed)
+        raise ConfigurationError(f"safety.{name}", given, f"{allowed} at t = {time[row]:.3f} s{where}")

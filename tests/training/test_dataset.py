@@ -1,4 +1,5 @@
 import dataclasses
+import io
 import itertools
 import json
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.feasibility import check_reference
 from stewart_drake.log import SimulationLog
+from stewart_drake.parquet_files import SealedWriter
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.scenario import Scenario
 from stewart_drake.simulation import run
@@ -235,8 +237,18 @@ def rewritten(path, columns=None, metadata=None):
     kept = {name: table.column(name) for name in table.column_names}
     kept.update(columns or {})
     kept = {name: values for name, values in kept.items() if values is not None}
-    schema = table.schema.metadata if metadata is None else metadata
-    pq.write_table(pa.table(kept).replace_schema_metadata(schema), path)
+    if metadata is not None:
+        pq.write_table(pa.table(kept).replace_schema_metadata(metadata), path)
+        return path
+    return sealed(path, pa.table(kept), json.loads(pq.read_metadata(path).metadata[KEY]))
+
+
+def sealed(path, table, about):
+    stream = io.BytesIO()
+    with SealedWriter(stream, table.schema, KEY) as writer:
+        writer.write(table)
+        writer.seal(about)
+    path.write_bytes(stream.getvalue())
     return path
 
 
@@ -302,9 +314,29 @@ def test_a_missing_value_is_refused(tmp_path):
 
 def test_a_dataset_without_samples_is_refused(tmp_path):
     path = rewritten(tmp_path / "data.parquet")
-    pq.write_table(pq.read_table(path).slice(0, 0), path)
+    sealed(path, pq.read_table(path).slice(0, 0), {"version": 2})
     with pytest.raises(ConfigurationError, match="0 rows"):
         load_dataset(path)
+
+
+@pytest.mark.parametrize("about", [{}, {"version": 1}, {"version": 3}, [2], None], ids=repr)
+def test_another_version_is_named(tmp_path, about):
+    path = rewritten(tmp_path / "data.parquet")
+    with pytest.raises(ConfigurationError, match="of version 2, written by `collect`"):
+        load_dataset(sealed(path, pq.read_table(path), about))
+
+
+def test_every_flipped_bit_is_refused_by_one_line(tmp_path):
+    path = tmp_path / "data.parquet"
+    made_up().save(path)
+    content = path.read_bytes()
+    for place in np.random.default_rng(5).integers(0, 8 * len(content), 200):
+        flipped = bytearray(content)
+        flipped[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(flipped)
+        with pytest.raises(ConfigurationError) as caught:
+            load_dataset(path)
+        assert str(caught.value).isprintable()
 
 
 def test_a_missing_file_is_refused(tmp_path):
