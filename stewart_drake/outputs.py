@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -16,8 +17,9 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import read_checked, sync_folder, write_atomically
 from stewart_drake.log import UNFINISHED, SimulationLog
 from stewart_drake.metrics import run_metrics
+from stewart_drake.named_files import take_code_along
 from stewart_drake.scenario import Scenario
-from stewart_drake.yaml_files import MAX_BYTES
+from stewart_drake.yaml_files import MAX_BYTES, to_yaml
 
 SPACE = 50_000_000
 """[byte] that a command asks for before it begins."""
@@ -113,6 +115,7 @@ class ResultsFolder:
         self._named = str(place)
         self._lock: BinaryIO | None = None
         self._done = False
+        self._files = _own_files(scenario)
         # Nothing is made as long as something may be refused.
         self._refuse_loss()
 
@@ -147,7 +150,8 @@ class ResultsFolder:
         metrics = run_metrics(log)
         text = json.dumps(metrics, indent=2, allow_nan=False) + "\n"
         write_atomically(self.folder / "metrics.json", text.encode())
-        write_atomically(self.folder / "scenario.yaml", (_AS_RUN + log.scenario.to_yaml()).encode())
+        for name, content in self._files.items():
+            write_atomically(self.folder / name, content)
         if graph is not None:
             write_atomically(self.folder / "diagram.dot", graph.encode())
             svg = _render_graph(graph)
@@ -211,7 +215,7 @@ class ResultsFolder:
         except OSError as error:
             why = error.strerror or str(error)
             raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
-        text, kept = _AS_RUN + self._scenario.to_yaml(), b""
+        kept = b""
         if "scenario.yaml" in names:
             kept = read_checked(place / "scenario.yaml", f"--out {self._named}: scenario.yaml", MAX_BYTES)
         others = sorted(names - _FILES)
@@ -220,7 +224,7 @@ class ResultsFolder:
         if others:
             allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
             raise ConfigurationError("--out", self._named, allowed)
-        if names and kept != text.encode() and not self._force:
+        if names and kept != self._files["scenario.yaml"] and not self._force:
             allowed = "a folder without the results of another scenario, or --force to replace them"
             raise ConfigurationError("--out", self._named, allowed)
 
@@ -244,8 +248,9 @@ def write_run(
 ) -> dict[str, Any]:
     """Writes everything about a run into a folder, which appears as a whole.
 
-    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot.
-    Results of the same scenario that are there are replaced.
+    Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot;
+    with a controller of the user's from a file controller.py, so that scenario.yaml can be run again. Results of the
+    same scenario that are there are replaced.
 
     Args:
         log: The run.
@@ -263,6 +268,18 @@ def write_run(
     with ResultsFolder(folder, log.scenario, force) as results:
         log.save(results.folder / "log.parquet")
         return results.finish(log, graph, pictures)
+
+
+def _own_files(scenario: Scenario) -> dict[str, bytes]:
+    """The scenario as run, and the controller's file that it runs if it has one."""
+    data, code = scenario.to_dict(), dict[str, bytes]()
+    # Of a log from elsewhere the code may be gone; then its results do without.
+    with suppress(ConfigurationError):
+        data, code = take_code_along(data)
+    for content in code.values():
+        kind = data["controller"]["system"].rpartition(":")[2]
+        data["controller"]["system"], code = f"controller.py:{kind}", {"controller.py": content}
+    return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **code}
 
 
 def _remove(path: Path) -> None:

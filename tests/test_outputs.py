@@ -155,6 +155,23 @@ def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path):
     assert (mine / "work").read_text() == "mine"
 
 
+def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_again(tmp_path):
+    code = tmp_path / "elsewhere" / "mine.py"
+    code.parent.mkdir()
+    code.write_text("one = 1\n")
+    own = {"controller": {"kind": "python", "system": f"{code}:Mine"}}
+    folder = tmp_path / "out"
+    write_run(made_log(scenario=own), folder, pictures=False)
+    assert names(folder) == ALWAYS | {"controller.py"}
+    assert (folder / "controller.py").read_text() == "one = 1\n"
+    again = load_scenario(folder / "scenario.yaml")
+    assert again.controller.system == f"{folder / 'controller.py'}:Mine"
+    write_run(made_log(scenario=own), folder, pictures=False)
+    code.unlink()
+    write_run(made_log(scenario=own), tmp_path / "without", pictures=False)
+    assert names(tmp_path / "without") == ALWAYS
+
+
 def test_numbers_that_are_not_finite_are_null_with_a_reason(tmp_path):
     pose = np.zeros((101, 6))
     pose[80:, 2], pose[90:, 4] = np.inf, np.nan
