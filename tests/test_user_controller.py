@@ -197,8 +197,11 @@ def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, er
     assert (log.status, log.reason) == ("failed", "controller_raised")
     assert len(log.time) > 40
     line = text.splitlines().index(f"            raise {error}") + 1
-    assert log.message.endswith(f" (mine.py, line {line}, in calc)")
-    assert log.message.isprintable()
+    first, *trace = log.message.splitlines()
+    assert first.endswith(f" (mine.py, line {line}, in calc)")
+    assert trace[0] == "Traceback (most recent call last):"
+    assert trace[1].endswith(f'mine.py", line {line}, in calc')
+    assert all(line.isprintable() for line in log.message.splitlines())
 
 
 def guarded(options, function):
