@@ -16,12 +16,18 @@ from pathlib import Path
 from typing import Any
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.files import locked_folder
 from stewart_drake.log import SimulationLog, load_log
 from stewart_drake.named_files import file_digests
 from stewart_drake.network import default_network_path
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
 from stewart_drake.versions import collect_versions
+
+WORKER_GONE = (
+    "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
+    ' which must be a file with the call under `if __name__ == "__main__":`'
+)
 
 
 def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None) -> str:
@@ -87,10 +93,15 @@ class RunStore:
             check: As in `simulation.run`.
 
         Raises:
-            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to.
+            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to or is in use.
             StewartDrakeError: A worker process ended by itself.
         """
-        prepare_folder(self.folder)
+        with locked_folder(prepare_folder(self.folder)):
+            return self._run_all(scenarios, progress, check)
+
+    def _run_all(
+        self, scenarios: Sequence[Scenario], progress: Callable[[float], None] | None, check: bool
+    ) -> list[SimulationLog]:
         versions = collect_versions()
         paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
         logs = {path: _kept(path) for path in dict.fromkeys(paths)}
@@ -140,10 +151,7 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
             future.result()
             advance()
     except BrokenProcessPool:
-        raise StewartDrakeError(
-            "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script "
-            'that called, which must be a file with the call under `if __name__ == "__main__":`'
-        ) from None
+        raise StewartDrakeError(WORKER_GONE) from None
     except KeyboardInterrupt:
         # What is half done is lost all the same, so nobody waits for it.
         for worker in set(multiprocessing.active_children()) - others:

@@ -37,6 +37,14 @@ from stewart_drake.versions import collect_versions
 if TYPE_CHECKING:
     import pyarrow as pa
 
+PICTURES = ("rmse", "error", "bands")
+PRODUCTS = (
+    *(f"{name}.{ending}" for name in ("comparison", "bands") for ending in ("parquet", "csv")),
+    "comparison.md",
+    *(f"{name}.png" for name in PICTURES),
+)
+"""Files that a comparison leaves, the pictures included."""
+
 
 @dataclass(frozen=True, eq=False)
 class ComparisonResult:
@@ -84,7 +92,7 @@ def run_comparison(
         KeyboardInterrupt: Rows done are kept.
     """
     versions = collect_versions()
-    with RowStore(folder, _identity(comparison, versions), restart) as store:
+    with RowStore(folder, _identity(comparison, versions), restart, PRODUCTS) as store:
         done = run_plan(comparison, store, where, progress, function)
         rows, bands = table_rows(comparison, done), band_rows(comparison, done)
         result = ComparisonResult(

@@ -10,11 +10,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.report import Figure, Section, write_report
 from stewart_drake.experiments.reproduction.region import NEAR
 from stewart_drake.experiments.reproduction.study import Study
 from stewart_drake.experiments.runs import weights_text
-from stewart_drake.files import write_atomically
+from stewart_drake.files import read_checked, seal, unseal, write_atomically
 from stewart_drake.named_files import file_digests
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.references import paper_reference
@@ -40,6 +41,8 @@ SECTIONS = (
 PAPER_DURATION = 10.0
 """[s] for which the robot must be able to follow (37), (38)."""
 _VERSIONS = ("stewart-drake", "drake", "numpy", "scipy", "torch", "source")
+_LARGEST = 2**30
+"""[byte] of a kept part, and of each file that belongs to it."""
 TITLE = "Intelligent optimal feed-back torque control of a rotary Stewart platform: what holds and what does not"
 
 
@@ -64,13 +67,20 @@ def reproduce(
         The sections.
 
     Raises:
-        ConfigurationError: See `check_base`; or the folder cannot be written to. Found before any work.
+        ConfigurationError: See `check_base`; or the folder cannot be written to or is in use. Found before any work.
     """
     base = Scenario() if base is None else base
     check_base(base)
     folder = prepare_folder(folder)
     study = Study(folder, quick, base)
-    parts = prepare_folder(folder / "parts")
+    with study.locked("parts", "figures"):
+        return _reproduce(study, progress, finished)
+
+
+def _reproduce(
+    study: Study, progress: Callable[[str, float], None] | None, finished: Callable[[Section], None] | None
+) -> list[Section]:
+    folder, quick, base, parts = study.folder, study.quick, study.base, study.folder / "parts"
     versions = collect_versions() | {"torch": package_version("torch")}
     stamp = _stamp(base, quick, versions)
     sections = []
@@ -117,23 +127,24 @@ def _keep(section: Section, path: Path, folder: Path) -> Section:
     """Writes a finished part, the section and digests of its files; returns the section as it will be read back."""
     text = section.to_json()
     part = {"section": json.loads(text), "digests": _digests(section, folder)}
-    write_atomically(path, json.dumps(part, indent=1, allow_nan=False).encode())
+    write_atomically(path, json.dumps(seal(part), indent=1, allow_nan=False).encode())
     return Section.from_json(text)
 
 
 def _kept(path: Path, folder: Path) -> Section | None:
-    """The part at `path`; None where there is none, or where its files are no longer those that it was made with."""
+    """The part at `path`; None where there is none that is whole, or its files are not those that it was made with."""
     try:
-        part = json.loads(path.read_text(encoding="utf-8"))
+        part = unseal(json.loads(read_checked(path, str(path), _LARGEST)))
         section = Section.from_json(json.dumps(part["section"]))
         return section if part["digests"] == _digests(section, folder) else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ConfigurationError, OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
 def _digests(section: Section, folder: Path) -> dict[str, str]:
     figures = [f"figures/{item.file}" for item in section.items if isinstance(item, Figure)]
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (*figures, *section.files)}
+    files = (*figures, *section.files)
+    return {name: hashlib.sha256(read_checked(folder / name, name, _LARGEST)).hexdigest() for name in files}
 
 
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
