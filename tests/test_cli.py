@@ -542,3 +542,37 @@ def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, co
     assert status == 2
     assert "made" in err
     assert list((tmp_path / "made").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (MemoryError(), 3, "out of memory"),
+        (np.linalg.LinAlgError("Singular matrix"), 4, r"internal error: LinAlgError: Singular matrix \(test_cli\.py, line"),
+        (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
+        (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
+        (SystemExit("Failure at plant.cc:1"), 4, "internal error: SystemExit: Failure at plant.cc:1"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("shown", [False, True])
+def test_what_nobody_expected_is_one_line_and_on_request_a_traceback(call, monkeypatch, error, status, words, shown):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(scenario, "load_scenario", fail)
+    if shown:
+        monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "1")
+    found, out, err = call("run", "paper_fig7")
+    assert (found, out) == (status, "")
+    assert re.match(f"stewart-drake: {words}", err.splitlines()[-1])
+    assert ("Traceback" in err) is (shown and status == 4)
+    assert shown or len(err.splitlines()) == 1
+
+
+def test_no_library_warns_of_a_blow_up_on_the_terminal(tmp_path):
+    # Without gravity in the model nothing holds the robot up; at a step of 20 ms the plant's numbers overflow.
+    changes = ("plant.time_step=0.02", "controller.period=0.02", "duration=2", "tuner.kind=fixed", "tuner.omega_q=1e8")
+    options = [word for change in changes for word in ("--set", change)]
+    status, _, err = shell("run", "paper_fig7", *options, "--quiet", cwd=tmp_path, code=WITHOUT_PICTURES)
+    print(status, err)
+    assert "Warning" not in err

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from stewart_drake.named_files import file_digests
 from stewart_drake.network import default_network_path
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.terminal import quiet_libraries
 from stewart_drake.versions import collect_versions
 
 WORKER_GONE = (
@@ -139,7 +141,7 @@ def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
 def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool, advance: Callable[[], None]) -> None:
     others = set(multiprocessing.active_children())
     # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=start_worker)
     try:
         # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -161,8 +163,15 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _end_with_parent() -> None:
-    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever."""
+_QUIET = ExitStack()
+
+
+def start_worker() -> None:
+    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever.
+
+    And keeps libraries quiet in it, for good.
+    """
+    _QUIET.enter_context(quiet_libraries())
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -1,11 +1,15 @@
 import dataclasses
 import json
+import logging
 import multiprocessing
 import os
 import re
 import signal
+import socket
+import threading
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -475,6 +479,8 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(cluster, refere
     killed = []
 
     def progress(done):
+        # What Dask has to say about it is not for the terminal.
+        assert logging.getLogger("distributed.client").disabled
         if done >= 2 and not killed:
             victim = result_worker(tmp_path)
             killed.append(victim)
@@ -507,6 +513,31 @@ def test_a_scheduler_that_does_not_answer_is_bad_input(tmp_path, monkeypatch):
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://127.0.0.1:notaport"):
         with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
             run_sweep(sweep(), tmp_path, DaskCluster(address))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"", None])
+def test_a_port_that_is_not_dask_is_bad_input(monkeypatch, answer):
+    """It talks of something else, hangs up, or takes what it is told and says nothing."""
+    pytest.importorskip("distributed")
+    from stewart_drake.experiments.sweeps import executors
+
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as calls:
+
+        def serve():
+            with suppress(OSError):
+                while True:
+                    call = calls.enter_context(server.accept()[0])
+                    if answer is not None:
+                        call.sendall(answer)
+                        call.close()
+
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
+            DaskCluster(address).connect()
+        server.shutdown(socket.SHUT_RDWR)
+    assert not logging.getLogger("distributed.client").disabled
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):

@@ -5,17 +5,15 @@ from __future__ import annotations
 import os
 import socket
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from stewart_drake import versions
-from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
 from stewart_drake.files import NOT_FINITE, plain_json
 
 if TYPE_CHECKING:
@@ -166,15 +164,8 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
-        return empty_row(task, "raised", type(error).__name__, f"{str(error) or type(error).__name__}{_where(error)}")
-
-
-def _where(error: BaseException) -> str:
-    """Where an exception came from; nothing where that depends on how deep the stack or how full the memory was."""
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, (RecursionError, MemoryError)):
-        return ""
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+        name = type(error).__name__
+        return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")
 
 
 @lru_cache(maxsize=1)

@@ -312,7 +312,8 @@ class _Job:
 def _broken(error: BaseException) -> StewartDrakeError:
     """What an executor raises of its own accord: no row, because no run is to blame."""
     if isinstance(error, CancelledError):
-        return StewartDrakeError("the executor cancelled a run: it was shut down, or its cluster is gone")
+        text = "the executor cancelled a run: it was shut down, or its cluster is gone; rows done are kept"
+        return StewartDrakeError(text)
     return StewartDrakeError(f"the executor failed: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
