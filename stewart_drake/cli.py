@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import signal
 import sys
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,14 +19,23 @@ from stewart_drake.cli_faults import faults
 from stewart_drake.cli_options import OutPath, out_file, out_folder, overrides
 from stewart_drake.cli_sweep import sweep
 from stewart_drake.cli_workspace import workspace
-from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.terminal import ProgressBar, announce_compilation, drop_output, print_run, print_table
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.terminal import (
+    ProgressBar,
+    announce_compilation,
+    drop_output,
+    print_run,
+    print_table,
+    quiet_libraries,
+)
 
 if TYPE_CHECKING:
     from stewart_drake.experiments.report import Section
     from stewart_drake.training.train import Split
 
-EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERRUPTED = 2, 3, 130
+EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED = 2, 3, 4, 130
+TRACEBACK = "STEWART_DRAKE_TRACEBACK"
+"""Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
 
 _LONG = 100.0
 """[s] of a run whose check takes more than a second or two."""
@@ -241,7 +252,10 @@ cli.add_command(workspace)
 
 
 def main() -> None:
-    """Runs a command; errors of this package end in one line and an exit status, never in a traceback.
+    """Runs a command; it ends in an exit status and, where something is wrong, in one line, never in a traceback.
+
+    Beside what the commands say of themselves, 3 is also for a machine without memory, and 4 for an error that nobody
+    expected: a mistake in this package, worth a report. STEWART_DRAKE_TRACEBACK=1 shows all of it.
 
     SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
     """
@@ -249,7 +263,8 @@ def main() -> None:
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
-    status = _status()
+    with quiet_libraries():
+        status = _status()
     try:
         # There is none where the shell has closed it.
         if sys.stdout is not None:
@@ -259,12 +274,27 @@ def main() -> None:
     sys.exit(status)
 
 
-def _status() -> int | str | None:
+def _status() -> int:
     """What a command ends with, for `sys.exit`."""
+    try:
+        return _expected()
+    except MemoryError:
+        return _tell("out of memory", EXIT_RUN_FAILED)
+    except (Exception, SystemExit) as error:  # Drake says SystemExit where one of its checks fails
+        if os.environ.get(TRACEBACK):
+            traceback.print_exception(error)
+        name = f"{type(error).__name__}: {error}{raised_at(error)}"
+        return _tell(f"internal error: {name}; set {TRACEBACK}=1 to see all of it", EXIT_INTERNAL)
+
+
+def _expected() -> int:
+    """The same for what can be expected to go wrong."""
     try:
         cli(standalone_mode=False)
     except SystemExit as end:
-        return end.code
+        if not isinstance(end.code, int | None):
+            raise
+        return end.code or 0
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _tell("interrupted", EXIT_INTERRUPTED)
     except ImportError as error:

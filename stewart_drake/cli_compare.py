@@ -55,7 +55,8 @@ def compare(comparison: str, out: Path | None, workers: int | None, quick: bool,
                 advance(count)
 
             result = run_comparison(loaded, folder, LocalProcesses(workers), progress, restart)
-        write_pictures(loaded, result, folder)
+        for line in write_pictures(loaded, result, folder):
+            click.echo(f"stewart-drake: {line}", err=True)
     except KeyboardInterrupt:
         kept = f"{done:.0f} of {loaded.runs} runs are kept in {folder}; the same command goes on from there"
         click.echo(f"stewart-drake: interrupted; {kept}", err=True)

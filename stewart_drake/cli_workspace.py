@@ -69,9 +69,11 @@ def workspace(
 
     with ProgressBar("workspace", 100.0, quiet, unit="%") as advance:
         study = Study(out, base=base, progress=lambda share: advance(100.0 * share))
-        section = make_section(study, samples, center)
-    preface = f"Made by `stewart-drake workspace` for the scenario {base.name}."
-    write_report(out, section.title, preface, [section])
-    write_atomically(out / "workspace.json", (json.dumps(section.numbers, indent=1, allow_nan=False) + "\n").encode())
+        with study.locked("figures"):
+            section = make_section(study, samples, center)
+            preface = f"Made by `stewart-drake workspace` for the scenario {base.name}."
+            write_report(out, section.title, preface, [section])
+            numbers = json.dumps(section.numbers, indent=1, allow_nan=False) + "\n"
+            write_atomically(out / "workspace.json", numbers.encode())
     if not quiet:
         print_table(f"report in {out / 'report.html'}", summary(section.numbers))

@@ -7,8 +7,10 @@ Two families matter to a caller. `ConfigurationError` is bad input, found before
 from __future__ import annotations
 
 import reprlib
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -257,6 +259,14 @@ FAILURES = (
 def failure_code(reason: str) -> int:
     """Number of a reason, see `FAILURES`."""
     return 1 + (FAILURES.index(reason) if reason in FAILURES else 0)
+
+
+def raised_at(error: BaseException) -> str:
+    """Where an exception came from, as ` (file, line n)`; nothing where that depends on how deep or full memory was."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames or isinstance(error, (RecursionError, MemoryError)):
+        return ""
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -20,6 +21,8 @@ from stewart_drake.errors import ConfigurationError
 CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 """Keys that `seal` and `plain_json` add."""
 
+_UNFINISHED = ".part"
+"""Ending of a file that is being written."""
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
@@ -79,7 +82,7 @@ def write_atomically(path: Path, content: bytes) -> None:
         ConfigurationError: The folder is missing or not writable; nothing is left behind.
     """
     try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_UNFINISHED)
         try:
             with os.fdopen(descriptor, "wb") as stream:
                 stream.write(content)
@@ -112,6 +115,8 @@ def sync_folder(folder: Path) -> None:
 def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
     """Keeps other processes that ask for it out of a folder; the system lifts the lock when this process ends.
 
+    What a process that was killed has left half written in it is cleared away: nobody is writing it any more.
+
     Args:
         folder: It exists.
         key: For messages.
@@ -119,20 +124,37 @@ def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
     Raises:
         ConfigurationError: Another process has it, or its disk has no locks.
     """
+    descriptor = _lock(folder, key)
     try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise ConfigurationError(key, str(folder), f"a folder that can be read ({error.strerror})") from None
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigurationError(key, str(folder), "a folder that no other process is using") from None
-        except OSError as error:
-            raise ConfigurationError(key, str(folder), f"a folder that can be locked ({error.strerror})") from None
+        for name in folder.glob(f".*{_UNFINISHED}"):
+            with suppress(OSError):
+                name.unlink()
         yield
     finally:
         os.close(descriptor)
+
+
+def _lock(folder: Path, key: str) -> int:
+    """A descriptor that holds the lock of a folder until it is closed."""
+    descriptor = None
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno != errno.EBADF:
+                raise
+            # A network's disk locks only what is open for writing, which a folder never is.
+            os.close(descriptor)
+            descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if descriptor is not None:
+            os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            raise ConfigurationError(key, str(folder), "a folder that no other process is using") from None
+        raise ConfigurationError(key, str(folder), f"a folder that can be locked ({error.strerror})") from None
+    return descriptor
 
 
 def plain_json(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,9 +21,16 @@ _ITERATIONS = 60
 
 
 def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """K = (R + B' P B)^-1 B' P A, (31), for u = -K x."""
+    """K = (R + B' P B)^-1 B' P A, (31), for u = -K x.
+
+    Raises:
+        RiccatiError: R + B' P B is singular, as far as floating point can tell.
+    """
     pb = p @ b
-    return np.linalg.solve(r + b.T @ pb, pb.T @ a)
+    try:
+        return np.linalg.solve(r + b.T @ pb, pb.T @ a)
+    except np.linalg.LinAlgError:
+        raise RiccatiError("R + B' P B is singular: masses or weights lie too far apart") from None
 
 
 def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:

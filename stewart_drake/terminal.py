@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from stewart_drake.feasibility import FeasibilityReport
@@ -52,6 +58,18 @@ def announce_compilation(controller: Any) -> None:
 
     if not is_kept(lqi_tick):
         console(stderr=True).print("compiling: half a minute, once on this machine", highlight=False)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keeps numpy's and others' warnings about numbers that are not finite off the terminal: our checks find those.
+
+    Python's own option -W shows them all the same.
+    """
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")
+        yield
 
 
 def console(stderr: bool = False) -> Any:

@@ -8,10 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from stewart_drake import scenario as scenario_module
 from stewart_drake import simulation
 from stewart_drake.cli import cli, main
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.log import load_log
 from stewart_drake.network import default_network_path
 from stewart_drake.scenario import load_scenario, scenario_folder, scenario_schema
@@ -482,9 +485,7 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
         # What pybind11 makes of Ctrl-C while a compiled module loads.
         raise ImportError("initialization failed") from KeyboardInterrupt()
 
-    from stewart_drake import scenario
-
-    monkeypatch.setattr(scenario, "load_scenario", interrupt if where == "load_scenario" else interrupted_import)
+    monkeypatch.setattr(scenario_module, "load_scenario", interrupt if where == "load_scenario" else interrupted_import)
     status, out, err = call("run", "paper_fig7")
     assert (status, out) == (130, "")
     assert err.strip() == "stewart-drake: interrupted"
@@ -495,9 +496,7 @@ def test_a_mistake_in_the_code_is_not_hidden(call, monkeypatch):
     def broken(*_args):
         raise ZeroDivisionError("mine")
 
-    from stewart_drake import scenario
-
-    monkeypatch.setattr(scenario, "load_scenario", broken)
+    monkeypatch.setattr(scenario_module, "load_scenario", broken)
     with pytest.raises(ZeroDivisionError, match="mine"):
         call("run", "paper_fig7")
 
@@ -542,3 +541,38 @@ def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, co
     assert status == 2
     assert "made" in err
     assert list((tmp_path / "made").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (MemoryError(), 3, "out of memory"),
+        (np.linalg.LinAlgError("Singular"), 4, r"internal error: LinAlgError: Singular \(test_cli\.py, line"),
+        (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
+        (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
+        (SystemExit("Failure at plant.cc:1"), 4, "internal error: SystemExit: Failure at plant.cc:1"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("shown", [False, True])
+def test_what_nobody_expected_is_one_line_and_on_request_a_traceback(call, monkeypatch, error, status, words, shown):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(scenario_module, "load_scenario", fail)
+    if shown:
+        monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "1")
+    found, out, err = call("run", "paper_fig7")
+    assert (found, out) == (status, "")
+    assert re.match(f"stewart-drake: {words}", err.splitlines()[-1])
+    assert ("Traceback" in err) is (shown and status == 4)
+    assert shown or len(err.splitlines()) == 1
+
+
+def test_no_library_warns_of_a_blow_up_on_the_terminal(call, monkeypatch):
+    def noisy(*_):
+        np.float64(1e200) ** 2
+        np.mean([])
+        raise ConfigurationError("key", 1, "2")
+
+    monkeypatch.setattr(scenario_module, "load_scenario", noisy)
+    assert call("run", "paper_fig7") == (2, "", "stewart-drake: key: got 1; allowed: 2\n")

@@ -1,3 +1,5 @@
+import errno
+import fcntl
 import os
 import stat
 from pathlib import Path
@@ -5,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
+from stewart_drake.files import locked_folder, write_atomically
 
 
 def test_a_file_holds_exactly_what_was_written(tmp_path):
@@ -56,6 +58,38 @@ def test_a_reader_sees_the_old_file_until_the_new_one_is_whole(tmp_path, monkeyp
     write_atomically(path, b"new and longer")
     assert seen == [(b"old", b"new and longer", tmp_path)]
     assert path.read_bytes() == b"new and longer"
+
+
+def test_what_a_killed_process_has_left_half_written_is_cleared_by_the_next(tmp_path, monkeypatch):
+    (tmp_path / ".mine").write_bytes(b"not ours")
+    monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)  # as if the process had died
+    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "file", b"x")
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.undo()
+    with locked_folder(tmp_path):
+        assert [path.name for path in tmp_path.iterdir()] == [".mine"]
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_a_folder_is_one_process_s_at_a_time(tmp_path, monkeypatch, network):
+    real = fcntl.flock
+
+    def flock(descriptor, how):
+        # A network's disk locks only what is open for writing.
+        if network and stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        real(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    for _ in range(2):
+        with (
+            locked_folder(tmp_path),
+            pytest.raises(ConfigurationError, match="no other process"),
+            locked_folder(tmp_path),
+        ):
+            pass
 
 
 def test_a_missing_folder_and_a_folder_in_the_way_are_named(tmp_path):

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.log import SimulationLog
 from stewart_drake.metrics import run_metrics
-from stewart_drake.plotting import DPI, plot_states, plot_torques, save_figure
+from stewart_drake.plotting import DPI, draw, plot_states, plot_torques, save_figure
 from stewart_drake.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -242,6 +242,18 @@ def test_rows_that_are_not_finite_leave_the_rest_readable(plot, tmp_path):
     figure = plot(failed(dataclasses.replace(log, signals=signals)))
     save_figure(figure, tmp_path / "figure.png")
     assert all(np.isfinite(axes.get_ylim()).all() for axes in figure.axes)
+
+
+@pytest.mark.parametrize("plot", [plot_states, plot_torques])
+@pytest.mark.parametrize("value", [1e12, 1e160, -1e308, np.inf, np.nan])
+@pytest.mark.parametrize("rows", [1, 200])
+def test_a_blow_up_is_drawn_within_bounds(plot, value, rows, tmp_path):
+    log = make_log()
+    signals = {name: values.copy() for name, values in log.signals.items()}
+    for name in ("pose", "integral", "torque", "torque_applied", "weights"):
+        signals[name][-rows:] = value
+    assert draw(lambda: plot(failed(dataclasses.replace(log, signals=signals))), tmp_path / "figure.png") is None
+    assert imread(tmp_path / "figure.png").shape[2] == 4
 
 
 @pytest.mark.parametrize("plot", [plot_states, plot_torques])

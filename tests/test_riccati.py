@@ -397,6 +397,11 @@ def test_what_drake_gives_and_does_not_stabilise_is_refused():
         solve_drake(a, b, 1e20 * np.eye(18), np.eye(6))
 
 
+def test_a_singular_problem_is_named():
+    with pytest.raises(RiccatiError, match="masses or weights lie too far apart"):
+        riccati_gain(np.eye(2), np.ones((2, 2)), np.zeros((2, 2)), np.eye(2))
+
+
 def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pydrake.math", None)
     with pytest.raises(ConfigurationError, match=r"controller\.solver.*split"):

@@ -11,17 +11,25 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.files import locked_folder
 from stewart_drake.log import SimulationLog, load_log
 from stewart_drake.named_files import file_digests
 from stewart_drake.network import default_network_path, read_weights
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.terminal import quiet_libraries
 from stewart_drake.versions import collect_versions
+
+WORKER_GONE = (
+    "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
+    ' which must be a file with the call under `if __name__ == "__main__":`'
+)
 
 
 def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None) -> str:
@@ -83,10 +91,15 @@ class RunStore:
             check: As in `simulation.run`.
 
         Raises:
-            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to.
+            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to or is in use.
             StewartDrakeError: A worker process ended by itself.
         """
-        prepare_folder(self.folder)
+        with locked_folder(prepare_folder(self.folder)):
+            return self._run_all(scenarios, progress, check)
+
+    def _run_all(
+        self, scenarios: Sequence[Scenario], progress: Callable[[float], None] | None, check: bool
+    ) -> list[SimulationLog]:
         versions = collect_versions()
         paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
         logs = {path: _kept(path) for path in dict.fromkeys(paths)}
@@ -124,7 +137,7 @@ def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
 def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: bool, advance: Callable[[], None]) -> None:
     others = set(multiprocessing.active_children())
     # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=start_worker)
     try:
         # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -136,10 +149,7 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
             future.result()
             advance()
     except BrokenProcessPool:
-        raise StewartDrakeError(
-            "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script "
-            'that called, which must be a file with the call under `if __name__ == "__main__":`'
-        ) from None
+        raise StewartDrakeError(WORKER_GONE) from None
     except KeyboardInterrupt:
         # What is half done is lost all the same, so nobody waits for it.
         for worker in set(multiprocessing.active_children()) - others:
@@ -149,8 +159,15 @@ def _run_in_processes(missing: Mapping[Path, Scenario], workers: int, check: boo
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _end_with_parent() -> None:
-    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever."""
+_QUIET = ExitStack()
+
+
+def start_worker() -> None:
+    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever.
+
+    And keeps libraries quiet in it, for good.
+    """
+    _QUIET.enter_context(quiet_libraries())
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -27,8 +27,8 @@ _STYLES = (
 _BAND = "#F4F6F8"
 _BESIDE = 3
 """Panels that have room side by side."""
-_SMALLEST = 1e-6
-"""[mm] what is smaller is drawn here."""
+_SMALLEST, _LARGEST = 1e-6, 1e9
+"""[mm] what is smaller or larger is drawn here."""
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _PHASE_SHOWN = 1e-3
 """Amplitude ratio below which a phase says nothing."""
@@ -56,7 +56,7 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
     else:
         height = 1.4 + 0.2 * sum(lanes.values()) + 0.55 * len(shown)
         figure, axes = panels(len(shown), 1, height, sharex=True, height_ratios=list(lanes.values()))
-    values = [max(row["pose_rmse_mm"], _SMALLEST) for row in rows if _done(row)]
+    values = [_within(row["pose_rmse_mm"]) for row in rows if _done(row)]
     low, high = (min(values) / 2.0, max(values) * 2.0) if values else (0.1, 10.0)
     edge = high * (high / low) ** 0.05
     for panel, (condition, references) in zip(axes.flat, shown.items(), strict=True):
@@ -89,7 +89,7 @@ def _plot_lanes(
         style = styles[row["controller"]]
         y = place + (0.5 * (len(here) - 1) - here.index(row["controller"])) * 0.8 / max(4, len(here))
         if _done(row):
-            value = max(row["pose_rmse_mm"], _SMALLEST)
+            value = _within(row["pose_rmse_mm"])
             panel.plot([low, value], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
             panel.plot(value, y, **style)
         else:
@@ -113,8 +113,8 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
             if row["condition"] != condition:
                 continue
             color, time = styles[row["controller"]]["color"], np.array(row["trace"]["time"])
-            # What is exactly zero, such as the start, has no place on this axis.
-            size = np.maximum(row["trace"]["pose_mm"], 1e-7)
+            # What is exactly zero, such as the start, has no place on this axis; null was no number.
+            size = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 1e-7, _LARGEST)
             panel.plot(time, size, color=color, linewidth=1.5)
             if row["status"] != "completed":
                 panel.plot(time[-1], size[-1], color=color, **_CROSS)
@@ -122,7 +122,7 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
         panel.yaxis.set_major_formatter("{x:g}")
         panel.minorticks_off()
         label(panel, condition, "time [s]" if condition == conditions[-1] else "", "pose error [mm]")
-    sizes = [value for row in rows for value in row["trace"]["pose_mm"] if value > 0.0]
+    sizes = [min(value, _LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]
     if sizes:
         axes[0, 0].set_ylim(max(1e-6, 0.3 * float(np.percentile(sizes, 2.0))), 2.0 * max(sizes))
     settled = Line2D([], [], color=TEXT, linestyle=(0, (4, 3)), linewidth=0.9, label=f"settled: {band:g} mm")
@@ -149,7 +149,8 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
             )
             if not found:
                 continue
-            frequency, ratio, lag = np.array(found).T
+            frequency, ratio, lag = np.array(found, dtype=float).T
+            ratio = ratio.clip(max=_LARGEST)
             look = {**style, "linestyle": "-", "linewidth": 1.5, "markersize": style["markersize"] * 0.8}
             amplitude.plot(frequency, ratio, **look)
             lag = np.where(ratio > _PHASE_SHOWN, np.degrees(np.unwrap(np.radians(lag))), np.nan)
@@ -173,6 +174,10 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
         label(rest, f"{name}: error", "frequency [Hz]", "error / reference [-]" if first else "")
     _legend(figure, styles)
     return figure
+
+
+def _within(value: float) -> float:
+    return min(max(value, _SMALLEST), _LARGEST)
 
 
 def _done(row: Mapping[str, Any]) -> bool:

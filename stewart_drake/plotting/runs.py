@@ -6,6 +6,8 @@ Figures are plain objects made without pyplot: no backend is chosen, no window o
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SIGNALS, SimulationLog
 from stewart_drake.lqi_options import LqiOptions
@@ -26,6 +28,9 @@ DPI = 150
 
 # Okabe and Ito's palette, which people with any colour vision can tell apart. Axis 1, 2, 3 as in RGB triads.
 _AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
+LARGEST = 1e9
+"""What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
+
 _QUIET, _TEXT, _FAILURE = "#8C8C8C", "#222222", "#B2182B"
 _NEAR_LIMIT = 0.8
 _DASHED: dict[str, Any] = {"color": _TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
@@ -80,7 +85,9 @@ def plot_states(log: SimulationLog) -> Figure:
     figure, axes = _figure(
         log, "states, RMS over the second half", rows=5, height=11.5, height_ratios=(1.35, 1.0, 1.0, 1.0, 1.0)
     )
-    metrics = run_metrics(log)
+    with np.errstate(all="ignore"):
+        metrics = run_metrics(log)
+    log = _drawable(log)
     for column, group in enumerate(_GROUPS):
         _plot_group(axes[:4, column], log, group, metrics[group.metric])
     _plot_weights(axes[4], log)
@@ -100,6 +107,7 @@ def plot_torques(log: SimulationLog) -> Figure:
         ConfigurationError: The log has no rows.
     """
     figure, axes = _figure(log, "motor torques", rows=3, height=8.0, sharey=True)
+    log = _drawable(log)
     time, applied, commanded = log.time, log["torque_applied"], log["torque"]
     limit, peak = log.scenario.robot.effort_limit, np.abs(applied).max(axis=0)
     near = peak.max() >= _NEAR_LIMIT * limit
@@ -142,6 +150,29 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     # Without a date or version in it, the same log gives the same file.
     figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
     write_atomically(Path(path), stream.getvalue())
+
+
+def draw(make: Callable[[], Figure], path: Path) -> str | None:
+    """Makes a figure and saves it; numbers are never lost for a picture's sake.
+
+    Returns:
+        Where it is beyond matplotlib, one line that says so; an older picture of that name is gone then.
+
+    Raises:
+        StewartDrakeError: Of `make`, and see `save_figure`.
+    """
+    try:
+        save_figure(make(), path)
+    except StewartDrakeError:
+        raise
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        return f"{path.name} is left out: {type(error).__name__}: {' '.join(str(error).split())}"
+    return None
+
+
+def _drawable(log: SimulationLog) -> SimulationLog:
+    return replace(log, signals={name: values.clip(-LARGEST, LARGEST) for name, values in log.signals.items()})
 
 
 def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: list[float] | None) -> None:

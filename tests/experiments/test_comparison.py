@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import functools
 import json
 import math
@@ -15,6 +16,7 @@ from stewart_drake.experiments.comparison.table import BANDS, COLUMNS, number, s
 from stewart_drake.experiments.sweeps.executors import LocalProcesses, SerialExecutor
 from stewart_drake.feasibility import largest_amplitude
 from stewart_drake.joint_pid import PidOptions
+from stewart_drake.plotting import comparison as plotting
 from stewart_drake.simulation import run
 
 SHIPPED = ("tracking", "controllers")
@@ -235,9 +237,45 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
 
 def test_pictures_are_written(done, tmp_path):
     comparison, result, _ = done
-    names = [path.name for path in write_pictures(comparison, result, tmp_path)]
-    assert names == ["rmse.png", "error.png", "bands.png"]
+    assert write_pictures(comparison, result, tmp_path) == []
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"rmse.png", "error.png", "bands.png"}
     assert all((tmp_path / name).stat().st_size > 10_000 for name in names)
+
+
+@pytest.mark.parametrize("value", [1e12, 1e160, 1e308, None])
+def test_a_blow_up_is_drawn_within_bounds(done, tmp_path, value):
+    comparison, result, _ = done
+    rows = [
+        {**row, "pose_rmse_mm": value, "trace": {**row["trace"], "pose_mm": [value] * len(row["trace"]["pose_mm"])}}
+        for row in result.rows
+    ]
+    bands = [{**row, "ratio": value} for row in result.band_rows]
+    assert write_pictures(comparison, dataclasses.replace(result, rows=rows, band_rows=bands), tmp_path) == []
+
+
+def test_a_picture_that_cannot_be_drawn_is_a_line_and_the_others_are_there(done, tmp_path, monkeypatch):
+    comparison, result, _ = done
+
+    def fail(*_):
+        raise OverflowError("cannot convert float infinity to integer")
+
+    monkeypatch.setattr(plotting, "plot_error", fail)
+    (tmp_path / "error.png").write_bytes(b"old")
+    (line,) = write_pictures(comparison, result, tmp_path)
+    assert line == "error.png is left out: OverflowError: cannot convert float infinity to integer"
+    assert {path.name for path in tmp_path.iterdir()} == {"rmse.png", "bands.png"}
+
+
+def test_figures_do_not_depend_on_the_log_period(done, tmp_path):
+    _, result, _ = done
+    coarse = small(set={**SMALL["set"], "log_period": 0.02}, runs=SMALL["runs"][:1], bands=None)
+    rows = run_comparison(coarse, tmp_path, SerialExecutor()).rows
+    fine = {(r["controller"], r["reference"], r["condition"]): r for r in result.rows}
+    figures = [name for name, (kind, *_) in COLUMNS.items() if kind == "number"]
+    for row in rows:
+        other = fine[row["controller"], row["reference"], row["condition"]]
+        assert [row[name] for name in figures] == [other[name] for name in figures]
 
 
 def test_what_is_done_is_not_run_again_and_another_comparison_is_refused(done):

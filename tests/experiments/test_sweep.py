@@ -1,11 +1,15 @@
 import dataclasses
 import json
+import logging
 import multiprocessing
 import os
 import re
 import signal
+import socket
+import threading
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +24,12 @@ from stewart_drake.experiments.sweeps.executors import DaskCluster, LocalProcess
 from stewart_drake.experiments.sweeps.one_run import simulate
 from stewart_drake.experiments.sweeps.runner import run_sweep
 from stewart_drake.experiments.sweeps.spec import Sweep
-from stewart_drake.experiments.sweeps.table import FORMAT_KEY, INCIDENTAL, summary
+from stewart_drake.experiments.sweeps.table import FORMAT_KEY, INCIDENTAL, summary, to_parquet
 from stewart_drake.metrics import run_metrics
 from stewart_drake.simulation import run
 
 ROOT = Path(__file__).parent.parent.parent
-TINY = {"duration": 0.05, "tuner": {"kind": "fixed"}, "limits.clearance": None}
+TINY = {"duration": 0.05, "tuner": {"kind": "fixed"}, "log_period": 0.01}
 SPEC = {
     "name": "tiny",
     "scenario": "paper_fig7",
@@ -40,7 +44,7 @@ SPEC = {
         "tuner.omega_q": {"kind": "loguniform", "low": 0.1, "high": 10.0},
         "tuner.window": {"kind": "integers", "low": 1, "high": 49},
         "controller.solver": {"kind": "grid", "values": ["split", "drake"]},
-        "log_period": {"kind": "choice", "values": [None, 0.01]},
+        "limits.clearance": {"kind": "choice", "values": [None, 0.0001]},
     },
 }
 
@@ -56,6 +60,10 @@ def same(result):
 
 def assert_same(one, other):
     assert same(one).equals(same(other), check_metadata=True)
+
+
+def pq_bytes(result):
+    return to_parquet(result.table)
 
 
 def outcomes(result):
@@ -85,7 +93,8 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     s = sweep()
     for index in (0, 3):
         row = {name: reference.table.column(name)[index].as_py() for name in reference.table.column_names}
-        log = run(s.scenario(index))
+        # The log of every tick, whatever log_period says.
+        log = run(s.scenario(index).replace({"log_period": None}))
         metrics, drawn = run_metrics(log), s.draw(index)
         assert (row["index"], row["seed"], row["status"]) == (index, s.run_seed(index), "completed")
         assert row["initial_offset[0]"] == log.scenario.initial_offset[0] == drawn["initial_offset[0]"]
@@ -96,7 +105,7 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
             drawn["tuner.window"],
             log.scenario.controller.solver,
         )
-        assert json.loads(row["log_period"]) == log.scenario.log_period
+        assert json.loads(row["limits.clearance"]) == log.scenario.limits.clearance
         assert [row[f"rmse_{a}_deg"] for a in ("roll", "pitch", "yaw")] == metrics["rmse_deg"]
         assert [row[f"peak_{a}_mm"] for a in "xyz"] == metrics["peak_mm"]
         assert row["rmse_mm"] == pytest.approx(np.linalg.norm(metrics["rmse_mm"]))
@@ -126,7 +135,7 @@ def test_the_summary_counts_and_ranks(reference):
     shown = lines["RMSE of rotation, percentiles 50 95 99, largest"].split()
     assert float(shown[0]) == pytest.approx((values[2] + values[3]) / 2, rel=1e-3)
     assert float(shown[3]) == pytest.approx(values[-1], rel=1e-3)
-    assert summary([{**reference.rows[0], "rmse_deg": float("inf"), "rmse_mm": None}])[-1] == ("completed", "1")
+    assert summary([{**reference.rows[0], "rmse_deg": None, "rmse_mm": None}])[-1] == ("completed", "1")
 
 
 # --- the same table from any executor ------------------------------------------------------------------------------
@@ -288,12 +297,17 @@ def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_pat
     result = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=broken)
     assert result.table.column("finite").to_pylist() == [False, True, True]
     rmse = result.table.column("rmse_deg").to_pylist()
-    assert np.isnan(rmse[0])
-    assert np.isinf(rmse[1])
+    assert rmse[:2] == [None, None]
     assert np.isfinite(rmse[2])
-    again = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=broken)
-    np.testing.assert_array_equal(again.table.column("rmse_deg").to_pylist(), rmse)
-    assert result.table.column("rmse_deg").null_count == 0
+    first, second, third = result.table.column("not_finite").to_pylist()
+    assert third is None
+    assert {"rmse_deg nan", "peak_roll_deg nan"} <= set(first.split(", "))
+    assert {"rmse_deg inf", "rmse_roll_deg inf"} <= set(second.split(", "))
+    # Nothing that the table says depends on whether its rows come from the workers or from the disk.
+    again = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    assert again.path.read_bytes() == pq_bytes(result)
+    for line in (tmp_path / "rows.jsonl").read_text().splitlines():
+        json.loads(line, parse_constant=lambda name: pytest.fail(name))
 
 
 # --- interruption and what is on disk ------------------------------------------------------------------------------
@@ -345,12 +359,27 @@ def test_a_run_that_was_interrupted_is_no_row(tmp_path):
 
 
 @pytest.mark.usefixtures("_code_as_it_is")
-@pytest.mark.parametrize("tear", [b'{"index": 5, "se', b"\0" * 40, b"[]\n{}\nnull\n"])
+@pytest.mark.parametrize(
+    "tear",
+    [
+        lambda _: b'{"index": 5, "se',
+        lambda _: b"\0" * 40,
+        lambda _: b"[]\n{}\nnull\n",
+        lambda _: b"\xff\xfe{}\n",
+        lambda _: b"[" * 100_000 + b"\n",
+        lambda _: b'{"index": [5]}\n{"index": -1}\n{"index": 1' + b"0" * 5000 + b"}\n",
+        lambda line: line[:-9],
+        lambda line: line.replace(b'"completed"', b'"Completed"'),
+        lambda line: line.replace(b"0.0", b"0.1", 1),
+        lambda line: line.replace(b'"index": 5', b'"index": 4'),
+    ],
+)
 def test_a_line_that_is_not_whole_is_run_again(tmp_path, tear):
     first = run_sweep(sweep(), tmp_path, SerialExecutor())
     rows = tmp_path / "rows.jsonl"
     lines = rows.read_bytes().splitlines(keepends=True)
-    rows.write_bytes(b"".join(lines[:5]) + tear)
+    assert tear(lines[5]) != lines[5]
+    rows.write_bytes(b"".join(lines[:5]) + tear(lines[5]))
     again = run_sweep(sweep(), tmp_path, SerialExecutor())
     assert_same(again, first)
     assert again.table.slice(0, 5).equals(first.table.slice(0, 5))
@@ -368,6 +397,7 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
         with pytest.raises(ConfigurationError) as caught:
             run_sweep(sweep(runs=1, **changes), tmp_path, SerialExecutor())
         assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
+        assert (tmp_path / "sweep.parquet").exists()
         assert (tmp_path / "rows.jsonl").read_bytes() == before
 
     refused("seed", seed=6)
@@ -378,10 +408,20 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "changed")
         refused("versions.source")
-    (tmp_path / "sweep.json").write_text("{")
-    refused("sweep.json that can be read")
-    (tmp_path / "sweep.json").unlink()
-    refused("sweep.json that can be read")
+    header = (tmp_path / "sweep.json").read_bytes()
+    for broken in (b"{", header.replace(b'"seed": 5', b'"seed": 6'), None):
+        (tmp_path / "sweep.json").unlink()
+        if broken is not None:
+            (tmp_path / "sweep.json").write_bytes(broken)
+        # Its rows tell whose they are.
+        refused("sweep.json that can be read", seed=6)
+    run_sweep(sweep(runs=1), tmp_path, SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    assert (tmp_path / "sweep.json").read_bytes() == header
+    # A table without its rows is nobody's, so it is not written over unasked.
+    for name in ("sweep.json", "rows.jsonl"):
+        (tmp_path / name).unlink()
+    before = b""
+    refused("sweep.parquet is there")
     # Another name is no other sweep; a restart makes room.
     result = run_sweep(sweep(runs=1, seed=6), tmp_path, SerialExecutor(), restart=True)
     assert result.rows[0]["seed"] == sweep(seed=6).run_seed(0)
@@ -404,7 +444,7 @@ def test_the_content_of_a_weights_file_is_part_of_the_sweep(tmp_path):
 
 def test_two_sweeps_cannot_share_a_folder(tmp_path):
     def nested(scenario):
-        with pytest.raises(ConfigurationError, match="nobody else is using"):
+        with pytest.raises(ConfigurationError, match="no other process is using"):
             run_sweep(sweep(), tmp_path, SerialExecutor())
         return simulate(scenario)
 
@@ -439,6 +479,8 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(cluster, refere
     killed = []
 
     def progress(done):
+        # What Dask has to say about it is not for the terminal.
+        assert logging.getLogger("distributed.client").disabled
         if done >= 2 and not killed:
             victim = result_worker(tmp_path)
             killed.append(victim)
@@ -471,6 +513,31 @@ def test_a_scheduler_that_does_not_answer_is_bad_input(tmp_path, monkeypatch):
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://127.0.0.1:notaport"):
         with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
             run_sweep(sweep(), tmp_path, DaskCluster(address))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"", None])
+def test_a_port_that_is_not_dask_is_bad_input(monkeypatch, answer):
+    """It talks of something else, hangs up, or takes what it is told and says nothing."""
+    pytest.importorskip("distributed")
+    from stewart_drake.experiments.sweeps import executors
+
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as calls:
+
+        def serve():
+            with suppress(OSError):
+                while True:
+                    call = calls.enter_context(server.accept()[0])
+                    if answer is not None:
+                        call.sendall(answer)
+                        call.close()
+
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
+            DaskCluster(address).connect()
+        server.shutdown(socket.SHUT_RDWR)
+    assert not logging.getLogger("distributed.client").disabled
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):

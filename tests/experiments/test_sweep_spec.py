@@ -238,7 +238,8 @@ BAD = [
     ),
     (only("plant.collision", kind="integers", low=0, high=1), ["plant.collision", "choice and grid"]),
     (only("tuner.window", kind="uniform", low=1, high=50), ["tuner.window", "'uniform'", "integers"]),
-    (only("log_period", kind="uniform", low=1, high=2, factor=True), ["log_period", "None", "to multiply"]),
+    (only("model_robot", kind="uniform", low=1, high=2, factor=True), ["model_robot", "None", "to multiply"]),
+    (only("log_period", kind="uniform", low=1, high=2), ["log_period", "every tick"]),
     (only("controller.solver", kind="uniform", low=1, high=2, factor=True), ["controller.solver", "to multiply"]),
     (
         {"distributions": {"robot": {"kind": "choice", "values": [{}]}, "robot.rod_mass": UNIFORM}},

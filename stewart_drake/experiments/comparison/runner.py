@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ from stewart_drake.experiments.sweeps.one_run import Row, RunFunction, simulate
 from stewart_drake.experiments.sweeps.runner import run_plan
 from stewart_drake.experiments.sweeps.store import RowStore
 from stewart_drake.experiments.sweeps.table import to_parquet
-from stewart_drake.files import write_atomically
+from stewart_drake.files import locked_folder, write_atomically
 from stewart_drake.named_files import file_digests
 from stewart_drake.scenario import AnnTuner
 from stewart_drake.user_controller import PythonOptions, load_class
@@ -36,6 +37,14 @@ from stewart_drake.versions import collect_versions
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+PICTURES = ("rmse", "error", "bands")
+PRODUCTS = (
+    *(f"{name}.{ending}" for name in ("comparison", "bands") for ending in ("parquet", "csv")),
+    "comparison.md",
+    *(f"{name}.png" for name in PICTURES),
+)
+"""Files that a comparison leaves, the pictures included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +93,7 @@ def run_comparison(
         KeyboardInterrupt: Rows done are kept.
     """
     versions = collect_versions()
-    with RowStore(folder, _identity(comparison, versions), restart) as store:
+    with RowStore(folder, _identity(comparison, versions), restart, PRODUCTS) as store:
         done = run_plan(comparison, store, where, progress, function)
         rows, bands = table_rows(comparison, done), band_rows(comparison, done)
         result = ComparisonResult(
@@ -103,23 +112,30 @@ def run_comparison(
     return result
 
 
-def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Path) -> list[Path]:
-    """Draws rmse.png, error.png and, where there are bands, bands.png; returns where they are."""
+def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Path) -> list[str]:
+    """Draws rmse.png, error.png and, where there are bands, bands.png.
+
+    Returns:
+        A line for each that is beyond matplotlib.
+
+    Raises:
+        ConfigurationError: The folder cannot be written to, or another process is using it.
+    """
     # matplotlib takes a second to load.
-    from stewart_drake.plotting import save_figure
+    from stewart_drake.plotting import draw
     from stewart_drake.plotting.comparison import plot_bands, plot_error, plot_rmse
 
     names = order(comparison)
     rows = [row for name in names for row in result.rows if row["controller"] == name]
-    figures = {"rmse": plot_rmse(rows)}
+    figures = {"rmse": partial(plot_rmse, rows)}
     traced = [row for row in rows if row["reference"] == comparison.traced]
     if any("trace" in row for row in traced):
-        figures["error"] = plot_error(traced, comparison.file.band)
+        figures["error"] = partial(plot_error, traced, comparison.file.band)
     if any(row.get("ratio") is not None for row in result.band_rows):
-        figures["bands"] = plot_bands(result.band_rows)
-    for name, figure in figures.items():
-        save_figure(figure, folder / f"{name}.png")
-    return [folder / f"{name}.png" for name in figures]
+        figures["bands"] = partial(plot_bands, result.band_rows)
+    with locked_folder(folder):
+        lines = [draw(figure, folder / f"{name}.png") for name, figure in figures.items()]
+    return [line for line in lines if line is not None]
 
 
 def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dict[str, Any]:

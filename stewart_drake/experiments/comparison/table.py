@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stewart_drake.experiments.comparison.spec import Comparison
-from stewart_drake.experiments.sweeps.one_run import Row
+from stewart_drake.experiments.sweeps.one_run import Row, not_finite
+from stewart_drake.experiments.sweeps.table import NOT_FINITE_COLUMN
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -36,6 +37,7 @@ NAMES: Mapping[str, tuple[str, str, str]] = {
     "message": ("text", "", "one line on it"),
     "end_time": ("number", "s", "simulated time reached"),
     "leg": ("whole", "", "leg 0..5 to which a failure belongs"),
+    "not_finite": NOT_FINITE_COLUMN,
 }
 """First columns of both tables: name -> (kind, unit, explanation)."""
 
@@ -145,7 +147,7 @@ def to_arrow(
     fields, arrays = [], []
     for name, (kind, unit, text) in columns.items():
         fields.append(pa.field(name, types[kind], metadata={"unit": unit, "text": text}))
-        arrays.append(pa.array([row.get(name) for row in rows], type=types[kind], from_pandas=False))
+        arrays.append(pa.array([row.get(name) for row in rows], type=types[kind]))
     about = {"version": VERSION, "comparison": comparison.to_dict(), "versions": dict(versions)}
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={FORMAT_KEY: json.dumps(about).encode()}))
 
@@ -197,7 +199,7 @@ def order(comparison: Comparison) -> list[str]:
 def _flat(comparison: Comparison, row: Row) -> Row:
     cell = comparison.cells[row["index"]]
     names = {"controller": cell.controller, "reference": cell.reference, "condition": cell.condition}
-    return {**row, **names, "chosen": None, "seed": cell.seed}
+    return {**row, **names, "chosen": None, "seed": cell.seed, "not_finite": not_finite(row)}
 
 
 def _worst(group: Sequence[Row], name: str) -> float | None:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stewart_drake.errors import StewartDrakeError
 from stewart_drake.experiments.faults.catalogue import FAULTS
 from stewart_drake.experiments.faults.fault import DURATION, MOTIONS, ONSET, Fault
 from stewart_drake.experiments.faults.rows import FaultRow, all_rows, named_row
+from stewart_drake.experiments.runs import WORKER_GONE
 from stewart_drake.experiments.sweeps.executors import LocalProcesses
+from stewart_drake.experiments.sweeps.one_run import Row
 from stewart_drake.experiments.sweeps.store import RowStore
-from stewart_drake.files import write_atomically
+from stewart_drake.files import plain_json, write_atomically
 from stewart_drake.outputs import prepare_folder
 from stewart_drake.versions import collect_versions
 
@@ -56,41 +59,56 @@ def make_table(
         restart: Throw away the rows that an earlier call left in the folder.
 
     Raises:
-        ConfigurationError: The folder cannot be written to, or holds rows of another version.
+        ConfigurationError: The folder cannot be written to, is in use, or holds rows of another version.
+        StewartDrakeError: A worker ended by itself, or a run raised what is no verdict on it; rows done are kept.
     """
     folder = prepare_folder(folder)
+    parquet, markdown = folder / "faults.parquet", folder / "faults.md"
     wanted = {index: pair for index, pair in enumerate(all_rows()) if not quick or pair[1] in QUICK_MOTIONS}
-    with RowStore(folder, _identity(), restart) as store:
+    with RowStore(folder, _identity(), restart, (parquet.name, markdown.name)) as store:
         kept = store.rows()
-        done = {index: FaultRow.from_plain(kept[index]) for index in wanted if index in kept}
+        done = {index: kept[index] for index in wanted if index in kept}
         missing = {index: pair for index, pair in wanted.items() if index not in done}
         if progress is not None:
             progress(float(len(done)))
         for index, row in _run(missing, LocalProcesses(workers)):
-            store.add({"index": index, **row.plain()})
+            store.add(row)
             done[index] = row
             if progress is not None:
                 progress(float(len(done)))
-    rows = tuple(done[index] for index in wanted)
-    parquet, markdown = folder / "faults.parquet", folder / "faults.md"
-    write_atomically(parquet, _parquet(rows))
-    write_atomically(markdown, markdown_table(rows).encode())
+        rows = tuple(FaultRow.from_plain(done[index]) for index in wanted)
+        write_atomically(parquet, _parquet(rows))
+        write_atomically(markdown, markdown_table(rows).encode())
     return FaultTable(rows, parquet, markdown)
 
 
-def _run(missing: Mapping[int, tuple[str, str]], where: LocalProcesses) -> Iterator[tuple[int, FaultRow]]:
+def _run(missing: Mapping[int, tuple[str, str]], where: LocalProcesses) -> Iterator[tuple[int, Row]]:
     """Rows by index, as they come."""
     if not missing:
         return
     executor = where.open()
     aborted = True
     try:
-        futures = {executor.submit(named_row, *pair): index for index, pair in missing.items()}
+        futures = {executor.submit(_row, index, *pair): index for index, pair in missing.items()}
         for future in as_completed(futures):
-            yield futures[future], future.result()
+            index = futures[future]
+            try:
+                yield index, future.result()
+            except (StewartDrakeError, KeyboardInterrupt, GeneratorExit):
+                raise
+            except BrokenExecutor:
+                raise StewartDrakeError(WORKER_GONE) from None
+            except BaseException as error:  # SystemExit among them, which would end this process without a word
+                text = f"{', '.join(missing[index])}: {type(error).__name__}: {error}"
+                raise StewartDrakeError(text) from error
         aborted = False
     finally:
         where.close(executor, aborted)
+
+
+def _row(index: int, fault: str, motion: str) -> Row:
+    """What a worker does: figures that are not finite become null where they are made."""
+    return plain_json({"index": index, **named_row(fault, motion).plain()})
 
 
 def _identity() -> dict[str, Any]:

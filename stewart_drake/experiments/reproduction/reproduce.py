@@ -66,13 +66,20 @@ def reproduce(
         The sections.
 
     Raises:
-        ConfigurationError: See `check_base`; or the folder cannot be written to. Found before any work.
+        ConfigurationError: See `check_base`; or the folder cannot be written to or is in use. Found before any work.
     """
     base = Scenario() if base is None else base
     check_base(base)
     folder = prepare_folder(folder)
     study = Study(folder, quick, base)
-    parts = prepare_folder(folder / "parts")
+    with study.locked("parts", "figures"):
+        return _reproduce(study, progress, finished)
+
+
+def _reproduce(
+    study: Study, progress: Callable[[str, float], None] | None, finished: Callable[[Section], None] | None
+) -> list[Section]:
+    folder, quick, base, parts = study.folder, study.quick, study.base, study.folder / "parts"
     versions = collect_versions() | {"torch": package_version("torch")}
     stamp = _stamp(base, quick, versions)
     sections = []

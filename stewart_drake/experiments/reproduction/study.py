@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stewart_drake.experiments.runs import RunStore
+from stewart_drake.files import locked_folder
 from stewart_drake.network import default_network_path
+from stewart_drake.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -44,6 +47,21 @@ class Study:
         """Weights of the tuner: those that this report's own training has left, else those of the package."""
         own = self.folder / self.name("tuner", ".json")
         return own if own.is_file() else default_network_path()
+
+    @contextmanager
+    def locked(self, *inside: str) -> Iterator[None]:
+        """Keeps other processes out of the report's folder, and clears it of what a killed one left half written.
+
+        Args:
+            inside: Folders in it that are written to; they are made.
+
+        Raises:
+            ConfigurationError: Another process has one of them, or it cannot be written to.
+        """
+        with ExitStack() as locks:
+            for folder in (self.folder, *(self.folder / name for name in inside)):
+                locks.enter_context(locked_folder(prepare_folder(folder)))
+            yield
 
     def name(self, stem: str, ending: str = "") -> str:
         """Name of a file: a quick and a whole report in one folder do not overwrite each other's."""

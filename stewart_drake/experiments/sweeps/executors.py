@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.experiments.runs import _end_with_parent
+from stewart_drake.experiments.runs import start_worker
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -101,6 +104,7 @@ class DaskCluster:
             raise ConfigurationError("--scheduler", address, allowed) from None
         self.address, self.workers = address, 1
         self._client: Any = None
+        self._silenced = ExitStack()
         self._empty_since: float | None = None
 
     def connect(self) -> None:
@@ -114,10 +118,14 @@ class DaskCluster:
         if self._client is not None:
             return
         client: Any = distributed.Client  # untyped in parts
+        self._silenced.enter_context(_silence())
         try:
+            # The client itself would wait for ever for a port that takes what it is told and says nothing.
+            asyncio.run(_greet(self.address))
             self._client = client(self.address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            why = " ".join(str(error).split())
+        except Exception as error:  # of what is no scheduler, whatever its first words are taken for
+            self.leave()
+            why = " ".join(str(error).split()) or type(error).__name__
             allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
             raise ConfigurationError("--scheduler", self.address, allowed) from None
         try:
@@ -158,14 +166,41 @@ class DaskCluster:
     def leave(self) -> None:
         """See `Workplace.leave`."""
         client, self._client = self._client, None
-        if client is not None:
-            client.close()
+        with self._silenced:
+            if client is not None:
+                client.close()
 
     def _deserted(self) -> StewartDrakeError:
         return StewartDrakeError(
             f"the Dask cluster {self.address} has been without workers for {NO_WORKERS_TIMEOUT:g} s; rows done are "
             "kept. Workers started under a nanny come back by themselves"
         )
+
+
+async def _greet(address: str) -> None:
+    """Connects as Dask does, and hangs up."""
+    from distributed import comm as library
+
+    connect: Any = vars(library)["connect"]
+    comm: Any = await asyncio.wait_for(connect(address, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT)
+    await comm.close()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps what Dask logs, with tracebacks, about a cluster that goes away off the terminal: one line of ours says it.
+
+    Its loggers have levels and handlers of their own, so that a level for all of them would not reach them.
+    """
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
+    before = {logger: logger.disabled for logger in map(logging.getLogger, names)}
+    for logger in before:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for logger, disabled in before.items():
+            logger.disabled = disabled
 
 
 class Given:
@@ -227,7 +262,7 @@ class _Pool(ProcessPoolExecutor):
     def __init__(self, workers: int) -> None:
         self._others = set(multiprocessing.active_children())
         # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
-        super().__init__(workers, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+        super().__init__(workers, multiprocessing.get_context("spawn"), initializer=start_worker)
 
     def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.

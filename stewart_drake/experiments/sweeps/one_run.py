@@ -5,17 +5,16 @@ from __future__ import annotations
 import os
 import socket
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from stewart_drake import versions
-from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
+from stewart_drake.files import NOT_FINITE, plain_json
 
 if TYPE_CHECKING:
     from stewart_drake.log import SimulationLog
@@ -91,7 +90,7 @@ def execute(function: RunFunction, task: Task) -> Row:
         task: What to run.
 
     Returns:
-        index, seed, values (`task.drawn`) and `outcome`'s.
+        index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `files.plain_json`.
 
     Raises:
         StewartDrakeError: The worker's copy of the package is another one.
@@ -99,7 +98,7 @@ def execute(function: RunFunction, task: Task) -> Row:
     """
     warm_up(task.source)
     start = time.perf_counter()
-    row = _outcome(function, task)
+    row = plain_json(_outcome(function, task))
     return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
 
 
@@ -115,14 +114,23 @@ def empty_row(task: Task, status: str, reason: str | None, message: str | None) 
     }
 
 
+def not_finite(row: Mapping[str, Any]) -> str | None:
+    """Which figures of a row are null because they are no finite numbers, and what they are; None for none."""
+    found = {name: value for name, value in row.get(NOT_FINITE, {}).items() if "." not in name}
+    return ", ".join(f"{name} {value}" for name, value in found.items()) or None
+
+
+_FROM_METRICS = ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "omega_ratio")
+"""Keys of `run_metrics` that are figures of a row under the same name."""
+
+
 def measure(log: SimulationLog) -> dict[str, Any]:
     """Figures of a run, flat; see `table.COLUMNS` for what each is."""
     from stewart_drake.metrics import run_metrics, second_half, tracking_error
 
     metrics = run_metrics(log)
     row: dict[str, Any] = {"end_time": log.end_time, "leg": log.leg, "simulation_s": log.wall_time}
-    for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "omega_ratio"):
-        row[name] = metrics[name]
+    row |= {name: metrics[name] for name in _FROM_METRICS}
     row["finite"] = bool(all(np.isfinite(signal).all() for signal in log.signals.values()))
     error = tracking_error(log)[second_half(log)]
     for unit, axes, scale, part in (
@@ -146,7 +154,7 @@ def _outcome(function: RunFunction, task: Task) -> Row:
         log = function(vary(Scenario.from_dict(task.base), task.changes))
         if log.status == "interrupted":
             raise KeyboardInterrupt
-        # A finite blow-up overflows in the squares; its row says inf.
+        # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
             return {**empty_row(task, log.status, log.reason, log.message), **(task.measure or measure)(log)}
     except KeyboardInterrupt:
@@ -156,15 +164,8 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
-        return empty_row(task, "raised", type(error).__name__, f"{str(error) or type(error).__name__}{_where(error)}")
-
-
-def _where(error: BaseException) -> str:
-    """Where an exception came from; nothing where that depends on how deep the stack or how full the memory was."""
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, (RecursionError, MemoryError)):
-        return ""
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+        name = type(error).__name__
+        return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")
 
 
 @lru_cache(maxsize=1)

@@ -267,7 +267,8 @@ class _Job:
 
     def _task(self, index: int) -> Task:
         drawn = self._plan.draw(index)
-        changes = {"name": self._plan.run_name(index), **self._plan.changes(drawn)}
+        # Figures are those of every tick, whatever the scenario wants in a log.
+        changes = {"name": self._plan.run_name(index), **self._plan.changes(drawn), "log_period": None}
         seed, attempt = self._plan.run_seed(index), self._attempts[index]
         measure = self._plan.measure(index)
         return Task(index, seed, self._base, changes, drawn, self._source, attempt, measure)
@@ -311,7 +312,8 @@ class _Job:
 def _broken(error: BaseException) -> StewartDrakeError:
     """What an executor raises of its own accord: no row, because no run is to blame."""
     if isinstance(error, CancelledError):
-        return StewartDrakeError("the executor cancelled a run: it was shut down, or its cluster is gone")
+        text = "the executor cancelled a run: it was shut down, or its cluster is gone; rows done are kept"
+        return StewartDrakeError(text)
     return StewartDrakeError(f"the executor failed: {type(error).__name__}: {' '.join(str(error).split())}")
 
 

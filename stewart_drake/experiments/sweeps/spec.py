@@ -87,6 +87,9 @@ class Sweep:
             raise ConfigurationError("distributions", {}, "at least one scenario key with its distribution")
         if self.sampler == "sobol" and len(self._random) > 20_000:
             raise ConfigurationError("sampler", self.sampler, "random, for more than 20000 keys")
+        if "log_period" in self.distributions:
+            allowed = "a key that figures depend on: a sweep keeps no logs and looks at every tick"
+            raise ConfigurationError("distributions.log_period", "log_period", allowed)
         data = self.base.to_dict()
         paths = [_split(key) for key in self.distributions]
         for key, path in zip(self.distributions, paths, strict=True):

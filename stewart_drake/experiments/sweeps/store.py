@@ -1,80 +1,96 @@
-"""Rows on disk as they come, so that an interrupted sweep goes on where it was."""
+"""Rows on disk as they come, so that an interrupted sweep goes on where it was; what is not whole is not believed."""
 
 from __future__ import annotations
 
-import fcntl
+import io
 import json
-from collections.abc import Mapping
+import os
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.sweeps.one_run import Row
-from stewart_drake.files import write_atomically
+from stewart_drake.files import checksum, locked_folder, read_checked, seal, unseal, write_atomically
 from stewart_drake.outputs import prepare_folder
 
 ROWS, HEADER, TABLE = "rows.jsonl", "sweep.json", "sweep.parquet"
+CAMPAIGN = "campaign"
+"""Key of a kept row: checksum of the identity that it belongs to."""
+
+_LONGEST = 2**24
+"""[byte] of a line; a row takes a few thousand."""
+_LARGEST_HEADER = 2**30
 
 
 class RowStore:
     """The folder of one sweep: `sweep.json` says which, `rows.jsonl` gets a line a run.
 
-    A context manager: within it, the folder is this process's alone.
+    Both carry checksums. A row that is torn, changed or another sweep's is run again; a header that is not whole is
+    written anew where no row is another sweep's. A context manager: within it, the folder is this process's alone.
 
     Args:
         folder: Where.
         identity: What the rows depend on, in plain values; rows of another identity are never mixed in.
         restart: Throw away what is there.
+        products: Names of what is made from the rows; it never stands beside rows of another identity.
 
     Raises:
         ConfigurationError: The folder holds another sweep, is in use, or cannot be written to.
     """
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any], restart: bool = False) -> None:
+    def __init__(
+        self, folder: Path, identity: Mapping[str, Any], restart: bool = False, products: Sequence[str] = (TABLE,)
+    ) -> None:
         self.folder, self._identity, self._restart = folder, json.loads(json.dumps(identity)), restart
-        self._stream: BinaryIO | None = None
+        self._campaign, self._products = checksum(self._identity), products
+        self._open = ExitStack()
+        self._stream: BinaryIO
 
     def __enter__(self) -> Self:
         prepare_folder(self.folder)
-        try:
-            self._stream = (self.folder / ROWS).open("a+b", buffering=0)
-        except OSError as error:
-            raise ConfigurationError(str(self.folder / ROWS), error.strerror, "a file that can be written to") from None
-        try:
+        path = self.folder / ROWS
+        with ExitStack() as opened:
+            opened.enter_context(locked_folder(self.folder))
+            try:
+                # Without O_NONBLOCK a pipe would wait for ever.
+                descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)
+                self._stream = opened.enter_context(os.fdopen(descriptor, "a+b", buffering=0))
+            except OSError as error:
+                raise ConfigurationError(str(path), error.strerror, "a file that can be written to") from None
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise ConfigurationError(str(path), "a device or a pipe", "a regular file")
             self._take()
-        except BaseException:
-            self._stream.close()
-            raise
+            self._open = opened.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._stream is not None
-        self._stream.close()
+        self._open.close()
 
     def rows(self) -> dict[int, Row]:
-        """Rows that are there, by index."""
-        assert self._stream is not None
-        self._stream.seek(0)
+        """Rows that are there and whole, by index."""
         found: dict[int, Row] = {}
-        for line in self._stream.read().splitlines():
+        for line in self._lines():
             try:
-                row = json.loads(line)
-                found[int(row["index"])] = row
-            except (ValueError, KeyError, TypeError):
-                continue  # not whole: run again
+                row = unseal(line)
+            except (ValueError, TypeError):
+                continue  # run again
+            if row.pop(CAMPAIGN, None) == self._campaign:
+                found[row["index"]] = row
         return found
 
     def add(self, row: Row) -> None:
-        """Keeps a row.
+        """Keeps a row, in plain values with finite numbers.
 
         Raises:
             ConfigurationError: The disk is full, or the like.
         """
-        assert self._stream is not None
-        line = json.dumps(row).encode() + b"\n"
+        line = json.dumps(seal({**row, CAMPAIGN: self._campaign}), allow_nan=False).encode() + b"\n"
         try:
             written = self._stream.write(line)
         except OSError as error:
@@ -83,42 +99,56 @@ class RowStore:
             raise ConfigurationError(str(self.folder / ROWS), f"{written} bytes", "a disk with room for a row")
 
     def _take(self) -> None:
-        assert self._stream is not None
         header = self.folder / HEADER
-        try:
-            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigurationError("--out", str(self.folder), "a folder that nobody else is using") from None
         if self._restart:
+            # The header last: until it is gone, the folder is that of the rows.
+            for name in self._products:
+                (self.folder / name).unlink(missing_ok=True)
             self._stream.truncate(0)
             header.unlink(missing_ok=True)
-            (self.folder / TABLE).unlink(missing_ok=True)
-        if header.exists() or self._stream.seek(0, 2):
-            different = _difference(_read(header), self._identity)
-            if different:
-                allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
-                raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
+        different = self._difference(_read(header))
+        if different:
+            allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
+            raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
         # What an earlier process left half written would spoil the next row too.
+        size = self._stream.seek(0, os.SEEK_END)
+        if size:
+            self._stream.seek(size - 1)
+            if self._stream.read(1) != b"\n":
+                self._stream.write(b"\n")
+        write_atomically(header, (json.dumps(seal(self._identity), indent=1) + "\n").encode())
+
+    def _difference(self, kept: dict[str, Any] | None) -> str:
+        """In words, what tells the folder from one of this identity; empty where nothing does."""
+        if kept is not None:
+            names = _unequal(kept, self._identity)
+            return f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
+        campaigns = {str(line.get(CAMPAIGN)) for line in self._lines()}
+        there = [name for name in self._products if os.path.lexists(self.folder / name)]
+        if campaigns - {self._campaign}:
+            return f"{ROWS} holds other rows, and there is no {HEADER} that can be read"
+        return f"{there[0]} is there without a {HEADER} that can be read" if there and not campaigns else ""
+
+    def _lines(self) -> Iterator[dict[str, Any]]:
+        """Lines that could be rows."""
         self._stream.seek(0)
-        content = self._stream.read()
-        self._stream.truncate(content.rfind(b"\n") + 1)
-        write_atomically(header, (json.dumps(self._identity, indent=1) + "\n").encode())
+        # Piece by piece: a damaged file may be one endless line.
+        buffered = io.BufferedReader(io.FileIO(self._stream.fileno(), closefd=False))
+        while line := buffered.readline(_LONGEST):
+            try:
+                row = json.loads(line)
+                if type(row["index"]) is int and row["index"] >= 0:
+                    yield row
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, Any] | None:
+    """The header; None where there is none that is whole."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return data if isinstance(data, dict) else {}
-
-
-def _difference(kept: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """In words, what tells two identities apart; empty for the same."""
-    if not kept:
-        return f"{ROWS} is there without a {HEADER} that can be read"
-    names = _unequal(kept, wanted)
-    return f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
+        return unseal(json.loads(read_checked(path, str(path), _LARGEST_HEADER)))
+    except (ConfigurationError, ValueError, TypeError, RecursionError):
+        return None
 
 
 def _unequal(one: Any, other: Any, name: str = "") -> list[str]:

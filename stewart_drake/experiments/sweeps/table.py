@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.experiments.sweeps.distributions import column_of
-from stewart_drake.experiments.sweeps.one_run import Row
+from stewart_drake.experiments.sweeps.one_run import Row, not_finite
 from stewart_drake.experiments.sweeps.spec import Sweep
+from stewart_drake.files import plain_json
 from stewart_drake.log import AXES
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ FORMAT_KEY = b"stewart_drake.sweep"
 VERSION = 1
 
 _HALF = "over the second half of the planned duration; null where the run did not get there"
+
+
+NOT_FINITE_COLUMN = ("text", "", "figures that are null because they are no finite numbers, with what they are")
 
 
 def _errors(figure: str, text: str) -> dict[str, tuple[str, str, str]]:
@@ -60,6 +64,7 @@ OUTCOME: Mapping[str, tuple[str, str, str]] = {
     "loop_gap_max_m": ("number", "m", "largest distance from a rod end to its platform joint"),
     "omega_ratio": ("number", "1", "geometric mean of omega_Q / omega_R"),
     "finite": ("flag", "", "every number of the log is finite"),
+    "not_finite": NOT_FINITE_COLUMN,
 }
 """Columns after them."""
 
@@ -101,7 +106,9 @@ def to_arrow(sweep: Sweep, rows: Sequence[Row], versions: Mapping[str, str | Non
     for row in sorted(rows, key=lambda row: row["index"]):
         drawn: dict[str, Any] = row["values"]
         factors = {f"{key}.factor": value for key, value in drawn.items() if sweep.distributions[key].factor}
-        flat.append({**row, **sweep.changes(drawn), **factors})
+        # A factor can take a number out of floating point; its row is one of a run that was rejected.
+        varied_values = plain_json({**sweep.changes(drawn), **factors})
+        flat.append({**row, **varied_values, "not_finite": not_finite(row)})
     fields, arrays = [], []
     for name, (kind, unit, text) in {**BEFORE, **varied, **OUTCOME, **INCIDENTAL}.items():
         values = [row.get(name) for row in flat]
@@ -110,8 +117,7 @@ def to_arrow(sweep: Sweep, rows: Sequence[Row], versions: Mapping[str, str | Non
         elif kind == "number":
             values = [None if value is None else float(value) for value in values]
         fields.append(pa.field(name, types[kind], metadata={"unit": unit, "text": text}))
-        # NaN is a result, null is none.
-        arrays.append(pa.array(values, type=types[kind], from_pandas=False))
+        arrays.append(pa.array(values, type=types[kind]))
     about = {"version": VERSION, "sweep": sweep.to_dict(), "versions": dict(versions)}
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={FORMAT_KEY: json.dumps(about).encode()}))
 
@@ -133,7 +139,6 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
         lines.append((status if reason is None else f"{status}: {reason}", str(count)))
     for unit, of in (("deg", "rotation"), ("mm", "position")):
         values = np.array([r[f"rmse_{unit}"] for r in rows if r.get(f"rmse_{unit}") is not None])
-        values = values[np.isfinite(values)]
         if len(values):
             shares = "  ".join(f"{value:.4g}" for value in np.percentile(values, [50, 95, 99, 100]))
             lines.append((f"RMSE of {of}, percentiles 50 95 99, largest", f"{shares} {unit}"))

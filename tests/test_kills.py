@@ -1,0 +1,181 @@
+"""kill -9 at any instant of a campaign costs what was under way; two processes never share a folder."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from stewart_drake.cli import main
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.experiments.runs import RunStore
+from stewart_drake.experiments.sweeps.table import INCIDENTAL
+from stewart_drake.files import locked_folder
+from stewart_drake.scenario import Scenario
+
+ROOT = Path(__file__).parent.parent
+KILLS = 3
+SWEEP = """
+scenario: paper_fig7
+runs: 8
+set: {duration: 0.3, tuner: {kind: fixed}, limits.clearance: null}
+distributions:
+  initial_offset[0]: {kind: uniform, low: -0.05, high: 0.05}
+  initial_offset[5]: {kind: choice, values: [0.0, 0.0, 0.3]}
+"""
+COMPARISON = """
+name: tiny
+scenario: paper_fig7
+set: {duration: 0.3, tuner: {kind: fixed}, limits.clearance: null}
+controllers:
+  one: {}
+  soft: {tuner.omega_q: 0.1}
+references:
+  sine: {}
+  hold: {reference: {kind: hold}}
+conditions:
+  nominal: {}
+  far: {initial_offset: [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]}
+"""
+MAIN = "from stewart_drake.cli import main; main()"
+FEW_FAULTS = f"""
+from stewart_drake.experiments.faults import rows, table
+some = rows.all_rows()[:4]
+rows.all_rows = table.all_rows = lambda: some
+{MAIN}
+"""
+# A report of two small sections, which run, draw and keep a file.
+FEW_SECTIONS = f"""
+import sys
+from types import ModuleType
+from matplotlib.figure import Figure
+from stewart_drake.experiments.report import Section
+from stewart_drake.experiments.reproduction import reproduce
+
+def module(key):
+    def make(study):
+        changes = [{{"duration": 0.2, "initial_offset": [0.0] * 5 + [i * 1e-3]}} for i in range(4)]
+        logs = study.store.run_all([study.base.replace(change) for change in changes])
+        made = Section(key, key, "claim", "verdict")
+        made.numbers = {{"end": [float(log["pose"][-1, 0]) for log in logs]}}
+        figure = Figure()
+        figure.subplots().plot(logs[0].time, logs[0]["pose"])
+        made.figure("a line", study.save_figure(figure, key))
+        (study.folder / f"{{key}}.txt").write_text(str(made.numbers))
+        made.files.append(f"{{key}}.txt")
+        return made
+
+    found = ModuleType(key)
+    found.make = make
+    return found
+
+reproduce.SECTIONS = ("tiny_a", "tiny_b")
+reproduce.check_base = lambda base: None
+for key in reproduce.SECTIONS:
+    sys.modules[f"{{reproduce.__package__}}.{{key}}"] = module(key)
+{MAIN}
+"""
+CAMPAIGNS = {
+    "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
+    "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
+    "faults": (FEW_FAULTS, ["faults", "--quick", "--workers", "2"]),
+    "reproduce": (
+        FEW_SECTIONS,
+        ["reproduce", "--quick", "--set", "limits.clearance=null", "--set", "tuner.kind=fixed"],
+    ),
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    (tmp_path / "comparison.yaml").write_text(COMPARISON)
+    return tmp_path
+
+
+def begin(code, args, out, mark):
+    env = os.environ | {"PYTHONPATH": str(ROOT), "KILL_TEST": mark}
+    command = [sys.executable, "-c", code, *args, "--out", str(out), "--quiet"]
+    return subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+def finish(code, args, out):
+    process = begin(code, args, out, "none")
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+
+
+def alive(mark):
+    """Processes that carry a mark: a command, its workers and what watches over them."""
+    found = []
+    for environ in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if f"KILL_TEST={mark}\0".encode() in environ.read_bytes():
+                found.append(int(environ.parent.name))
+        except OSError:
+            continue
+    return found
+
+
+def results(folder):
+    """What a campaign leaves, without what is incidental, and without what it only keeps for itself."""
+    files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    found = {
+        name: path.read_bytes() for name, path in files.items() if name.partition("/")[0] not in ("rows.jsonl", "runs")
+    }
+    if "sweep.parquet" in found:
+        found["sweep.parquet"] = pq.read_table(folder / "sweep.parquet").drop(list(INCIDENTAL)).to_pylist()
+    return set(files), found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("campaign", CAMPAIGNS)
+def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, campaign):
+    code, args = CAMPAIGNS[campaign]
+    start = time.monotonic()
+    finish(code, args, here / "whole")
+    duration = time.monotonic() - start
+    chance = random.Random()
+    for _ in range(KILLS):
+        mark = uuid.uuid4().hex
+        process = begin(code, args, here / "killed", mark)
+        wait = chance.uniform(0.3, 1.0) * duration
+        try:
+            process.wait(wait)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+        process.communicate()
+        # The workers end by themselves: nothing goes on writing.
+        limit = time.monotonic() + 20.0
+        while alive(mark) and time.monotonic() < limit:
+            time.sleep(0.05)
+        assert alive(mark) == [], f"killed after {wait:.3f} s"
+    finish(code, args, here / "killed")
+    assert results(here / "killed") == results(here / "whole")
+
+
+@pytest.mark.parametrize("command", [*CAMPAIGNS, "workspace"])
+def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys, command):
+    args = CAMPAIGNS[command][1] if command in CAMPAIGNS else ["workspace", "--set", "limits.clearance=null"]
+    (here / "out").mkdir()
+    monkeypatch.setattr(sys, "argv", ["stewart-drake", *args, "--out", "out", "--quiet"])
+    with locked_folder(here / "out"), pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert (
+        capsys.readouterr().err == "stewart-drake: --out: got 'out'; allowed: a folder that no other process is using\n"
+    )
+    assert list((here / "out").iterdir()) == []
+
+
+def test_a_store_of_runs_is_one_process_at_a_time(tmp_path):
+    with locked_folder(tmp_path), pytest.raises(ConfigurationError, match="no other process"):
+        RunStore(tmp_path).run_all([Scenario()])
