@@ -119,6 +119,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
             sys.exit(EXIT_INTERRUPTED)
     if not quiet:
         print_run(log, metrics, out)
+    for line in results.left_out:
+        click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
         what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
         click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)

@@ -9,11 +9,12 @@ import shutil
 import subprocess
 import tempfile
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files import read_checked, sync_folder, write_atomically
 from stewart_drake.log import UNFINISHED, SimulationLog
 from stewart_drake.metrics import run_metrics
@@ -106,6 +107,7 @@ class ResultsFolder:
 
     Attributes:
         folder: Where to write meanwhile.
+        left_out: After `finish` a line for each picture that could not be made.
     """
 
     def __init__(self, place: str | Path, scenario: Scenario, force: bool = False) -> None:
@@ -113,6 +115,7 @@ class ResultsFolder:
         self.folder = self.place.with_name(f".{self.place.name}.unfinished")
         self._before = self.place.with_name(f".{self.place.name}.before")
         self._named = str(place)
+        self.left_out: list[str] = []
         self._lock: BinaryIO | None = None
         self._done = False
         self._files = _own_files(scenario)
@@ -159,12 +162,11 @@ class ResultsFolder:
                 write_atomically(self.folder / "diagram.svg", svg)
         if pictures and len(log.time):
             # matplotlib and Meshcat take a second to load; a sweep that wants numbers alone does without.
-            from stewart_drake.plotting import plot_states, plot_torques, save_figure
-            from stewart_drake.replay import write_replay
+            from stewart_drake.plotting import draw, plot_states, plot_torques
 
-            save_figure(plot_states(log), self.folder / "states.png")
-            save_figure(plot_torques(log), self.folder / "torques.png")
-            write_replay(log, self.folder / "replay.html")
+            figures = {"states.png": plot_states, "torques.png": plot_torques}
+            lines = [draw(partial(plot, log), self.folder / name) for name, plot in figures.items()]
+            self.left_out = [line for line in (*lines, _replay(log, self.folder / "replay.html")) if line is not None]
         try:
             self._put()
         except OSError as error:
@@ -268,6 +270,17 @@ def write_run(
     with ResultsFolder(folder, log.scenario, force) as results:
         log.save(results.folder / "log.parquet")
         return results.finish(log, graph, pictures)
+
+
+def _replay(log: SimulationLog, path: Path) -> str | None:
+    """Writes the replay; where there is nothing to show, or Drake cannot, a line that says so."""
+    from stewart_drake.replay import write_replay
+
+    try:
+        write_replay(log, path)
+    except StewartDrakeError as error:
+        return f"{path.name} is left out: {error}"
+    return None
 
 
 def _own_files(scenario: Scenario) -> dict[str, bytes]:

@@ -175,7 +175,7 @@ def _drawable(log: SimulationLog) -> SimulationLog:
     return replace(log, signals={name: values.clip(-LARGEST, LARGEST) for name, values in log.signals.items()})
 
 
-def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: list[float] | None) -> None:
+def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: list[float | None] | None) -> None:
     """One column of the states: main axis, other axes, error, integral state."""
     main, others, errors, integrals = panels
     time, unit = log.time, group.unit
@@ -185,7 +185,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
         _draw(main if axis == group.main else others, time, pose[:, axis], color=color, label=symbol)
-        rms = "" if rmse is None else f"  {rmse[axis]:.2g}"
+        rms = "" if rmse is None or rmse[axis] is None else f"  {rmse[axis]:.2g}"
         _draw(errors, time, error[:, axis], color=color, label=symbol + rms)
         _draw(integrals, time, integral[:, axis], color=color, label=symbol, held=True)
     two = [axis for axis in range(3) if axis != group.main]

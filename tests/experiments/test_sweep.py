@@ -292,7 +292,7 @@ def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_pat
         what = number(scenario)
         pose = log["pose"].copy()
         pose[-1, 0] = (np.nan, 1e200)[what] if what < 2 else 0.0
-        return dataclasses.replace(log, signals={**log.signals, "pose": pose})
+        return dataclasses.replace(log, signals={**log.signals, "pose": pose}, figures=None)
 
     result = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=broken)
     assert result.table.column("finite").to_pylist() == [False, True, True]

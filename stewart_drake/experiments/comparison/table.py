@@ -32,9 +32,12 @@ NAMES: Mapping[str, tuple[str, str, str]] = {
     "reference": ("text", "", "its name; of a band, the axis"),
     "condition": ("text", "", "its name"),
     "seed": ("whole", "", "what {seed} stood for"),
-    "status": ("text", "", "completed, failed, rejected, raised or crashed, as in a sweep"),
+    "status": ("text", "", "completed, stopped, lost, failed, rejected, raised or crashed, as in a sweep"),
     "reason": ("text", "", "stable name of what happened, null for completed"),
     "message": ("text", "", "one line on it"),
+    "outcome_time": ("number", "s", "when that was decided, null for completed"),
+    "safety": ("text", "", "monitor of the safety layer that tripped first, null for none"),
+    "warnings": ("text", "", "names of the warnings, null for none"),
     "end_time": ("number", "s", "simulated time reached"),
     "leg": ("whole", "", "leg 0..5 to which a failure belongs"),
     "not_finite": NOT_FINITE_COLUMN,
@@ -54,7 +57,7 @@ COLUMNS: Mapping[str, tuple[str, str, str]] = {
     "torque_rms": ("number", "N m", f"of all motors, within their limits, {_LATE}"),
     "torque_change_rms": ("number", "N m", f"of the torque asked for, from tick to tick, {_LATE}"),
     "torque_peak": ("number", "N m", "of all motors, within their limits, over the whole run"),
-    "saturated_fraction": ("number", "1", "share of torques at the limit, of rows and motors"),
+    "saturated_fraction": ("number", "1", "share of torques at the limit, of ticks and motors"),
     "loop_gap_max_m": ("number", "m", "largest distance from a rod end to its platform joint"),
     "finite": ("flag", "", "every number of the log is finite"),
 }
@@ -213,10 +216,17 @@ def _failure(group: Sequence[Row]) -> str | None:
         return None
     first = failed[0]
     words = str(first["reason"] or first["status"]).replace("_", " ")
-    end = first.get("end_time")
+    if first["status"] in ("stopped", "lost"):
+        words = f"{first['status']}, {words}"
+    end = first.get("outcome_time")
     when = "" if end is None else f" at {end:.2f} s"
     share = f", {len(failed)} of {len(group)} runs" if len(group) > 1 else ""
     return f"{words}{when}{share}"
+
+
+def _only_lost(group: Sequence[Row]) -> bool:
+    """Whether all runs have figures: what was lost went on to its end."""
+    return all(row["status"] in ("completed", "lost") for row in group)
 
 
 def _chosen(group: Sequence[Row]) -> str:
@@ -256,7 +266,7 @@ def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence
         failure = _failure(group)
         figures = [show(_worst(group, name)) for _, name, show in _LIST]
         if failure is not None:
-            figures = [failure] + ["-"] * (len(_LIST) - 1)
+            figures = [failure] + (figures[1:] if _only_lost(group) else ["-"] * (len(_LIST) - 1))
         lines.append((key[0] + _chosen(group), *key[1:], *figures))
     title = f"{comparison.name}: RMSE and peak of the length of the error, {_LATE}"
     return Sheet(
@@ -279,7 +289,10 @@ def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
                     continue
                 all_of += list(group)
                 rotation, position = number(_worst(group, "rmse_deg")), number(_worst(group, "rmse_mm"))
-                line.append(_failure(group) or f"{rotation}° {position} mm{_chosen(group)}")
+                failure, figures = _failure(group), f"{rotation}° {position} mm{_chosen(group)}"
+                line.append(
+                    failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
+                )
             done = [row for row in all_of if row["status"] == "completed"]
             settling = [row.get("settling_s") for row in done]
             line.append(
@@ -297,7 +310,7 @@ def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
             "torque RMS, largest [N m]",
             "change per tick, largest [N m]",
             "at the limit, most",
-            "failed",
+            "not completed",
         )
         brief = (*range(len(references) + 1), len(header) - 1)
         made.append(Sheet(f"{condition}: RMSE {_LATE}, rotation and position", header, tuple(lines), brief))

@@ -120,30 +120,41 @@ def not_finite(row: Mapping[str, Any]) -> str | None:
     return ", ".join(f"{name} {value}" for name, value in found.items()) or None
 
 
-_FROM_METRICS = ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "omega_ratio")
+_FROM_METRICS = (
+    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_ratio", "torque_rms", "torque_peak",
+    "saturated_fraction", "loop_gap_max_m", "omega_ratio", "finite",
+)  # fmt: skip
 """Keys of `run_metrics` that are figures of a row under the same name."""
 
 
 def measure(log: SimulationLog) -> dict[str, Any]:
-    """Figures of a run, flat; see `table.COLUMNS` for what each is."""
-    from stewart_drake.metrics import run_metrics, second_half, tracking_error
+    """Figures of a run, flat; see `table.OUTCOME` for what each is."""
+    from stewart_drake.metrics import run_metrics
 
     metrics = run_metrics(log)
-    row: dict[str, Any] = {"end_time": log.end_time, "leg": log.leg, "simulation_s": log.wall_time}
-    row |= {name: metrics[name] for name in _FROM_METRICS}
-    row["finite"] = bool(all(np.isfinite(signal).all() for signal in log.signals.values()))
-    error = tracking_error(log)[second_half(log)]
-    for unit, axes, scale, part in (
-        ("deg", ("roll", "pitch", "yaw"), np.degrees(1.0), error[:, :3]),
-        ("mm", ("x", "y", "z"), 1e3, error[:, 3:]),
-    ):
-        for figure in ("rmse", "peak"):
+    row: dict[str, Any] = {name: metrics[name] for name in _FROM_METRICS} | {"simulation_s": log.wall_time}
+    safety = metrics["safety"] or dict.fromkeys(("monitor", "time", "worst"))
+    row |= {"safety": safety["monitor"], "safety_time": safety["time"], "safety_level": safety["worst"]}
+    row["warnings"] = ", ".join(warning["name"] for warning in metrics["warnings"]) or None
+    for figure in ("rmse", "peak"):
+        for unit, axes in (("deg", ("roll", "pitch", "yaw")), ("mm", ("x", "y", "z"))):
             values = metrics[f"{figure}_{unit}"] or (None, None, None)
             row |= {f"{figure}_{axis}_{unit}": value for axis, value in zip(axes, values, strict=True)}
-        norm = scale * np.linalg.norm(part, axis=1)
-        row[f"rmse_{unit}"] = float(np.sqrt(np.mean(norm**2))) if len(norm) else None
-        row[f"peak_{unit}"] = float(norm.max()) if len(norm) else None
-    return row
+            row[f"{figure}_{unit}"] = metrics[f"{figure}_norm_{unit}"]
+    return {**row, NOT_FINITE: _flat_names(metrics[NOT_FINITE])}
+
+
+def _flat_names(found: Mapping[str, str]) -> dict[str, str]:
+    """Names of figures as a row has them: `rmse_mm.2` is rmse_z_mm, and `rmse_norm_mm` rmse_mm."""
+    axes = {"deg": ("roll", "pitch", "yaw"), "mm": ("x", "y", "z")}
+    names = {}
+    for name, value in found.items():
+        key, _, index = name.partition(".")
+        figure, _, unit = key.rpartition("_")
+        if index and unit in axes:
+            key = f"{figure}_{axes[unit][int(index)]}_{unit}"
+        names[key.replace("_norm_", "_")] = value
+    return names
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:

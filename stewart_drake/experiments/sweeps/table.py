@@ -49,18 +49,28 @@ OUTCOME: Mapping[str, tuple[str, str, str]] = {
     "status": (
         "text",
         "",
-        "completed; failed: broke midway, and what was measured until then is there; rejected: refused before the run; "
-        "raised: an exception that is no verdict on the run; crashed: took its worker process with it",
+        "completed: the controller was in charge to the end and the motion was followed; stopped: the safety layer "
+        "held the robot at the end; lost: the motion was not followed; failed: broke midway, and what was measured "
+        "until then is there; rejected: refused before the run; raised: an exception that is no verdict on the run; "
+        "crashed: took its worker process with it",
     ),
     "reason": ("text", "", "stable name of what happened, null for completed"),
     "message": ("text", "", "one line on it"),
+    "outcome_time": ("number", "s", "when that was decided, null for completed"),
+    "safety": ("text", "", "monitor of the safety layer that tripped first, null for none"),
+    "safety_time": ("number", "s", "when it did"),
+    "safety_level": ("text", "", "how far the safety layer went: hold, ramp, safe_hold or end"),
+    "warnings": ("text", "", "names of the warnings, null for none"),
     "end_time": ("number", "s", "simulated time reached"),
     "leg": ("whole", "", "leg 0..5 to which a failure belongs"),
     **_errors("rmse", "root mean square error"),
     **_errors("peak", "largest error"),
+    "error_max_deg": ("number", "deg", "largest angle from the reference while the controller was in charge"),
+    "error_max_mm": ("number", "mm", "largest distance from the reference while the controller was in charge"),
+    "motion_ratio": ("number", "1", "size of the platform's motion over that of its reference"),
     "torque_rms": ("number", "N m", "of all motors, within their limits, over the whole run"),
     "torque_peak": ("number", "N m", "of all motors, within their limits, over the whole run"),
-    "saturated_fraction": ("number", "1", "share of torques beyond the limit, of rows and motors"),
+    "saturated_fraction": ("number", "1", "share of torques at the limit, of ticks and motors"),
     "loop_gap_max_m": ("number", "m", "largest distance from a rod end to its platform joint"),
     "omega_ratio": ("number", "1", "geometric mean of omega_Q / omega_R"),
     "finite": ("flag", "", "every number of the log is finite"),
