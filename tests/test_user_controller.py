@@ -1,3 +1,4 @@
+import pickle
 import sys
 from functools import partial
 
@@ -216,6 +217,8 @@ def test_its_traceback_begins_with_its_own_first_frame_and_is_no_longer_than_a_p
     ).controller
     functions = vars(sys.modules[load_class(options).__module__])
     lines = guarded(options, lambda: functions["ping"]({})).traceback.splitlines()
+    error = guarded(options, lambda: functions["ping"]({}))
+    assert pickle.loads(pickle.dumps(error)).traceback == error.traceback
     assert lines[0] == "Traceback (most recent call last):"
     assert lines[1].endswith(", in ping")
     assert lines[2].strip() == "pong(n)"

@@ -306,7 +306,7 @@ def test_a_file_in_a_folder_named_like_a_column_reads_the_same(tmp_path):
 
 def test_a_folder_is_no_dataset(tmp_path):
     made_up().save(tmp_path / "data.parquet")
-    with pytest.raises(ConfigurationError, match="Is a directory"):
+    with pytest.raises(ConfigurationError, match="a folder"):
         load_dataset(tmp_path)
 
 

@@ -180,6 +180,26 @@ def test_a_part_whose_files_are_not_its_own_any_more_is_made_again(tmp_path, mad
     assert content(tmp_path) == before
 
 
+@pytest.mark.parametrize("how", ["another number", "a pipe", "a device"])
+def test_a_part_that_is_not_what_was_written_is_made_again(tmp_path, made, how):
+    reproduce(tmp_path, base=BASE)
+    (part,) = (tmp_path / "parts").glob("second-*.json")
+    whole = part.read_bytes()
+    document = json.loads(whole)
+    document["section"]["numbers"]["another"] = 3
+    part.unlink()
+    if how == "another number":
+        part.write_text(json.dumps(document))
+    elif how == "a pipe":
+        os.mkfifo(part)
+    else:
+        part.symlink_to("/dev/zero")
+    made.clear()
+    reproduce(tmp_path, base=BASE)
+    assert made == [("second", False)]
+    assert part.read_bytes() == whole
+
+
 def test_quick_and_whole_in_one_folder_do_not_mix(tmp_path, made):
     reproduce(tmp_path, base=BASE)
     whole = content(tmp_path)
