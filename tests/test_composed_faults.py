@@ -21,7 +21,7 @@ from stewart_drake.scenario import load_scenario
 from stewart_drake.simulation import check_scenario, run
 
 SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "300"))
-"""In CI; 5,000 were run once, see the change log."""
+"""Of faults; more of them for a longer search."""
 DURATION, TICK = 0.4, 0.001
 BOUNDS = math.radians(10.0), 0.03, 0.001
 """[rad, m, m] beyond which a motion is lost: angle and distance from the reference, gap of the loops."""
