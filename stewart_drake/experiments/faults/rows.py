@@ -119,10 +119,10 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         travel = float(np.degrees(angle.max())), float(1e3 * way.max())
     if trip is not None:
         reaction: str = _WORST[trip["worst"]]
-        if log.status == "failed" and log.reason != trip["monitor"]:
-            # The plant itself broke while the layer was stopping it: a crank that has lost its rod may spin up to that.
+        if log.status == "failed":
+            # The layer gave up, or the plant itself broke while the layer was stopping it: a crank that has lost its rod may spin up to that.
             reaction = "ended"
-    elif log.status != "completed":
+    elif log.status == "failed":
         reaction = "broke"
     else:
         allowed = log.scenario.safety and log.scenario.safety.following_error

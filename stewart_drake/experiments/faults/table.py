@@ -138,7 +138,7 @@ def short_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
     return lines
 
 
-TERSE_HEADERS = ("fault", "reaction", "monitor", "ms", "deg", "mm", "N m")
+TERSE_HEADERS = ("fault", "reaction", "outcome", "monitor", "ms", "deg", "mm", "N m")
 
 
 def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
@@ -155,9 +155,9 @@ def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
         for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
             values = [value for row in mine if (value := getattr(row, figure)) is not None]
             figures.append(f"{max(values):.2f}" if values else "-")
-        reactions, monitors = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "monitor"))
-        both = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in (reactions, monitors))
-        lines.append((name, *both, "-".join(ends), *figures))
+        words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "monitor"))
+        told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
+        lines.append((name, *told, "-".join(ends), *figures))
     return lines
 
 
@@ -182,7 +182,8 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "# Fault table",
         "",
         f"{len(rows)} runs of {DURATION:g} s; faults begin at {ONSET:g} s, or are there from the start. The",
-        "exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg.",
+        "exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;",
+        "after the colon: the outcome of the run.",
         "Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far",
         "it went after the safety layer took over. The worst of the motions counts.",
         "",
@@ -210,12 +211,13 @@ def _told(fault: Fault) -> str:
 
 
 def _end(row: FaultRow) -> str:
+    status = "" if row.status is None else f": {row.status}"
     if row.monitor is None or row.latency_ms is None:
-        return row.reaction
+        return f"{row.reaction}{status}"
     leg = "" if row.leg is None else f", leg {row.leg}"
     # What chance brings, such as ticks lost in a row, has a time but no latency.
     when = f", {row.latency_ms:.0f} ms" if _begins(row.fault) else ""
-    return f"{row.reaction} ({row.monitor}{when}{leg})"
+    return f"{row.reaction} ({row.monitor}{when}{leg}){status}"
 
 
 def _begins(name: str) -> bool:
