@@ -492,15 +492,6 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_mistake_in_the_code_is_not_hidden(call, monkeypatch):
-    def broken(*_args):
-        raise ZeroDivisionError("mine")
-
-    monkeypatch.setattr(scenario_module, "load_scenario", broken)
-    with pytest.raises(ZeroDivisionError, match="mine"):
-        call("run", "paper_fig7")
-
-
 # --- what a start loads -------------------------------------------------------------------------------------------
 
 HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy")
@@ -547,6 +538,7 @@ def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, co
     ("error", "status", "words"),
     [
         (MemoryError(), 3, "out of memory"),
+        (ZeroDivisionError("mine"), 4, r"internal error: ZeroDivisionError: mine \(test_cli\.py, line"),
         (np.linalg.LinAlgError("Singular"), 4, r"internal error: LinAlgError: Singular \(test_cli\.py, line"),
         (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
         (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
