@@ -47,7 +47,7 @@ from stewart_drake.scalars import SECTION, Count, Real, Vector6
 from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
 from stewart_drake.sensor_faults import PoseFault
 from stewart_drake.user_controller import PythonOptions
-from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, shipped_folder, to_yaml
+from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 
 MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
@@ -370,11 +370,6 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         anchor_files(change, Path())
         _assign(data, key.strip(), change[key.strip()])
     return Scenario.from_dict(data)
-
-
-def scenario_folder() -> Path:
-    """Folder of the scenarios that the package carries (in a checkout: diagrams/scenarios)."""
-    return shipped_folder("scenarios")
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -25,9 +25,10 @@ from stewart_drake.experiments.sweeps.spec import load_sweep
 from stewart_drake.named_files import digest
 from stewart_drake.network import load_network
 from stewart_drake.references import RecordedReference
-from stewart_drake.scenario import load_scenario, scenario_folder
+from stewart_drake.scenario import load_scenario
 from stewart_drake.training.dataset import Dataset, load_dataset
 from stewart_drake.user_controller import PythonOptions, construct
+from stewart_drake.yaml_files import shipped_folder
 
 MEMORY = 1_500_000_000
 """[byte] that loading may take beyond what the modules do."""
@@ -77,7 +78,7 @@ class Kind:
 
 
 def _scenario(_):
-    return (scenario_folder() / "heart.yaml").read_bytes() + b"\ntuner: {kind: ann, weights_file: own.json}\n"
+    return (shipped_folder("scenarios") / "heart.yaml").read_bytes() + b"\ntuner: {kind: ann, weights_file: own.json}\n"
 
 
 def _dataset(path):

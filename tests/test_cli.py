@@ -17,7 +17,8 @@ from stewart_drake.cli import cli, main
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.log import load_log
 from stewart_drake.network import default_network_path
-from stewart_drake.scenario import load_scenario, scenario_folder, scenario_schema
+from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.yaml_files import shipped_folder
 
 ROOT = Path(__file__).parent.parent
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
@@ -27,6 +28,7 @@ WITHOUT_PICTURES = """
 import functools
 from stewart_drake import outputs
 from stewart_drake.cli import main
+from stewart_drake.yaml_files import shipped_folder
 outputs.write_run = functools.partial(outputs.write_run, pictures=False)
 main()
 """
@@ -161,7 +163,7 @@ def test_the_schema_command_writes_what_the_checkout_holds(call):
     status, out, err = call("schema")
     assert (status, err) == (0, "")
     assert json.loads(out) == scenario_schema()
-    shipped = scenario_folder() / "schema.json"
+    shipped = shipped_folder("scenarios") / "schema.json"
     assert shipped.read_text() == out, "made with `stewart-drake schema --out diagrams/scenarios/schema.json`"
     assert call("schema", "--out", "own.json") == (0, "", "")
     assert Path("own.json").read_text() == out

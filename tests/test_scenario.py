@@ -25,10 +25,9 @@ from stewart_drake.scenario import (
     FixedTuner,
     Scenario,
     load_scenario,
-    scenario_folder,
     scenario_schema,
 )
-from stewart_drake.yaml_files import MAX_BYTES, find_file
+from stewart_drake.yaml_files import MAX_BYTES, find_file, shipped_folder
 
 PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
 SHIPPED = (*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path")
@@ -136,7 +135,7 @@ def test_shipped_scenarios_are_the_three_cases_of_the_paper(name, gravity, feedf
 
 
 def test_all_shipped_scenarios_are_tested_here():
-    assert sorted(path.stem for path in scenario_folder().glob("*.yaml")) == sorted(SHIPPED)
+    assert sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml")) == sorted(SHIPPED)
 
 
 def test_the_same_scenario_from_file_dict_and_python(tmp_path):
@@ -481,7 +480,7 @@ def test_a_scenario_that_is_not_there_is_named(name, tmp_path, monkeypatch):
 
 def test_a_bare_name_means_a_shipped_scenario_unless_there_is_such_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert find_file("scenario", "paper_fig7") == scenario_folder() / "paper_fig7.yaml"
+    assert find_file("scenario", "paper_fig7") == shipped_folder("scenarios") / "paper_fig7.yaml"
     write(tmp_path, "duration: 3\n", "paper_fig7")
     assert load_scenario("paper_fig7").duration == 3.0
 
@@ -744,7 +743,7 @@ def test_the_yaml_as_run_has_every_key():
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(name):
     validator = jsonschema.Draft202012Validator(scenario_schema())
-    data = YAML(typ="safe", pure=True).load((scenario_folder() / f"{name}.yaml").read_text())
+    data = YAML(typ="safe", pure=True).load((shipped_folder("scenarios") / f"{name}.yaml").read_text())
     validator.validate(data)
     for path in ("durration", "plant.time_stp", "reference.centre", "controller.perid", "tuner.omega"):
         *section, key = path.split(".")

@@ -14,11 +14,12 @@ from stewart_drake.outputs import write_run
 from stewart_drake.plant import add_plant
 from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
-from stewart_drake.scenario import Scenario, load_scenario, scenario_folder
+from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import check_scenario, run
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.yaml_files import shipped_folder
 
 BASE = {
     "duration": 0.12,
@@ -280,7 +281,7 @@ def test_errors_inside_a_tick_carry_its_time(monkeypatch):
 # --- no false alarms ------------------------------------------------------------------------------------------------
 
 # That one falls over on purpose.
-NOMINAL = sorted({path.stem for path in scenario_folder().glob("*.yaml")} - {"paper_fig7_uncompensated"})
+NOMINAL = sorted({path.stem for path in shipped_folder("scenarios").glob("*.yaml")} - {"paper_fig7_uncompensated"})
 
 
 @pytest.mark.slow

@@ -120,7 +120,7 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
     if trip is not None:
         reaction: str = _WORST[trip["worst"]]
         if log.status == "failed":
-            # The layer gave up, or the plant itself broke while the layer was stopping it: a crank that has lost its rod may spin up to that.
+            # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
             reaction = "ended"
     elif log.status == "failed":
         reaction = "broke"
