@@ -24,6 +24,7 @@ from stewart_drake.errors import (
     StewartDrakeError,
     UnreachablePoseError,
     drake_guard,
+    raised_at,
 )
 from stewart_drake.estimator import EncoderOptions
 from stewart_drake.files import plain_json
@@ -56,6 +57,12 @@ class OutOfMemoryError(RunFailure):
     """The machine has no memory left; the rows so far are kept."""
 
     reason = "out_of_memory"
+
+
+class SingularMatrixError(RunFailure):
+    """The mathematics of a tick came to a matrix that cannot be solved with."""
+
+    reason = "singular_matrix"
 
 
 def run(
@@ -133,6 +140,8 @@ def run(
         ended_by = end
     except MemoryError:
         ended_by = OutOfMemoryError("there is no memory left to go on with")
+    except np.linalg.LinAlgError as error:
+        ended_by = SingularMatrixError(f"{error}{raised_at(error)}")
     wall = time.perf_counter() - start
     recorder.drain()
     figures = recorder.tally.figures()

@@ -80,7 +80,11 @@ def test_a_full_disk_ends_the_run_and_what_was_written_is_readable(tmp_path, mon
         assert (log.status, log.reason) == ("interrupted", "killed")
 
 
-def test_no_memory_left_ends_the_run_with_its_log(monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [(MemoryError(), "out_of_memory"), (np.linalg.LinAlgError("Singular matrix"), "singular_matrix")],
+)
+def test_what_stops_a_tick_ends_the_run_with_its_log(monkeypatch, error, reason):
     from stewart_drake.systems.lqi_controller import LqiController
 
     tick, calls = LqiController.tick, []
@@ -88,12 +92,12 @@ def test_no_memory_left_ends_the_run_with_its_log(monkeypatch):
     def hungry(self, context, previous):
         calls.append(1)
         if len(calls) > 20:
-            raise MemoryError
+            raise error
         return tick(self, context, previous)
 
     monkeypatch.setattr(LqiController, "tick", hungry)
     log = run(scenario(controller={"compiled": False}))
-    assert (log.status, log.reason) == ("failed", "out_of_memory")
+    assert (log.status, log.reason) == ("failed", reason)
     assert len(log.time) > 10
 
 

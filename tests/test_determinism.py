@@ -1,0 +1,43 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+RUN = """
+import hashlib, json, sys
+from stewart_drake.metrics import run_metrics
+from stewart_drake.scenario import load_scenario
+from stewart_drake.simulation import run
+content = hashlib.sha256()
+for name in ("paper_fig7", "exact_heart"):
+    log = run(load_scenario(name).replace({"duration": 0.3}))
+    for signal, values in log.signals.items():
+        content.update(signal.encode() + values.tobytes())
+    metrics = run_metrics(log)
+    del metrics["real_time_factor"], metrics["git_revision"]
+    content.update(json.dumps(metrics, sort_keys=True).encode())
+print(content.hexdigest())
+"""
+
+
+def numbers(folder, **environment):
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    command = [sys.executable, "-c", RUN]
+    environment = {**os.environ, "PYTHONPATH": path, **environment}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_numbers_are_the_same_to_the_bit_over_threads_hash_seeds_and_folders(tmp_path):
+    def threads(count):
+        return dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), count)
+
+    (tmp_path / "elsewhere").mkdir()
+    one = numbers(ROOT, PYTHONHASHSEED="0", **threads("1"))
+    assert one == numbers(tmp_path / "elsewhere", PYTHONHASHSEED="1", **threads("4"))
+    assert one == numbers(tmp_path, PYTHONHASHSEED="4294967295", **threads("2"))
