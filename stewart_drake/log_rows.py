@@ -75,6 +75,28 @@ class RowsInMemory:
         return replace(log, signals=_joined(self._parts))
 
 
+class NoRows:
+    """Drops all rows; the figures of a run do without."""
+
+    def __init__(self) -> None:
+        self._empty: dict[str, np.ndarray] = {}
+
+    def check(self, scenario: Scenario) -> None:
+        """See `LogRows.check`."""
+        _check_memory(scenario, 0.0)
+
+    def begin(self, header: SimulationLog) -> None:
+        """See `LogRows.begin`."""
+
+    def add(self, signals: Mapping[str, np.ndarray]) -> None:
+        """See `LogRows.add`."""
+        self._empty = {name: values[:0] for name, values in signals.items()}
+
+    def end(self, log: SimulationLog) -> SimulationLog:
+        """See `LogRows.end`."""
+        return replace(log, signals=self._empty)
+
+
 class RowsInFile:
     """Writes rows to numbered parts as they come, and in the end all of them to `log.parquet`.
 

@@ -17,11 +17,13 @@ from pathlib import Path
 
 import numpy as np
 from conftest import make_network, resealed
+from made_logs import made_log
 
 from stewart_drake import parquet_files
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.experiments.comparison.spec import load_comparison
 from stewart_drake.experiments.sweeps.spec import load_sweep
+from stewart_drake.log import load_log
 from stewart_drake.named_files import digest
 from stewart_drake.network import load_network
 from stewart_drake.references import RecordedReference
@@ -89,6 +91,10 @@ def _dataset(path):
     return path.read_bytes()
 
 
+def _log(_):
+    return made_log(rows=5).to_parquet()
+
+
 def _csv(_):
     rows = [f"{0.1 * k:g},0,{0.01 * k:g},0,0,0,0.3" for k in range(30)]
     return "\n".join(["time,roll,pitch,yaw,x,y,z", *rows, ""]).encode()
@@ -138,6 +144,8 @@ KINDS = {
     "weights, sealed anew": Kind("own.json", lambda _: make_network().to_bytes(), load_network, _resealed_json),
     "dataset": Kind("own.parquet", _dataset, load_dataset),
     "dataset, sealed anew": Kind("own.parquet", _dataset, load_dataset, _resealed_parquet),
+    "log": Kind("own.parquet", _log, load_log),
+    "log, sealed anew": Kind("own.parquet", _log, load_log, _resealed_parquet),
     "recording, csv": Kind("own.csv", _csv, _recording),
     "recording, parquet": Kind("own.parquet", _parquet, _recording),
     "controller": Kind("own.py", lambda _: CONTROLLER, _controller),

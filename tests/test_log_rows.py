@@ -144,39 +144,52 @@ def test_memory_does_not_grow_with_the_length_of_a_run(tmp_path):
     assert peaks[1] < 600e6
 
 
-def killed_after(command, folder, delay):
-    """Starts a run, kills it so many seconds after its first rows, and returns its unfinished folder."""
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    unfinished = folder / ".out.unfinished"
+DRIVER = "import stewart_drake.log_rows as r; r._FLUSH_TIME = 0.05; from stewart_drake.cli import main; main()"
+
+
+def command(duration):
+    changes = ["tuner={kind: fixed}", "log_period=0.001", "reference={kind: hold}", f"duration={duration}"]
+    sets = [word for change in changes for word in ("--set", change)]
+    return [sys.executable, "-c", DRIVER, "run", "paper_fig7", "--out", "out", "--quiet", *sets]
+
+
+def started(folder):
+    """A long run that has written its first rows."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": path}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command(600), cwd=folder, env=environment, **quiet)
     deadline = time.monotonic() + 60.0
-    while process.poll() is None and not list(unfinished.glob("rows/*.parquet")):
+    while process.poll() is None and not list(folder.glob(".out.unfinished/rows/*.parquet")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    time.sleep(delay)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    return unfinished
+    return process, environment
 
 
 @pytest.mark.slow
 def test_a_run_that_is_killed_keeps_its_rows_and_the_next_one_clears_them(tmp_path):
-    driver = "import stewart_drake.log_rows as r; r._FLUSH_TIME = 0.05; from stewart_drake.cli import main; main()"
-    changes = ["tuner={kind: fixed}", "log_period=0.001", "reference={kind: hold}"]
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    os.environ["PYTHONPATH"] = path
-
-    def command(duration):
-        sets = [word for change in [*changes, f"duration={duration}"] for word in ("--set", change)]
-        return [sys.executable, "-c", driver, "run", "paper_fig7", "--out", "out", "--quiet", *sets]
-
-    rng = np.random.default_rng(0)
-    for delay in rng.uniform(0.0, 0.8, 3):
-        unfinished = killed_after(command(60), tmp_path, delay)
+    for delay in np.random.default_rng(0).uniform(0.0, 0.8, 3):
+        process, environment = started(tmp_path)
+        time.sleep(delay)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
         assert not (tmp_path / "out").exists()
-        rows = load_log(unfinished)
+        rows = load_log(tmp_path / ".out.unfinished")
         assert (rows.status, rows.reason) == ("interrupted", "killed")
         np.testing.assert_allclose(rows.time, 0.001 * np.arange(len(rows.time)), atol=1e-12)
-    subprocess.run(command(0.5), cwd=tmp_path, check=True)
+    subprocess.run(command(0.5), cwd=tmp_path, env=environment, check=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    undisturbed = run(load_log(tmp_path / "out").scenario)
-    same(load_log(tmp_path / "out"), undisturbed)
+    same(load_log(tmp_path / "out"), run(load_log(tmp_path / "out").scenario))
+
+
+@pytest.mark.slow
+def test_the_second_of_two_runs_into_one_folder_is_refused_and_the_first_goes_on(tmp_path):
+    process, environment = started(tmp_path)
+    second = subprocess.run(command(0.5), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert second.returncode == 2
+    assert second.stderr == "stewart-drake: --out: got 'out'; allowed: a folder that no other process is writing\n"
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    assert process.wait() == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert load_log(tmp_path / "out").status == "interrupted"

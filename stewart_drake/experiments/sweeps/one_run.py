@@ -60,10 +60,18 @@ class Task:
 
 
 def simulate(scenario: Scenario) -> SimulationLog:
-    """What a sweep runs by default: `simulation.run`, the check of the reference included."""
+    """What a comparison runs by default: `simulation.run`, the check of the reference included."""
     from stewart_drake.simulation import run
 
     return run(scenario)
+
+
+def simulate_figures(scenario: Scenario) -> SimulationLog:
+    """What a sweep runs by default: the same without rows, so that a run may be as long as it likes."""
+    from stewart_drake.log_rows import NoRows
+    from stewart_drake.simulation import run
+
+    return run(scenario, rows=NoRows())
 
 
 def warm_up(source: str) -> None:

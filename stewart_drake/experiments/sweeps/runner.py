@@ -23,6 +23,7 @@ from stewart_drake.experiments.sweeps.one_run import (
     empty_row,
     execute,
     simulate,
+    simulate_figures,
     warm_up,
 )
 from stewart_drake.experiments.sweeps.spec import Sweep, vary
@@ -117,7 +118,7 @@ def run_sweep(
     where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
-    function: RunFunction = simulate,
+    function: RunFunction = simulate_figures,
 ) -> SweepResult:
     """Runs what is missing of a sweep and writes its table.
 
