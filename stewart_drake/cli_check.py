@@ -31,15 +31,18 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
     """
+    from stewart_drake.files import read_checked
     from stewart_drake.motion_fit import fit_amplitude, fit_speed, motion_report
     from stewart_drake.scenario import load_scenario
-    from stewart_drake.user_controller import PythonOptions
+    from stewart_drake.user_controller import MAX_BYTES, PythonOptions
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs one of --scale and --retime")
     loaded = load_scenario(scenario, overrides)
     if isinstance(loaded.controller, PythonOptions):
         click.echo(f"runs code: {loaded.controller.code}")
+        if loaded.controller.file is not None:
+            read_checked(loaded.controller.file, f"controller file {loaded.controller.file}", MAX_BYTES)
     report = motion_report(loaded)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import psutil
@@ -14,6 +14,9 @@ import psutil
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.log import ROW_GROUP, UNFINISHED, SimulationLog, load_log, write_log
 from stewart_drake.scenario import Scenario
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 PICTURE_ROWS = 100_000
 """Of a log in a file that come back into memory, for pictures."""
@@ -142,12 +145,7 @@ class RowsInFile:
         self._flush()
         parts = [self._part(index) for index in range(self._written)]
         path = self.folder / "log.parquet"
-        try:
-            with path.open("w+b") as stream:
-                write_log(log, (load_log(part).table() for part in parts), stream)
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            raise self._full(error) from error
+        self._write(log, (load_log(part).table() for part in parts), path)
         for part in parts:
             part.unlink()
         self._parts.rmdir()
@@ -159,21 +157,24 @@ class RowsInFile:
             return
         assert self._header is not None
         part = replace(self._header, signals=_joined(self._waiting))
-        path = self._part(self._written)
-        try:
-            with path.open("w+b") as stream:
-                write_log(part, [part.table()], stream)
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            raise self._full(error) from error
+        self._write(part, [part.table()], self._part(self._written))
         self._waiting, self._rows, self._written = [], 0, self._written + 1
+
+    def _write(self, log: SimulationLog, tables: Iterable[pa.Table], path: Path) -> None:
+        """Writes a log so that `path` is there only once it is whole."""
+        unfinished = path.with_suffix(".part")
+        try:
+            with unfinished.open("w+b") as stream:
+                write_log(log, tables, stream)
+            unfinished.replace(path)
+        except OSError as error:
+            unfinished.unlink(missing_ok=True)
+            why = error.strerror or str(error)
+            text = f"rows of the log cannot be written ({why}); those before are in {self.folder}"
+            raise OutOfSpaceError(text) from error
 
     def _part(self, index: int) -> Path:
         return self._parts / f"{index:06d}.parquet"
-
-    def _full(self, error: OSError) -> OutOfSpaceError:
-        why = error.strerror or str(error)
-        return OutOfSpaceError(f"rows of the log cannot be written ({why}); those before are in {self.folder}")
 
 
 def _joined(parts: list[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

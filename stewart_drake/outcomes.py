@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from stewart_drake.errors import RunFailure, SafetyStop
-from stewart_drake.option_checks import check_positive, check_real
-from stewart_drake.scalars import SECTION, Positive, Share
+from stewart_drake.option_checks import check_positive
+from stewart_drake.scalars import SECTION, Positive
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
@@ -41,16 +41,14 @@ class Bounds:
     """[m] largest distance between the platform and its reference."""
     loop_gap: Positive | None = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    motion_ratio: Share | None = 0.5
-    """[-] least size of the platform's motion over that of its reference: RMS about the mean of all poses, rotations
-    times the robot's characteristic length. Friction that swallows a motion makes it 0."""
+    motion_error: Positive | None = 0.9
+    """[-] largest RMS of the error about its mean over that of the reference, in the second half, rotations times the
+    robot's characteristic length. A platform that stands still, its motion swallowed by friction, has 1."""
 
     def __post_init__(self) -> None:
-        for name in ("rotation", "position", "loop_gap"):
+        for name in ("rotation", "position", "loop_gap", "motion_error"):
             if getattr(self, name) is not None:
                 check_positive(f"bounds.{name}", getattr(self, name), allowed="a positive number, or null")
-        if self.motion_ratio is not None:
-            check_real("bounds.motion_ratio", self.motion_ratio, 0.0, "a number from 0 to 1, or null", 1.0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +93,8 @@ def judge(
         when = end_time if ended_by.time is None else ended_by.time
         text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))
         return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
-    if trip is not None and trip["stopped"] is not None:
-        by = trip["stopped"]
+    by = None if trip is None else trip["stopped"] or figures["events"]["held"]
+    if trip is not None and by is not None:
         text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} when the time was up"
         return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
     left = {name: event for name, event in figures["events"]["left"].items() if event is not None}
@@ -104,20 +102,18 @@ def judge(
         name = min(left, key=lambda name: float(left[name]["time"]))
         event = left[name]
         scale, unit = (math.degrees(1.0), "deg") if name == "rotation" else (1e3, "mm")
-        what = "the loops opened" if name == "loop_gap" else f"the error in {name} left its bound"
         bound, worst = (f"{scale * value:.4g} {unit}" for value in (getattr(bounds, name), event["worst"]))
-        text = f"{what} of {bound} at t = {event['time']:.3f} s; at most it was {worst}"
+        what = "the loops opened by" if name == "loop_gap" else f"the error in {name} was"
+        text = f"{what} more than {bound} from t = {event['time']:.3f} s on; at most {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
-    ratio = figures["motion_ratio"]
-    if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
-        text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
+    share = figures["motion_error"]
+    if bounds.motion_error is not None and share is not None and not share <= bounds.motion_error:
+        text = f"the error moved by {share:.0%} of the reference's motion; bound {bounds.motion_error:.0%}"
         return Outcome("lost", "not_followed", text, end_time)
     return Outcome("completed")
 
 
-def find_warnings(
-    outcome: Outcome, figures: Mapping[str, Any], trip: Mapping[str, Any] | None
-) -> tuple[dict[str, Any], ...]:
+def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
     """What a reader of a run should know beside its outcome.
 
     Returns:
@@ -130,7 +126,7 @@ def find_warnings(
         found.append({"name": name, "time": time, "number": number, "text": text})
 
     events, share = figures["events"], figures["saturated_fraction"]
-    if trip is not None and outcome.status != "stopped":
+    if trip is not None and trip["last"] == "none":
         warn("safety_intervention", trip["time"], events["interventions"], f"{trip['monitor']}, {trip['worst']}")
     if share is not None and share > MUCH_SATURATION:
         warn("saturation", events["saturated_at"], share, f"{share:.1%} of the torques are at their limit")

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files import read_checked, sync_folder, write_atomically
 from stewart_drake.log import UNFINISHED, SimulationLog
 from stewart_drake.metrics import run_metrics
-from stewart_drake.named_files import take_code_along
+from stewart_drake.named_files import file_digests, take_code_along
 from stewart_drake.scenario import Scenario
 from stewart_drake.yaml_files import MAX_BYTES, to_yaml
 
@@ -27,19 +28,20 @@ SPACE = 50_000_000
 _AS_RUN = "# As run by stewart-drake: every key, defaults included.\n"
 _ROW = 2 * 1100
 """[byte] of a row of a log; it is there twice before a run is done."""
-_PICTURES = {"states.png", "torques.png", "replay.html"}
-_FILES = {"log.parquet", "metrics.json", "scenario.yaml", "controller.py", "diagram.dot", "diagram.svg", *_PICTURES}
-"""All that a results folder may hold."""
 _MARK = ".stewart-drake"
 """File in a folder under construction: says that it is one, and is locked while a process works there."""
+_DATA = {"log.parquet", "metrics.json", "scenario.yaml", "controller.py"}
+_FILES = {_MARK, *_DATA, "diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html"}
+"""All that a results folder may hold."""
 
 
-def prepare_folder(path: str | Path, space: int = 0) -> Path:
+def prepare_folder(path: str | Path, space: int = 0, named: str | None = None) -> Path:
     """Makes sure, before a run, that its results can be written afterwards.
 
     Args:
         path: The folder; it is made.
         space: [byte] that must be free on its disk.
+        named: What the user called it, for messages; None for the path.
 
     Raises:
         ConfigurationError: The path is a file, the folder cannot be made or written to, or the disk is full.
@@ -51,14 +53,14 @@ def prepare_folder(path: str | Path, space: int = 0) -> Path:
         free = shutil.disk_usage(there).free
         if free < space:
             allowed = f"a folder on a disk with {space / 1e6:g} MB free, not {free / 1e6:.3g} MB"
-            raise ConfigurationError("--out", str(path), allowed)
+            raise ConfigurationError("--out", named or str(path), allowed)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         # Unlike `Path.is_file` this never raises, whatever stands in the way.
         why = "this is a file" if os.path.isfile(folder) else error.strerror  # noqa: PTH113
-        raise ConfigurationError("--out", str(path), f"a folder that can be written to ({why})") from None
+        raise ConfigurationError("--out", named or str(path), f"a folder that can be written to ({why})") from None
     return folder
 
 
@@ -111,7 +113,10 @@ class ResultsFolder:
     """
 
     def __init__(self, place: str | Path, scenario: Scenario, force: bool = False) -> None:
-        self.place, self._scenario, self._force = Path(os.path.abspath(place)), scenario, force  # noqa: PTH100 - no ..
+        # Where links lead: what a link points to is replaced, not the link.
+        self.place, self._scenario, self._force = Path(os.path.realpath(place)), scenario, force
+        if not self.place.name:
+            raise ConfigurationError("--out", str(place), "a folder of its own: it is made anew as a whole")
         self.folder = self.place.with_name(f".{self.place.name}.unfinished")
         self._before = self.place.with_name(f".{self.place.name}.before")
         self._named = str(place)
@@ -124,7 +129,7 @@ class ResultsFolder:
 
     def __enter__(self) -> Self:
         place = self.place
-        prepare_folder(place.parent, space_for(self._scenario))
+        prepare_folder(place.parent, space_for(self._scenario), self._named)
         try:
             self._take()
             try:
@@ -186,6 +191,9 @@ class ResultsFolder:
     def _take(self) -> None:
         """Makes the folder under construction, or takes over one that nobody works in."""
         taken = ConfigurationError("--out", self._named, "a folder that no other process is writing")
+        # One that is empty may be of a process that was killed before it could say whose it is.
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
         if os.path.lexists(self.folder) and not (self.folder / _MARK).is_file():
             allowed = f"a folder beside which no {self.folder.name} of your own stands"
             raise ConfigurationError("--out", self._named, allowed)
@@ -220,26 +228,36 @@ class ResultsFolder:
         kept = b""
         if "scenario.yaml" in names:
             kept = read_checked(place / "scenario.yaml", f"--out {self._named}: scenario.yaml", MAX_BYTES)
-        others = sorted(names - _FILES)
-        if kept and not kept.startswith(_AS_RUN.encode()):
-            others.append("scenario.yaml")
+        # What a run has left has a scenario.yaml that says so; without it all is the user's own.
+        others = sorted(names - _FILES if kept.startswith(_AS_RUN.encode()) else names)
         if others:
             allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
             raise ConfigurationError("--out", self._named, allowed)
-        if names and kept != self._files["scenario.yaml"] and not self._force:
+        if names and not self._force and not self._same(kept):
             allowed = "a folder without the results of another scenario, or --force to replace them"
             raise ConfigurationError("--out", self._named, allowed)
+
+    def _same(self, scenario: bytes) -> bool:
+        """Whether results that are there are of the same scenario, with the same files by content."""
+        try:
+            text = read_checked(self.place / "metrics.json", "metrics.json", MAX_BYTES)
+            before = Counter(json.loads(text)["files"].values())
+        except (ConfigurationError, ValueError, KeyError, TypeError, AttributeError):
+            return False
+        now = Counter(file_digests(self._scenario.to_dict()).values())
+        return scenario == self._files["scenario.yaml"] and before == now
 
     def _put(self) -> None:
         for path in self.folder.iterdir():
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
-        (self.folder / _MARK).unlink()
         sync_folder(self.folder)
         place = self.place
         if place.exists():
             place.rename(self._before)
+        # The mark goes last: a kill in between leaves what the next process knows for what it is.
         self.folder.rename(place)
+        (place / _MARK).unlink()
         self._done = True
         sync_folder(place.parent)
         _remove(self._before)

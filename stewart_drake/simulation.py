@@ -159,7 +159,7 @@ def run(
         outcome_time=None if outcome.time is None else _nominal(outcome.time, scenario.plant.time_step),
         end_time=end_time,
         leg=outcome.leg,
-        warnings=tuple(plain_json(each) for each in find_warnings(outcome, figures, trip)),
+        warnings=tuple(plain_json(each) for each in find_warnings(figures, trip)),
         safety=trip,
         wall_time=wall,
         figures=plain_json(figures),

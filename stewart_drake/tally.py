@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.joint_pid import PidOptions
 from stewart_drake.kinematics import rotation_angle, rotation_matrix
-from stewart_drake.safety import RAMP
+from stewart_drake.safety import MONITORS, RAMP
 from stewart_drake.sampling import steps_per
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 INTEGRAL_TIME = 5.0
 """[s] when the paper looks at the integral states."""
-LEAST_MOTION = 1e-5
-"""[m] RMS of a reference, rotations times the characteristic length, below which it counts as standing still."""
+LEAST_MOTION = 2e-5
+"""[m] RMS of a reference or of its error, rotations times the characteristic length, that counts as none."""
 
 _BOUNDED = ("rotation", "position", "loop_gap")
 
@@ -56,9 +56,10 @@ class Tally:
         self._finite = True
         self._inside = dict.fromkeys(_BOUNDED, False)
         self._left: dict[str, dict[str, Any] | None] = dict.fromkeys(_BOUNDED)
-        self._level, self._interventions = 0, 0
+        self._interventions = 0
+        self._held: dict[str, Any] | None = None
         self._origin: np.ndarray | None = None
-        # Sums of reference and pose, and of their squares.
+        # Sums of reference and error, and of their squares.
         self._motion, self._motion_ticks = np.zeros((2, 2, 6)), 0
 
     def add(self, signals: Mapping[str, np.ndarray]) -> None:
@@ -74,10 +75,9 @@ class Tally:
             self._add_error(signals["pose"] - signals["reference"], tick & late, late)
             self._add_torque(signals, time, tick)
             self._add_bounded(signals, time, in_charge)
-            self._add_motion(signals["reference"], signals["pose"], tick & in_charge)
+            self._add_motion(signals["reference"], signals["pose"], tick & late & in_charge)
             self._add_weights(signals, tick)
-        self._interventions += int(np.count_nonzero((np.diff(level, prepend=self._level) > 0) & (level > 0)))
-        self._level = int(level[-1])
+        self._add_interventions(signals, time)
         by_then = np.flatnonzero(tick & (time <= INTEGRAL_TIME + 1e-9))
         if len(by_then):
             self._integral = signals["integral"][by_then[-1]].tolist()
@@ -91,7 +91,7 @@ class Tally:
         Returns:
             rmse_deg, rmse_mm, peak_deg, peak_mm [3]; rmse_norm_deg, rmse_norm_mm, peak_norm_deg, peak_norm_mm of the
             length of (roll, pitch, yaw) and of (X, Y, Z); error_max_deg, error_max_mm: largest angle and distance from
-            the reference while the controller was in charge; motion_ratio: see `Bounds`; torque_rms, torque_peak
+            the reference while the controller was in charge; motion_error: see `Bounds`; torque_rms, torque_peak
             [N m] within the motors' limits, over the whole run; saturated_fraction of torques at the limit;
             loop_gap_max_m; omega_q, omega_r: means; omega_ratio: geometric mean of their ratio; integral_at_5s [6]
             [rad s, m s]; finite: whether all numbers are; events: when and where, for `outcomes.judge`.
@@ -115,7 +115,7 @@ class Tally:
             "peak_norm_mm": float(1e3 * self._late_norms[1]) if late else None,
             "error_max_deg": float(np.degrees(self._largest["rotation"])) if there else None,
             "error_max_mm": 1e3 * self._largest["position"] if there else None,
-            "motion_ratio": self._motion_ratio(),
+            "motion_error": self._motion_error(),
             "torque_rms": float(np.sqrt(self._torque_squares / (6 * self._ticks))) if self._ticks else None,
             "torque_peak": self._torque_peak if there else None,
             "saturated_fraction": self._at_limit / (6 * self._ticks) if self._ticks else None,
@@ -136,6 +136,7 @@ class Tally:
         figures["events"] = {
             "left": {**self._left, **never},
             "interventions": self._interventions,
+            "held": self._held,
             "saturated_at": self._saturated_at,
             "gap_at": self._gap_at,
         }
@@ -192,15 +193,30 @@ class Tally:
     def _add_motion(self, reference: np.ndarray, pose: np.ndarray, counts: np.ndarray) -> None:
         if self._origin is None:
             self._origin = reference[0].copy()
-        both = self._scale * (np.stack([reference[counts], pose[counts]]) - self._origin)
+        both = self._scale * np.stack([reference - self._origin, pose - reference])[:, counts]
         self._motion += np.stack([both.sum(axis=1), (both * both).sum(axis=1)], axis=1)
         self._motion_ticks += int(counts.sum())
 
-    def _motion_ratio(self) -> float | None:
+    def _motion_error(self) -> float | None:
         count = max(1, self._motion_ticks)
         sums, squares = self._motion[:, 0], self._motion[:, 1]
-        wanted, made = np.sqrt(np.maximum(0.0, np.sum(squares - sums * sums / count, axis=1)) / count)
-        return float(made / wanted) if wanted > LEAST_MOTION else None
+        wanted, error = np.sqrt(np.maximum(0.0, np.sum(squares - sums * sums / count, axis=1)) / count)
+        # A robot that is nearer to its reference than that has followed it, however little there was to follow.
+        return None if wanted <= LEAST_MOTION else 0.0 if error <= LEAST_MOTION else float(error / wanted)
+
+    def _add_interventions(self, signals: Mapping[str, np.ndarray], time: np.ndarray) -> None:
+        """How often the safety layer took over, and since when, by whom and where it has now."""
+        if "safety" not in signals:
+            return
+        taken = signals["safety"][:, 0] > 0.0
+        begins = np.flatnonzero(taken & ~np.append(self._held is not None, taken[:-1]))
+        self._interventions += len(begins)
+        if not taken[-1]:
+            self._held = None
+        elif len(begins):
+            _, monitor, leg = signals["safety"][begins[-1]]
+            where = int(leg) if leg >= 0.0 else None
+            self._held = {"monitor": MONITORS[int(monitor)], "time": float(time[begins[-1]]), "leg": where}
 
     def _add_weights(self, signals: Mapping[str, np.ndarray], tick: np.ndarray) -> None:
         if "weights" in signals and tick.any():

@@ -119,8 +119,12 @@ def print_margins(title: str, report: FeasibilityReport) -> None:
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
     """How a run went, as a table."""
 
-    def numbers(values: list[float] | None, unit: str, form: str = "{:.4g}") -> str:
-        return "-" if values is None else f"{'  '.join(form.format(v) for v in values)} {unit}"
+    def numbers(values: list[float | None] | None, unit: str, form: str = "{:.4g}") -> str:
+        shown = ["-" if v is None else form.format(v) for v in values or ()]
+        return f"{'  '.join(shown)} {unit}" if shown else "-"
+
+    def figures(form: str, *names: str, unit: str = "") -> str:
+        return ", ".join("-" if metrics[name] is None else form.format(metrics[name]) for name in names) + unit
 
     rows = [
         ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
@@ -129,22 +133,18 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
         ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
         ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
-        ("largest error, whole run", _pair(metrics["error_max_deg"], metrics["error_max_mm"])),
+        ("largest error, whole run", figures("{:.4g}", "error_max_deg", "error_max_mm", unit=" deg, mm")),
         ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
     ]
     if len(log.time):
         rows += [
-            ("torque RMS, peak", f"{metrics['torque_rms']:.3f}, {metrics['torque_peak']:.3f} N m"),
-            ("share of torques at the limit", f"{metrics['saturated_fraction']:.2%}"),
-            ("largest loop gap", f"{metrics['loop_gap_max_m']:.2e} m"),
+            ("torque RMS, peak", figures("{:.3f}", "torque_rms", "torque_peak", unit=" N m")),
+            ("share of torques at the limit", figures("{:.2%}", "saturated_fraction")),
+            ("largest loop gap", figures("{:.2e}", "loop_gap_max_m", unit=" m")),
         ]
-    if metrics["omega_q"] is not None:
-        rows.append(("omega_Q, omega_R, mean", f"{metrics['omega_q']:.3g}, {metrics['omega_r']:.3g}"))
+    if "weights" in log.signals:
+        rows.append(("omega_Q, omega_R, mean", figures("{:.3g}", "omega_q", "omega_r")))
     rows += [(f"warning: {w['name']}", f"{w['text']}, t = {w['time']:.3f} s") for w in metrics["warnings"]]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
     print_table(log.scenario.name, rows)
-
-
-def _pair(degrees: float | None, millimetres: float | None) -> str:
-    return "-" if degrees is None or millimetres is None else f"{degrees:.4g} deg, {millimetres:.4g} mm"

@@ -80,6 +80,16 @@ def test_a_full_disk_ends_the_run_and_what_was_written_is_readable(tmp_path, mon
         assert (log.status, log.reason) == ("interrupted", "killed")
 
 
+@pytest.mark.parametrize("name", ["log.part", "rows/000007.part"])
+def test_what_a_kill_left_half_written_does_not_hide_the_rows_before_it(tmp_path, monkeypatch, name):
+    in_small_parts(monkeypatch)
+    rows = RowsInFile(tmp_path)
+    monkeypatch.setattr(rows, "end", lambda log: log)
+    run(scenario(), rows=rows)
+    (tmp_path / name).write_bytes(b"PAR1 half")
+    assert len(load_log(tmp_path).time) > 200
+
+
 @pytest.mark.parametrize(
     ("error", "reason"),
     [(MemoryError(), "out_of_memory"), (np.linalg.LinAlgError("Singular matrix"), "singular_matrix")],

@@ -12,6 +12,7 @@ from stewart_drake.errors import NotFiniteError, SafetyStop
 from stewart_drake.log import load_log
 from stewart_drake.metrics import run_metrics
 from stewart_drake.outcomes import find_warnings, judge
+from stewart_drake.safety import LEVELS, MONITORS
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import run
 from stewart_drake.tally import Tally
@@ -23,7 +24,7 @@ TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
 
 def trip(last, worst="safe_hold"):
     """What the safety layer tells: a deadline missed at first, and if it has the robot, a crank that was too fast."""
-    return {**TRIP, "last": last, "worst": worst, "stopped": None if last == "none" else TAKEN}
+    return {**TRIP, "last": last, "worst": worst, "stopped": None if last in ("none", "hold") else TAKEN}
 
 
 def tallied(parts=1, scenario=None, **signals):
@@ -79,7 +80,7 @@ def test_the_bound_that_was_left_first_gives_the_reason_and_the_message_has_the_
     pose[50:, 4], pose[70, 4], gap[40:, 1] = 0.04, 0.2, 0.002
     outcome = verdict(pose=pose, loop_gap=gap)
     assert (outcome.reason, outcome.time, outcome.leg) == ("loop_gap_bound", pytest.approx(4.0), 1)
-    assert "at most it was 200 mm" in verdict(pose=pose).message
+    assert "at most 200 mm" in verdict(pose=pose).message
 
 
 def test_a_start_that_is_off_has_to_come_back():
@@ -92,18 +93,29 @@ def test_a_start_that_is_off_has_to_come_back():
     assert (never.status, never.reason, never.time) == ("lost", "position_bound", 0.0)
 
 
-@pytest.mark.parametrize(("share", "status"), [(1.0, "completed"), (0.51, "completed"), (0.49, "lost"), (0.0, "lost")])
+@pytest.mark.parametrize(
+    ("share", "status"), [(1.0, "completed"), (0.11, "completed"), (0.09, "lost"), (0.0, "lost"), (-1.0, "lost")]
+)
 def test_a_motion_that_is_not_in_the_pose_was_not_followed(share, status):
     outcome = verdict(**moving(share))
     assert outcome.status == status
     assert outcome.reason == (None if status == "completed" else "not_followed")
-    assert verdict(scenario={"bounds": {"motion_ratio": None}}, **moving(share)).status == "completed"
+    assert verdict(scenario={"bounds": {"motion_error": None}}, **moving(share)).status == "completed"
+
+
+def test_a_start_that_swings_in_is_not_a_motion_followed_and_a_small_error_is_one():
+    signals = moving(0.0)
+    signals["pose"][:40, 5] += 0.02 * np.sin(np.arange(40))
+    assert verdict(**signals).reason == "not_followed"
+    swing = 1e-3 * (signals["reference"] - 0.3)
+    assert verdict(reference=0.3 + 5.0 * swing, pose=np.full((101, 6), 0.3)).status == "lost"
+    assert verdict(reference=0.3 + 2.0 * swing, pose=np.full((101, 6), 0.3)).status == "completed"
 
 
 def test_a_reference_that_stands_still_asks_for_no_motion():
     rng = np.random.default_rng(0)
     assert verdict(pose=1e-3 * rng.normal(size=(101, 6))).status == "completed"
-    assert tallied()[1]["motion_ratio"] is None
+    assert tallied()[1]["motion_error"] is None
 
 
 def test_nan_poses_are_not_inside_of_any_bound():
@@ -115,12 +127,16 @@ def test_nan_poses_are_not_inside_of_any_bound():
 
 @pytest.mark.parametrize("last", ["none", "hold", "ramp", "safe_hold"])
 def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last):
-    outcome = verdict(trip=trip(last))
+    # Held for a while, given back, and held again from 8 s on by the monitor of that time.
+    rows = level([0.0] * 20 + [1.0] * 10 + [0.0] * 50 + [float(LEVELS.index(last))] * 21)
+    rows[80:, 1:] = MONITORS.index("crank_speed"), 1.0
+    outcome = verdict(trip=trip(last), safety=rows)
     if last == "none":
         assert outcome.status == "completed"
     else:
         assert dataclasses.astuple(outcome)[:2] == ("stopped", "crank_speed")
-        assert (outcome.time, outcome.leg) == (0.5, 1)
+        # A hold is not for good; it counts from its first tick.
+        assert (outcome.time, outcome.leg) == (pytest.approx(8.0 if last == "hold" else 0.5), 1)
 
 
 def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_loss():
@@ -168,15 +184,17 @@ def test_warnings_name_what_a_completed_run_hides():
     seen = {**trip("none", "hold"), "time": 4.0}
     outcome = judge(scenario.bounds, figures, seen, 10.0, None)
     assert outcome.status == "completed"
-    found = {each["name"]: each for each in find_warnings(outcome, figures, seen)}
+    found = {each["name"]: each for each in find_warnings(figures, seen)}
     assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
     assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
     assert found["saturation"]["time"] == pytest.approx(1.0)
     assert found["saturation"]["number"] == pytest.approx(10 / 606)
     assert found["loop_gap"]["time"] == pytest.approx(3.3)
     assert found["loop_gap"]["number"] == pytest.approx(0.2)
+    for last in ("hold", "ramp", "safe_hold", "end"):
+        assert "safety_intervention" not in {each["name"] for each in find_warnings(figures, trip(last))}
     quiet = tallied(pose=pose)[1]
-    assert find_warnings(outcome, quiet, None) == ()
+    assert find_warnings(quiet, None) == ()
 
 
 # --- runs ---------------------------------------------------------------------------------------------------------

@@ -1,3 +1,4 @@
+import contextlib
 import dataclasses
 import json
 import os
@@ -16,6 +17,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import write_atomically
 from stewart_drake.log import SimulationLog, load_log
 from stewart_drake.metrics import run_metrics
+from stewart_drake.named_files import file_digests
 from stewart_drake.outputs import prepare_folder, write_run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.simulation import run
@@ -88,10 +90,38 @@ def test_results_of_another_scenario_are_replaced_only_when_asked_for(tmp_path):
     assert load_log(folder).scenario.gravity != 0.0
     write_run(other, folder, pictures=False, force=True)
     assert load_log(folder).scenario.gravity == 0.0
-    # Without a scenario.yaml nobody knows whose results these are.
-    (folder / "scenario.yaml").unlink()
+
+
+@pytest.mark.parametrize("name", ["controller.py", "metrics.json"])
+def test_without_a_scenario_of_a_run_everything_is_the_users_own(tmp_path, name):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    for force in (False, True):
+        with pytest.raises(ConfigurationError, match=f"{name} would be lost"):
+            write_run(made_log(), tmp_path / "out", pictures=False, force=force)
+
+
+def test_the_same_scenario_with_another_file_of_the_same_name_is_another_one(tmp_path):
+    files = []
+    for folder, text in (("one", "first"), ("two", "second")):
+        (tmp_path / folder).mkdir()
+        files.append(tmp_path / folder / "mine.py")
+        files[-1].write_text(f"# {text}\n")
+    logs = [made_log(scenario={"controller": {"kind": "python", "system": f"{path}:C"}}) for path in files]
+    logs = [dataclasses.replace(log, files=file_digests(log.scenario.to_dict())) for log in logs]
+    for _ in range(2):
+        write_run(logs[0], tmp_path / "out", pictures=False)
     with pytest.raises(ConfigurationError, match="--force"):
-        write_run(other, folder, pictures=False)
+        write_run(logs[1], tmp_path / "out", pictures=False)
+    assert (tmp_path / "out" / "controller.py").read_text() == "# first\n"
+
+
+def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
+    (tmp_path / "large disk").mkdir()
+    (tmp_path / "out").symlink_to("large disk")
+    write_run(made_log(), tmp_path / "out", pictures=False)
+    assert (tmp_path / "out").is_symlink()
+    assert names(tmp_path / "large disk") == ALWAYS
 
 
 @pytest.mark.parametrize("name", ["my notes.txt", "log.parquet.bak", ".hidden", "scenario.yaml"])
@@ -100,7 +130,7 @@ def test_nothing_of_the_users_own_is_ever_lost(tmp_path, name):
     write_run(made_log(), folder, pictures=False)
     (folder / name).write_text("# mine\n")
     for force in (False, True):
-        with pytest.raises(ConfigurationError, match=f"{re.escape(name)} would be lost"):
+        with pytest.raises(ConfigurationError, match="would be lost"):
             write_run(made_log(), folder, pictures=False, force=force)
     assert (folder / name).read_text() == "# mine\n"
     assert names(folder) == ALWAYS | {name}
@@ -111,7 +141,7 @@ def test_the_current_folder_and_those_above_it_are_not_replaced(tmp_path, monkey
     below = tmp_path / "below"
     below.mkdir()
     monkeypatch.chdir(below)
-    for place in (".", "..", below, tmp_path):
+    for place in (".", "..", below, tmp_path, "/"):
         with pytest.raises(ConfigurationError, match="a folder of its own"):
             write_run(made_log(), place, pictures=False)
     assert names(tmp_path) == {"below"}
@@ -134,16 +164,46 @@ def test_a_folder_under_construction_is_locked_and_its_leftovers_are_cleared(tmp
     assert names(place) == ALWAYS
 
 
-def test_a_kill_between_the_two_renames_loses_nothing(tmp_path):
-    place, before = tmp_path / "out", tmp_path / ".out.before"
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("step", ["mkdir", "rename", "unlink"])
+def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_path, monkeypatch, before, step):
+    place = tmp_path / "out"
+    if before:
+        write_run(made_log(wall_time=7.0), place, pictures=False)
+    real, calls = getattr(Path, step), []
+
+    class Killed(BaseException):
+        pass
+
+    for kill_at in range(6):
+        calls.clear()
+
+        def dies(path, *args, kill_at=kill_at, **keys):
+            if path.parent == tmp_path or path.name == ".stewart-drake":
+                calls.append(path)
+                if len(calls) == kill_at + 1:
+                    raise Killed
+            return real(path, *args, **keys)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, step, dies)
+            # As after SIGKILL nobody tidies up.
+            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.close())
+            with contextlib.suppress(Killed):
+                write_run(made_log(wall_time=8.0 + kill_at), place, pictures=False)
+        # The next run puts its own in their place, whatever it finds.
+        write_run(made_log(wall_time=100.0 + kill_at), place, pictures=False)
+        assert load_log(place).wall_time == 100.0 + kill_at
+        assert names(tmp_path) == {"out"}
+        assert names(place) == ALWAYS
+
+
+def test_old_results_come_back_where_the_new_ones_did_not_arrive(tmp_path):
+    place = tmp_path / "out"
     write_run(made_log(wall_time=7.0), place, pictures=False)
-    place.rename(before)
+    place.rename(tmp_path / ".out.before")
     with outputs.ResultsFolder(place, made_log().scenario):
         assert load_log(place).wall_time == 7.0
-    shutil.copytree(place, before)
-    write_run(made_log(wall_time=8.0), place, pictures=False)
-    assert load_log(place).wall_time == 8.0
-    assert names(tmp_path) == {"out"}
 
 
 def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path):
@@ -161,12 +221,14 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     code.write_text("one = 1\n")
     own = {"controller": {"kind": "python", "system": f"{code}:Mine"}}
     folder = tmp_path / "out"
-    write_run(made_log(scenario=own), folder, pictures=False)
+    log = made_log(scenario=own)
+    log = dataclasses.replace(log, files=file_digests(log.scenario.to_dict()))
+    write_run(log, folder, pictures=False)
     assert names(folder) == ALWAYS | {"controller.py"}
     assert (folder / "controller.py").read_text() == "one = 1\n"
     again = load_scenario(folder / "scenario.yaml")
     assert again.controller.system == f"{folder / 'controller.py'}:Mine"
-    write_run(made_log(scenario=own), folder, pictures=False)
+    write_run(log, folder, pictures=False)
     code.unlink()
     write_run(made_log(scenario=own), tmp_path / "without", pictures=False)
     assert names(tmp_path / "without") == ALWAYS

@@ -287,9 +287,7 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     told = [first_trip(memory, PERIOD) for memory in done]
     assert told[0] is None
     assert [t["last"] for t in told[1:3]] == ["hold", "none"]
-    # Held, the controller is not in charge either; it is again a tick later.
-    assert told[1]["stopped"] == {"monitor": "command_not_finite", "time": 0.001, "leg": 0}
-    assert told[2]["stopped"] is None
+    assert [t["stopped"] for t in told[1:3]] == [None, None]
     assert (told[-1]["monitor"], told[-1]["time"], told[-1]["last"]) == ("command_not_finite", 0.001, "safe_hold")
     assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
     # A run that is given up says so too.

@@ -139,8 +139,8 @@ def first_trip(memory: SafetyMemory, period: float) -> dict[str, Any] | None:
 
     Returns:
         monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level; last,
-        the level now; stopped, monitor, time and leg (or None) of the trip that has taken the robot from its controller
-        and has not given it back, or None.
+        the level now; stopped, monitor, time and leg (or None) of the trip for which the robot was taken from its
+        controller for good, or None.
     """
     monitor, level, leg, tick, cause = memory.first
     if monitor == 0.0:
@@ -150,12 +150,12 @@ def first_trip(memory: SafetyMemory, period: float) -> dict[str, Any] | None:
         time = round(float(tick) * period, 9)
         return {"monitor": MONITORS[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 
-    stopped, since = memory.level > NONE, max(1.0, memory.since)
+    stopped = memory.level >= RAMP
     return {
         **told(monitor, tick, leg),
         "level": LEVELS[int(level)],
         "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
         "worst": LEVELS[int(memory.worst)],
         "last": LEVELS[int(memory.level)],
-        "stopped": told(memory.monitor, memory.ticks - since, memory.leg) if stopped else None,
+        "stopped": told(memory.monitor, memory.ticks - memory.since, memory.leg) if stopped else None,
     }

@@ -64,33 +64,41 @@ def refuse_motion(
         allowed = f"one that does not trip {monitor} along the reference, as it does"
         _refuse("horizon", options.horizon, values, largest, when, allowed)
     torque = inverse_dynamics(robot, *motion, gravity)
-    _refuse_effort(robot, options, time, torque, "the motion")
+    _refuse_effort(robot, options, time, torque)
     _refuse_torque_rate(options, time, torque)
 
 
-def _refuse_effort(
-    robot: RobotParameters, options: SafetyOptions, time: np.ndarray, torque: np.ndarray, doing: str
-) -> None:
-    """Refuses a limit below the torques (n, 6) [N m] that the motors need."""
-    if options.torque_limit is not None:
-        needed = np.abs(torque)
-        allowed = f"enough for {doing}, which needs up to {needed.max():.3g} N m; it is broken"
-        _refuse("torque_limit", options.torque_limit, needed, options.torque_limit * robot.effort_limit, time, allowed)
+def _refuse_effort(robot: RobotParameters, options: SafetyOptions, time: np.ndarray, torque: np.ndarray) -> None:
+    """Refuses a limit below which the torques (n, 6) [N m] of the motion do not stay long enough."""
+    if options.torque_limit is None:
+        return
+    needed, limit = np.abs(torque), options.torque_limit * robot.effort_limit
+    step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
+    too_long = _too_long(needed > limit, step, options.torque_limit_time)
+    allowed = f"enough for the motion, which needs up to {needed.max():.3g} N m; it is broken for too long"
+    _refuse("torque_limit", options.torque_limit, np.where(too_long, needed, 0.0), limit, time, allowed)
 
 
 def _refuse_torque_rate(options: SafetyOptions, time: np.ndarray, torque: np.ndarray) -> None:
-    """Refuses a limit that the motion's own torques (n, 6) [N m] break for too long, counted as the layer does it."""
+    """Refuses a limit that the motion's own torques (n, 6) [N m] break for too long."""
     if options.torque_rate is None or len(time) < 2:
         return
-    step = np.diff(time)[:, None]
-    change = np.abs(np.diff(torque, axis=0)) / step
-    fast = (change > options.torque_rate).any(axis=1, keepdims=True)
-    # Changes that are too fast add to a sum, others take away from it, down to zero.
-    total = np.cumsum(np.where(fast, step, -step), axis=0)
-    total -= np.minimum(np.minimum.accumulate(total, axis=0), 0.0)
-    too_long = np.where(fast & (total > options.torque_rate_time + 1e-9), change, 0.0)
+    step = np.diff(time)
+    change = np.abs(np.diff(torque, axis=0)) / step[:, None]
+    too_long = np.where(_too_long(change > options.torque_rate, step, options.torque_rate_time), change, 0.0)
     allowed = f"enough for the motion, which needs up to {change.max():.3g} N m/s; it is broken for too long"
     _refuse("torque_rate", options.torque_rate, too_long, options.torque_rate, time[1:], allowed)
+
+
+def _too_long(beyond: np.ndarray, step: np.ndarray, allowed: float) -> np.ndarray:
+    """Where motors (n, 6) are beyond a limit for longer than is allowed, counted as the layer does it; (n, 6).
+
+    Samples with a motor beyond add to a sum, others take away from it, down to zero.
+    """
+    any_beyond = beyond.any(axis=1)
+    total = np.cumsum(np.where(any_beyond, step, -step))
+    total -= np.minimum(np.minimum.accumulate(total), 0.0)
+    return beyond & (total > allowed + 1e-9)[:, None]
 
 
 _Found = list[tuple[str, str, np.ndarray, float]]
@@ -151,7 +159,10 @@ def refuse_start(
             # The motion itself has been looked at: it is the look ahead that leads out of bounds.
             raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")
         raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
-    _refuse_effort(robot, options, np.zeros(1), static_torque(robot, pose, gravity)[None], "standing at the start")
+    if options.torque_limit is not None:
+        needed, limit = np.abs(static_torque(robot, pose, gravity)[None]), options.torque_limit * robot.effort_limit
+        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; it is broken"
+        _refuse("torque_limit", options.torque_limit, needed, limit, np.zeros(1), allowed)
 
 
 def sample_times(duration: float, period: float) -> np.ndarray:

@@ -245,9 +245,8 @@ def rewritten(path, columns=None, metadata=None):
 
 def sealed(path, table, about):
     stream = io.BytesIO()
-    with SealedWriter(stream, table.schema, KEY) as writer:
+    with SealedWriter(stream, table.schema, KEY, about) as writer:
         writer.write(table)
-        writer.seal(about)
     path.write_bytes(stream.getvalue())
     return path
 

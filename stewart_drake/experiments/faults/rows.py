@@ -44,6 +44,7 @@ class FaultRow:
         force_newton: [N] largest outside force that they hold; None where not even the weight.
         moment_newton_metre: [N m] likewise.
         message: One line, or None.
+        warnings: Names of the run's warnings, or None.
     """
 
     fault: str
@@ -66,6 +67,7 @@ class FaultRow:
     force_newton: float | None = None
     moment_newton_metre: float | None = None
     message: str | None = None
+    warnings: str | None = None
 
     def plain(self) -> dict[str, Any]:
         """Column -> value."""
@@ -151,6 +153,7 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         force_newton=None if load is None else load.force,
         moment_newton_metre=None if load is None else load.moment,
         message=log.message,
+        warnings=", ".join(each["name"] for each in log.warnings) or None,
     )
 
 

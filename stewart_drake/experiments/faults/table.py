@@ -183,7 +183,7 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "",
         f"{len(rows)} runs of {DURATION:g} s; faults begin at {ONSET:g} s, or are there from the start. The",
         "exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;",
-        "after the colon: the outcome of the run.",
+        "after the colon: the outcome of the run, and its warnings.",
         "Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far",
         "it went after the safety layer took over. The worst of the motions counts.",
         "",
@@ -212,6 +212,7 @@ def _told(fault: Fault) -> str:
 
 def _end(row: FaultRow) -> str:
     status = "" if row.status is None else f": {row.status}"
+    status += "" if row.warnings is None else f", {row.warnings.replace('_', ' ')}"
     if row.monitor is None or row.latency_ms is None:
         return f"{row.reaction}{status}"
     leg = "" if row.leg is None else f", leg {row.leg}"
@@ -239,7 +240,7 @@ def _parquet(rows: Sequence[FaultRow]) -> bytes:
     import pyarrow.parquet as pq
 
     kinds: dict[str, Any] = {"leg": pa.int64(), "holds_weight": pa.bool_()}
-    texts = ("fault", "motion", "reaction", "monitor", "cause", "status", "reason", "message")
+    texts = ("fault", "motion", "reaction", "monitor", "cause", "status", "reason", "message", "warnings")
     plain = [row.plain() for row in rows]
     columns = list(plain[0])
     schema = pa.schema(

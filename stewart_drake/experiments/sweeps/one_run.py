@@ -118,7 +118,8 @@ def empty_row(task: Task, status: str, reason: str | None, message: str | None) 
         "values": dict(task.drawn),
         "status": status,
         "reason": reason,
-        "message": None if message is None else " ".join(message.split())[:MAX_MESSAGE],
+        # Below the first line is the traceback of a user's code, which a log keeps.
+        "message": None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE],
     }
 
 
@@ -129,7 +130,7 @@ def not_finite(row: Mapping[str, Any]) -> str | None:
 
 
 _FROM_METRICS = (
-    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_ratio", "torque_rms", "torque_peak",
+    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_error", "torque_rms", "torque_peak",
     "saturated_fraction", "loop_gap_max_m", "omega_ratio", "finite",
 )  # fmt: skip
 """Keys of `run_metrics` that are figures of a row under the same name."""
