@@ -41,12 +41,13 @@ class Bounds:
     """[m] largest distance between the platform and its reference."""
     loop_gap: Positive | None = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    motion_error: Positive | None = 0.9
-    """[-] largest RMS of the error about its mean over that of the reference, in the second half, rotations times the
-    robot's characteristic length. A platform that stands still, its motion swallowed by friction, has 1."""
+    motion_ratio: Positive | None = 0.5
+    """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all
+    poses, rotations times the robot's characteristic length. Friction that swallows a motion makes it 0. It says
+    nothing, and is None, where reference or error move by no more than 0.02 mm."""
 
     def __post_init__(self) -> None:
-        for name in ("rotation", "position", "loop_gap", "motion_error"):
+        for name in ("rotation", "position", "loop_gap", "motion_ratio"):
             if getattr(self, name) is not None:
                 check_positive(f"bounds.{name}", getattr(self, name), allowed="a positive number, or null")
 
@@ -106,9 +107,9 @@ def judge(
         what = "the loops opened by" if name == "loop_gap" else f"the error in {name} was"
         text = f"{what} more than {bound} from t = {event['time']:.3f} s on; at most {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
-    share = figures["motion_error"]
-    if bounds.motion_error is not None and share is not None and not share <= bounds.motion_error:
-        text = f"the error moved by {share:.0%} of the reference's motion; bound {bounds.motion_error:.0%}"
+    ratio = figures["motion_ratio"]
+    if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
+        text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
         return Outcome("lost", "not_followed", text, end_time)
     return Outcome("completed")
 

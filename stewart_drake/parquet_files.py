@@ -96,7 +96,7 @@ def read_sealed(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with open_checked(path, what, largest) as stream:
+    with open_checked(path, what, largest, f"a file from {made_by}") as stream:
         try:
             file = pq.ParquetFile(stream)
             metadata = file.metadata.metadata or {}

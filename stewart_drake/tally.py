@@ -59,8 +59,8 @@ class Tally:
         self._interventions = 0
         self._held: dict[str, Any] | None = None
         self._origin: np.ndarray | None = None
-        # Sums of reference and error, and of their squares.
-        self._motion, self._motion_ticks = np.zeros((2, 2, 6)), 0
+        # Sums of reference, pose and error, and of their squares.
+        self._motion, self._motion_ticks = np.zeros((3, 2, 6)), 0
 
     def add(self, signals: Mapping[str, np.ndarray]) -> None:
         """Takes in the next rows, named as in a log; rows between two ticks count for peaks and bounds alone."""
@@ -91,7 +91,7 @@ class Tally:
         Returns:
             rmse_deg, rmse_mm, peak_deg, peak_mm [3]; rmse_norm_deg, rmse_norm_mm, peak_norm_deg, peak_norm_mm of the
             length of (roll, pitch, yaw) and of (X, Y, Z); error_max_deg, error_max_mm: largest angle and distance from
-            the reference while the controller was in charge; motion_error: see `Bounds`; torque_rms, torque_peak
+            the reference while the controller was in charge; motion_ratio: see `Bounds`; torque_rms, torque_peak
             [N m] within the motors' limits, over the whole run; saturated_fraction of torques at the limit;
             loop_gap_max_m; omega_q, omega_r: means; omega_ratio: geometric mean of their ratio; integral_at_5s [6]
             [rad s, m s]; finite: whether all numbers are; events: when and where, for `outcomes.judge`.
@@ -115,7 +115,7 @@ class Tally:
             "peak_norm_mm": float(1e3 * self._late_norms[1]) if late else None,
             "error_max_deg": float(np.degrees(self._largest["rotation"])) if there else None,
             "error_max_mm": 1e3 * self._largest["position"] if there else None,
-            "motion_error": self._motion_error(),
+            "motion_ratio": self._motion_ratio(),
             "torque_rms": float(np.sqrt(self._torque_squares / (6 * self._ticks))) if self._ticks else None,
             "torque_peak": self._torque_peak if there else None,
             "saturated_fraction": self._at_limit / (6 * self._ticks) if self._ticks else None,
@@ -193,16 +193,16 @@ class Tally:
     def _add_motion(self, reference: np.ndarray, pose: np.ndarray, counts: np.ndarray) -> None:
         if self._origin is None:
             self._origin = reference[0].copy()
-        both = self._scale * np.stack([reference - self._origin, pose - reference])[:, counts]
-        self._motion += np.stack([both.sum(axis=1), (both * both).sum(axis=1)], axis=1)
+        each = self._scale * np.stack([reference - self._origin, pose - self._origin, pose - reference])[:, counts]
+        self._motion += np.stack([each.sum(axis=1), (each * each).sum(axis=1)], axis=1)
         self._motion_ticks += int(counts.sum())
 
-    def _motion_error(self) -> float | None:
+    def _motion_ratio(self) -> float | None:
         count = max(1, self._motion_ticks)
         sums, squares = self._motion[:, 0], self._motion[:, 1]
-        wanted, error = np.sqrt(np.maximum(0.0, np.sum(squares - sums * sums / count, axis=1)) / count)
-        # A robot that is nearer to its reference than that has followed it, however little there was to follow.
-        return None if wanted <= LEAST_MOTION else 0.0 if error <= LEAST_MOTION else float(error / wanted)
+        wanted, made, error = np.sqrt(np.maximum(0.0, np.sum(squares - sums * sums / count, axis=1)) / count)
+        # Where the error is as little as that there is nothing to tell, however little there was to follow.
+        return None if min(wanted, error) <= LEAST_MOTION else float(made / wanted)
 
     def _add_interventions(self, signals: Mapping[str, np.ndarray], time: np.ndarray) -> None:
         """How often the safety layer took over, and since when, by whom and where it has now."""

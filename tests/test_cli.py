@@ -1,3 +1,4 @@
+import functools
 import json
 import os
 import re
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import resealed
 
 from stewart_drake import scenario as scenario_module
 from stewart_drake import simulation
@@ -28,8 +30,7 @@ WITHOUT_PICTURES = """
 import functools
 from stewart_drake import outputs
 from stewart_drake.cli import main
-from stewart_drake.yaml_files import shipped_folder
-outputs.write_run = functools.partial(outputs.write_run, pictures=False)
+outputs.ResultsFolder.finish = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
 main()
 """
 """Pictures take seconds; one test looks at them."""
@@ -72,8 +73,8 @@ def call(monkeypatch, capsys, tmp_path):
 def without_pictures(monkeypatch):
     from stewart_drake import outputs
 
-    real = outputs.write_run
-    monkeypatch.setattr(outputs, "write_run", lambda *args, **options: real(*args, **options, pictures=False))
+    plain = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
+    monkeypatch.setattr(outputs.ResultsFolder, "finish", plain)
 
 
 # --- good input ---------------------------------------------------------------------------------------------------
@@ -139,7 +140,7 @@ def test_the_help_of_every_command_tells_its_arguments(call):
         status, text, err = call(command, "--help")
         assert (status, err) == (0, "")
         assert text.startswith("Usage: ")
-    assert "Exit status: 0 completed, 2 bad input, 3 the run broke midway" in " ".join(call("run", "-h")[1].split())
+    assert "Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed" in " ".join(call("run", "-h")[1].split())
 
 
 def test_the_bare_command_shows_its_help(call):
@@ -217,17 +218,17 @@ BAD = [
     (["run", "paper_fig7", "--set", "gravity=1e300"], ["gravity", "at most 1e+06"]),
     (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "Is a directory"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "a regular file"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=typo.yaml"], ["typo.yaml", "JSON"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=nan.json"], ["nan.json", "hidden_bias", "finite"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=nan.json"], ["nan.json", "JSON"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=short.json"], ["short.json", "hidden_weights", "(10, 12)"]),
     (["run", "paper_fig7", "--set", "tuner.density=signed"], ["tuner.density", "'signed'", "magnitude"]),
     (["run", "paper_fig7", "--out", "empty.yaml"], ["--out", "'empty.yaml'", "this is a file"]),
-    (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "Not a directory"]),
+    (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "this is a file"]),
     (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
     (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
-    (["run", "scenario.yaml", "--out", "."], ["--out", "would be lost"]),
-    (["run", "paper_fig7", "--out", "."], ["--out", "would be lost"]),
+    (["run", "scenario.yaml", "--out", "folder/.."], ["--out", "a folder of its own"]),
+    (["run", "paper_fig7", "--out", "."], ["--out", "a folder of its own"]),
     (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
@@ -241,7 +242,7 @@ BAD = [
             "--set",
             "controller.period=1e-6",
             "--set",
-            "duration=20",
+            "duration=200",
         ],
         ["log_period", "1e8 rows"],
     ),
@@ -269,7 +270,7 @@ def bad_files(tmp_path):
         "twice.yaml": b"duration: 1\nduration: 2\n",
         "typo.yaml": b"plant: {time_stp: 0.001}\n",
         "nan.json": json.dumps(weights | {"hidden_bias": [float("nan")] * 10}).encode(),
-        "short.json": json.dumps(weights | {"hidden_weights": weights["hidden_weights"][:9]}).encode(),
+        "short.json": resealed(weights | {"hidden_weights": weights["hidden_weights"][:9]}),
     }
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)
@@ -343,7 +344,9 @@ def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
 def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
     assert call("run", "paper_fig7", "--set", "duration=0.02")[0] == 0
     own = "runs/paper_fig7/scenario.yaml"
-    assert call("run", own, "--set", "duration=0.01")[0] == 0
+    assert call("run", own)[0] == 0
+    assert call("run", own, "--set", "duration=0.01")[0] == 2
+    assert call("run", own, "--set", "duration=0.01", "--force")[0] == 0
     assert load_scenario(own).duration == 0.01
 
 
@@ -375,6 +378,14 @@ def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
     assert load_log(tmp_path / "out").reason == "crank_dead_centre"
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_a_run_without_figures_is_told_all_the_same(call):
+    status, out, err = call("run", "exact_fig7", *QUICK, "--set", "link.faults=[{kind: nan, time: 0.02}]")
+    assert status == 3
+    assert "failed: not_finite" in out
+    assert err.splitlines()[-1].startswith("stewart-drake: failed, not_finite at t = 0.020 s: ")
+
+
 # --- runs that break ----------------------------------------------------------------------------------------------
 
 
@@ -388,7 +399,7 @@ def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
     assert metrics["rmse_deg"] is None
     assert "failed: crank_dead_centre" in out
     last = err.splitlines()[-1]
-    assert last.startswith(f"stewart-drake: crank_dead_centre at t = {log.end_time:.3f} s: ")
+    assert last.startswith(f"stewart-drake: failed, crank_dead_centre at t = {log.end_time:.3f} s: ")
     assert f"leg {log.leg}" in last
     assert "Traceback" not in err
 
@@ -435,7 +446,7 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     assert 0.0 < log.time[-1] <= log.end_time < 100.0
     assert len({len(values) for values in log.signals.values()}) == 1
     assert "interrupted" in out
-    assert f"interrupted at t = {log.end_time:.3f} s; results so far in out" in err.splitlines()[-1]
+    assert f"interrupted at t = {log.end_time:.3f} s: stopped by the user" in err.splitlines()[-1]
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "interrupted"
 
 
@@ -454,16 +465,18 @@ def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
     assert load_log(tmp_path / "out").status == "completed"
 
 
-def test_ctrl_c_while_results_are_written_says_that_some_are_missing(call, monkeypatch):
+def test_ctrl_c_while_results_are_written_leaves_the_log_and_says_where(call, monkeypatch):
     from stewart_drake import outputs
 
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(outputs, "write_run", interrupt)
+    monkeypatch.setattr(outputs.ResultsFolder, "finish", interrupt)
     status, _, err = call("run", "paper_fig7", "--set", "duration=0.02", "--quiet", "--out", "out")
     assert status == 130
-    assert err == "stewart-drake: interrupted while writing the results; some are missing in out\n"
+    kept = Path(".out.unfinished").absolute()
+    assert err == f"stewart-drake: interrupted while writing the results; the log is in {kept}\n"
+    assert len(load_log(kept).time) == 5
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -473,7 +486,7 @@ def test_compilation_ahead_is_announced(call, monkeypatch, kept):
 
     monkeypatch.setattr(jit, "is_kept", lambda _: kept)
     for scenario, compiled in (("exact_fig7", True), ("paper_fig7", False)):
-        status, _, err = call("run", scenario, "--set", "duration=0.02", "--out", "out")
+        status, _, err = call("run", scenario, "--set", "duration=0.02", "--out", "out", "--force")
         assert status == 0
         assert ("once on this machine" in err) == (compiled and not kept)
 

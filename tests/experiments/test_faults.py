@@ -275,15 +275,15 @@ def test_a_terse_line_sets_side_by_side_what_differs():
     rows = [
         FaultRow("dead_motor_0", "hold", "ended", monitor="following_error", latency_ms=81.0, peak_error_mm=9.0),
         FaultRow("dead_motor_0", "paper", "ended", monitor="following_error", latency_ms=74.4, peak_error_mm=9.125),
-        FaultRow("encoder_frozen", "hold", "unnoticed"),
-        FaultRow("encoder_frozen", "paper", "ended", monitor="sensor_failed", latency_ms=54.0),
+        FaultRow("encoder_frozen", "hold", "unnoticed", status="lost"),
+        FaultRow("encoder_frozen", "paper", "ended", monitor="sensor_failed", latency_ms=54.0, status="failed"),
         # There from the start: a time of its trip is no latency.
-        FaultRow("dropped_10_percent", "hold", "held", monitor="deadline", latency_ms=1181.0),
+        FaultRow("dropped_10_percent", "hold", "held", monitor="deadline", latency_ms=1181.0, status="completed"),
     ]
     assert terse_rows(rows) == [
-        ("dead_motor_0", "ended", "following_error", "74-81", "-", "9.12", "-"),
-        ("encoder_frozen", "unnoticed / ended", "- / sensor_failed", "54", "-", "-", "-"),
-        ("dropped_10_percent", "held", "deadline", "-", "-", "-", "-"),
+        ("dead_motor_0", "ended", "-", "following_error", "74-81", "-", "9.12", "-"),
+        ("encoder_frozen", "unnoticed / ended", "lost / failed", "- / sensor_failed", "54", "-", "-", "-"),
+        ("dropped_10_percent", "held", "completed", "deadline", "-", "-", "-", "-"),
     ]
 
 

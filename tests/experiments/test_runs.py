@@ -191,6 +191,7 @@ CHANGES = {
     "motors.ripple": 0.01,
     "link.drop_probability": 0.1,
     "safety": {},
+    "bounds.position": 0.02,
 }
 
 

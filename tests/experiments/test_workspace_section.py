@@ -263,7 +263,7 @@ def test_command_writes_the_report_and_its_numbers(tmp_path, made, monkeypatch):
 
     def same_again(study, samples, center):
         asked.append((study.base, samples, center))
-        shutil.copytree(done.folder / "figures", study.folder / "figures")
+        shutil.copytree(done.folder / "figures", study.folder / "figures", dirs_exist_ok=True)
         return section
 
     monkeypatch.setattr(section_module, "make_section", same_again)

@@ -130,7 +130,7 @@ def not_finite(row: Mapping[str, Any]) -> str | None:
 
 
 _FROM_METRICS = (
-    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_error", "torque_rms", "torque_peak",
+    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_ratio", "torque_rms", "torque_peak",
     "saturated_fraction", "loop_gap_max_m", "omega_ratio", "finite",
 )  # fmt: skip
 """Keys of `run_metrics` that are figures of a row under the same name."""

@@ -67,7 +67,7 @@ OUTCOME: Mapping[str, tuple[str, str, str]] = {
     **_errors("peak", "largest error"),
     "error_max_deg": ("number", "deg", "largest angle from the reference while the controller was in charge"),
     "error_max_mm": ("number", "mm", "largest distance from the reference while the controller was in charge"),
-    "motion_error": ("number", "1", "RMS of the error about its mean over that of the reference, second half"),
+    "motion_ratio": ("number", "1", "size of the platform's motion over that of its reference, second half"),
     "torque_rms": ("number", "N m", "of all motors, within their limits, over the whole run"),
     "torque_peak": ("number", "N m", "of all motors, within their limits, over the whole run"),
     "saturated_fraction": ("number", "1", "share of torques at the limit, of ticks and motors"),
