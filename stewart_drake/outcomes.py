@@ -41,7 +41,7 @@ class Bounds:
     """[m] largest distance between the platform and its reference."""
     loop_gap: Positive | None = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    motion_ratio: Positive | None = 0.5
+    motion_ratio: Positive | None = 0.25
     """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all
     poses, rotations times the robot's characteristic length. Friction that swallows a motion makes it 0. It says
     nothing, and is None, where reference or error move by no more than 0.02 mm."""

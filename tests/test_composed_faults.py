@@ -169,14 +169,14 @@ def true_outcomes(log):
 
 
 def moved(log):
-    """Whether the platform made at least half of its reference's motion, where that is one, or was near it."""
+    """Whether the platform made at least a quarter of its reference's motion, where that is one, or was near it."""
     late = log.time >= 0.5 * log.scenario.duration - 1e-9
     scale = [log.scenario.robot.characteristic_length] * 3 + [1.0] * 3
     wanted, made, error = (
         np.sqrt(np.sum(np.var(values[late] * scale, axis=0)))
         for values in (log["reference"], log["pose"], log["pose"] - log["reference"])
     )
-    return min(wanted, error) <= 2e-5 or made >= 0.5 * wanted
+    return min(wanted, error) <= 2e-5 or made >= 0.25 * wanted
 
 
 def stated_latency(kind, fault):

@@ -93,7 +93,7 @@ def test_a_start_that_is_off_has_to_come_back():
     assert (never.status, never.reason, never.time) == ("lost", "position_bound", 0.0)
 
 
-@pytest.mark.parametrize(("share", "status"), [(1.0, "completed"), (0.51, "completed"), (0.49, "lost"), (0.0, "lost")])
+@pytest.mark.parametrize(("share", "status"), [(1.0, "completed"), (0.26, "completed"), (0.24, "lost"), (0.0, "lost")])
 def test_a_motion_that_is_not_in_the_pose_was_not_followed(share, status):
     outcome = verdict(**moving(share))
     assert outcome.status == status

@@ -510,7 +510,7 @@ def test_a_start_that_would_trip_is_refused():
     # At rest at the start the motors need what the weight needs, whatever the motion is.
     weak = np.abs(WEIGHT).max() / ROBOT.effort_limit
     refuse_start(ROBOT, SafetyOptions(torque_limit=1.001 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
-    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*standing at the start.*t = 0\.000 s, leg"):
+    with pytest.raises(ConfigurationError, match=r"safety\.torque_limit.*to stand at the start.*t = 0\.000 s, leg"):
         refuse_start(ROBOT, SafetyOptions(torque_limit=0.999 * weak), STANDARD_GRAVITY, HOME, STILL, HOME)
 
 
@@ -532,7 +532,7 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
     steepest = np.abs(np.diff(torque, axis=0)).max() / PERIOD
     for factor, refused in ((1.001, ()), (0.999, ("torque_limit", "torque_rate"))):
         for name, value in (("torque_limit", share), ("torque_rate", steepest)):
-            options = SafetyOptions(**{name: factor * value}, torque_rate_time=0.0)
+            options = SafetyOptions(**{name: factor * value}, torque_rate_time=0.0, torque_limit_time=0.0)
             if name in refused:
                 with pytest.raises(ConfigurationError, match=rf"safety\.{name}: .* leg \d") as caught:
                     refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
@@ -541,8 +541,12 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
                 refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
 
 
-def test_torques_that_change_too_fast_only_for_a_while_that_the_layer_forgives_are_not_refused():
+def test_what_the_layer_forgives_for_a_while_is_not_refused():
     time, motion = swing(2.0, 0.005)
+    needed = np.abs(inverse_dynamics(ROBOT, *motion)).max() / ROBOT.effort_limit
+    refuse_motion(ROBOT, SafetyOptions(torque_limit=0.999 * needed), STANDARD_GRAVITY, time, motion)
+    with pytest.raises(ConfigurationError, match=r"torque_limit.*for too long"):
+        refuse_motion(ROBOT, SafetyOptions(torque_limit=0.8 * needed), STANDARD_GRAVITY, time, motion)
     slope = np.abs(np.diff(inverse_dynamics(ROBOT, *motion), axis=0)).max() / PERIOD
     fast = SafetyOptions(torque_rate=0.999 * slope, torque_rate_time=0.05)
     refuse_motion(ROBOT, fast, STANDARD_GRAVITY, time, motion)
