@@ -194,9 +194,10 @@ class ResultsFolder:
         # One that is empty may be of a process that was killed before it could say whose it is.
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
-        if os.path.lexists(self.folder) and not (self.folder / _MARK).is_file():
-            allowed = f"a folder beside which no {self.folder.name} of your own stands"
-            raise ConfigurationError("--out", self._named, allowed)
+        for path, own in ((self.folder, (self.folder / _MARK).is_file()), (self._before, _is_run(self._before))):
+            if os.path.lexists(path) and not own:
+                allowed = f"a folder beside which no {path.name} of your own stands"
+                raise ConfigurationError("--out", self._named, allowed)
         self.folder.mkdir(exist_ok=True)
         self._lock = (self.folder / _MARK).open("ab")
         try:
@@ -225,22 +226,20 @@ class ResultsFolder:
         except OSError as error:
             why = error.strerror or str(error)
             raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
-        kept = b""
-        if "scenario.yaml" in names:
-            kept = read_checked(place / "scenario.yaml", f"--out {self._named}: scenario.yaml", MAX_BYTES)
-        # What a run has left has a scenario.yaml that says so; without it all is the user's own.
-        others = sorted(names - _FILES if kept.startswith(_AS_RUN.encode()) else names)
+        others = sorted(names - _FILES if _is_run(place) else names)
         if others:
             allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
             raise ConfigurationError("--out", self._named, allowed)
-        if names and not self._force and not self._same(kept):
+        if names and not self._force and not self._same():
             allowed = "a folder without the results of another scenario, or --force to replace them"
             raise ConfigurationError("--out", self._named, allowed)
 
-    def _same(self, scenario: bytes) -> bool:
+    def _same(self) -> bool:
         """Whether results that are there are of the same scenario, with the same files by content."""
         try:
-            text = read_checked(self.place / "metrics.json", "metrics.json", MAX_BYTES)
+            scenario, text = (
+                read_checked(self.place / name, name, MAX_BYTES) for name in ("scenario.yaml", "metrics.json")
+            )
             before = Counter(json.loads(text)["files"].values())
         except (ConfigurationError, ValueError, KeyError, TypeError, AttributeError):
             return False
@@ -252,6 +251,8 @@ class ResultsFolder:
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
         sync_folder(self.folder)
+        # The run may have taken hours.
+        self._refuse_loss()
         place = self.place
         if place.exists():
             place.rename(self._before)
@@ -288,6 +289,14 @@ def write_run(
     with ResultsFolder(folder, log.scenario, force) as results:
         log.save(results.folder / "log.parquet")
         return results.finish(log, graph, pictures)
+
+
+def _is_run(folder: Path) -> bool:
+    """Whether a run has left this folder: then its scenario.yaml says so. Otherwise all in it is the user's own."""
+    try:
+        return read_checked(folder / "scenario.yaml", "scenario.yaml", MAX_BYTES).startswith(_AS_RUN.encode())
+    except ConfigurationError:
+        return False
 
 
 def _replay(log: SimulationLog, path: Path) -> str | None:

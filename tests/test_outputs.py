@@ -198,6 +198,20 @@ def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_p
         assert names(place) == ALWAYS
 
 
+def test_what_the_user_puts_there_during_a_run_is_not_lost(tmp_path):
+    log = made_log()
+    with (
+        pytest.raises(ConfigurationError, match="notes would be lost"),
+        outputs.ResultsFolder(tmp_path / "out", log.scenario) as results,
+    ):
+        log.save(results.folder / "log.parquet")
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes").write_text("mine")
+        results.finish(log, pictures=False)
+    assert (tmp_path / "out" / "notes").read_text() == "mine"
+    assert len(load_log(tmp_path / ".out.unfinished").time) == 101
+
+
 def test_old_results_come_back_where_the_new_ones_did_not_arrive(tmp_path):
     place = tmp_path / "out"
     write_run(made_log(wall_time=7.0), place, pictures=False)
@@ -206,11 +220,12 @@ def test_old_results_come_back_where_the_new_ones_did_not_arrive(tmp_path):
         assert load_log(place).wall_time == 7.0
 
 
-def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path):
-    mine = tmp_path / ".out.unfinished"
+@pytest.mark.parametrize("name", [".out.unfinished", ".out.before"])
+def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path, name):
+    mine = tmp_path / name
     mine.mkdir()
     (mine / "work").write_text("mine")
-    with pytest.raises(ConfigurationError, match=re.escape(".out.unfinished of your own")):
+    with pytest.raises(ConfigurationError, match=re.escape(f"{name} of your own")):
         write_run(made_log(), tmp_path / "out", pictures=False)
     assert (mine / "work").read_text() == "mine"
 
