@@ -200,14 +200,12 @@ def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_p
 
 def test_what_the_user_puts_there_during_a_run_is_not_lost(tmp_path):
     log = made_log()
-    with (
-        pytest.raises(ConfigurationError, match="notes would be lost"),
-        outputs.ResultsFolder(tmp_path / "out", log.scenario) as results,
-    ):
+    with outputs.ResultsFolder(tmp_path / "out", log.scenario) as results:
         log.save(results.folder / "log.parquet")
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "notes").write_text("mine")
-        results.finish(log, pictures=False)
+        with pytest.raises(ConfigurationError, match="notes would be lost"):
+            results.finish(log, pictures=False)
     assert (tmp_path / "out" / "notes").read_text() == "mine"
     assert len(load_log(tmp_path / ".out.unfinished").time) == 101
 
