@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -268,12 +269,14 @@ def load_log(path: str | Path, most_rows: int | None = None) -> SimulationLog:
         ConfigurationError: Missing file, not a log of this package, or not as it was written.
     """
     path = Path(path)
-    if path.is_dir() and not (path / "log.parquet").exists() and (path / UNFINISHED).is_dir():
+    # Unlike `Path.is_dir` this never raises.
+    folder = os.path.isdir(path)  # noqa: PTH112
+    if folder and not (path / "log.parquet").exists() and (path / UNFINISHED).is_dir():
         parts = [_load_file(part, most_rows) for part in sorted((path / UNFINISHED).glob("*.parquet"))]
         if parts:
             signals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].signals}
             return replace(parts[-1], signals=signals)
-    return _load_file(path / "log.parquet" if path.is_dir() else path, most_rows)
+    return _load_file(path / "log.parquet" if folder else path, most_rows)
 
 
 def _load_file(path: Path, most_rows: int | None) -> SimulationLog:

@@ -155,10 +155,12 @@ def check_what_the_layer_tells(log):
 
 def true_outcomes(log):
     """What the status may be, from the signals alone: outcomes must tell the truth."""
-    if log.end_time < log.scenario.duration - 1e-9 and (log.safety is None or log.safety["last"] == "end"):
+    early = log.end_time < log.scenario.duration - 1e-9
+    # Given up by the layer, or broken without it.
+    if early if log.safety is None else log.safety["last"] == "end":
         return {"failed"}
     level = log["safety"][:, 0]
-    if log.end_time < log.scenario.duration - 1e-9 or level[-1] >= HOLD:
+    if early or level[-1] >= HOLD:
         # Held by the layer; or the plant itself gave way under it, which has no signal.
         return {"stopped"} if log.reason in MONITORS else {"failed"}
     off = rotation_matrix(log["pose"][:, :3]) @ np.swapaxes(rotation_matrix(log["reference"][:, :3]), -1, -2)
