@@ -50,11 +50,11 @@ if __name__ == "__main__":
 """
 # Short runs of a few faults; the workers import this file too.
 FEW_FAULTS = f"""
-from stewart_drake.experiments.faults import catalogue, rows, table
+from stewart_drake.experiments.faults import fault, rows, table
 some = [pair for pair in rows.all_rows() if pair[1] == "hold"][:6]
 rows.all_rows = table.all_rows = lambda: some
-short = catalogue.base().replace({{"duration": 0.6, "limits.clearance": None}})
-catalogue.base = lambda: short
+short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})
+fault.base = lambda: short
 {MAIN}
 """
 # A report of two small sections, which run, draw and keep a file.

@@ -127,8 +127,9 @@ from stewart_drake.log_rows import RowsInFile
 from stewart_drake.scenario import Scenario
 from stewart_drake.simulation import run
 import stewart_drake.simulation as simulation
+import stewart_drake.log as log_module
 import stewart_drake.log_rows as log_rows
-log_rows.ROW_GROUP = 2000
+log_module.ROW_GROUP = log_rows.ROW_GROUP = 2000
 duration, folder = float(sys.argv[1]), Path(sys.argv[2])
 scenario = Scenario.from_dict({"duration": duration, "tuner": {"kind": "fixed"}, "log_period": 0.001,
     "reference": {"kind": "hold"}, "plant": {"time_step": 0.001}})

@@ -339,7 +339,7 @@ def test_every_flipped_bit_is_refused_by_one_line(tmp_path):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="readable file"):
+    with pytest.raises(ConfigurationError, match="a file from `collect`"):
         load_dataset(tmp_path / "nowhere.parquet")
 
 
