@@ -104,8 +104,8 @@ def judge(
         event = left[name]
         scale, unit = (math.degrees(1.0), "deg") if name == "rotation" else (1e3, "mm")
         bound, worst = (f"{scale * value:.4g} {unit}" for value in (getattr(bounds, name), event["worst"]))
-        what = "the loops opened by" if name == "loop_gap" else f"the error in {name} was"
-        text = f"{what} more than {bound} from t = {event['time']:.3f} s on; at most {worst}"
+        what = "the loops opened by more than" if name == "loop_gap" else f"the error in {name} went beyond"
+        text = f"{what} {bound} at t = {event['time']:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
     ratio = figures["motion_ratio"]
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:

@@ -133,7 +133,10 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
         ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
         ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
-        ("largest error, whole run", figures("{:.4g}", "error_max_deg", "error_max_mm", unit=" deg, mm")),
+        (
+            "largest error, whole run",
+            f"{figures('{:.4g} deg', 'error_max_deg')}, {figures('{:.4g} mm', 'error_max_mm')}",
+        ),
         ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
     ]
     if len(log.time):

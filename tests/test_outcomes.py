@@ -80,7 +80,7 @@ def test_the_bound_that_was_left_first_gives_the_reason_and_the_message_has_the_
     pose[50:, 4], pose[70, 4], gap[40:, 1] = 0.04, 0.2, 0.002
     outcome = verdict(pose=pose, loop_gap=gap)
     assert (outcome.reason, outcome.time, outcome.leg) == ("loop_gap_bound", pytest.approx(4.0), 1)
-    assert "at most 200 mm" in verdict(pose=pose).message
+    assert "the largest was 200 mm" in verdict(pose=pose).message
 
 
 def test_a_start_that_is_off_has_to_come_back():
