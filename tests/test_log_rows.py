@@ -146,7 +146,8 @@ def test_memory_does_not_grow_with_the_length_of_a_run(tmp_path):
         folder = tmp_path / f"{duration}"
         folder.mkdir()
         command = [sys.executable, "-c", MEMORY, str(duration), str(folder)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+        assert done.returncode == 0, done.stderr
         status, peak = done.stdout.split()
         assert status == "completed"
         peaks.append(int(peak) * 1024)
