@@ -12,71 +12,71 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stewart_drake.control_inputs import Measurement as Measurement
-    from stewart_drake.control_inputs import Setpoint as Setpoint
-    from stewart_drake.control_law import ControlLaw as ControlLaw
-    from stewart_drake.diagram import ClosedLoop as ClosedLoop
-    from stewart_drake.diagram import build_diagram as build_diagram
+    from stewart_drake.control.control_law import ControlLaw as ControlLaw
+    from stewart_drake.control.inputs import Measurement as Measurement
+    from stewart_drake.control.inputs import Setpoint as Setpoint
+    from stewart_drake.control.lqi_options import LqiOptions as LqiOptions
+    from stewart_drake.control.network import load_network as load_network
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
-    from stewart_drake.feasibility import check_reference as check_reference
-    from stewart_drake.kinematics import forward_kinematics as forward_kinematics
-    from stewart_drake.kinematics import inverse_kinematics as inverse_kinematics
-    from stewart_drake.kinematics import leg_geometry as leg_geometry
-    from stewart_drake.limits import Limits as Limits
-    from stewart_drake.log import SimulationLog as SimulationLog
-    from stewart_drake.log import load_log as load_log
-    from stewart_drake.lqi_options import LqiOptions as LqiOptions
-    from stewart_drake.metrics import run_metrics as run_metrics
-    from stewart_drake.network import load_network as load_network
-    from stewart_drake.plant import StewartPlant as StewartPlant
-    from stewart_drake.plant import add_plant as add_plant
-    from stewart_drake.plant import build_plant as build_plant
-    from stewart_drake.plant_options import PlantOptions as PlantOptions
+    from stewart_drake.logs.log import SimulationLog as SimulationLog
+    from stewart_drake.logs.log import load_log as load_log
+    from stewart_drake.logs.metrics import run_metrics as run_metrics
+    from stewart_drake.mechanics.dynamics import forward_dynamics as forward_dynamics
+    from stewart_drake.mechanics.dynamics import inverse_dynamics as inverse_dynamics
+    from stewart_drake.mechanics.kinematics import forward_kinematics as forward_kinematics
+    from stewart_drake.mechanics.kinematics import inverse_kinematics as inverse_kinematics
+    from stewart_drake.mechanics.kinematics import leg_geometry as leg_geometry
+    from stewart_drake.planning.feasibility import check_reference as check_reference
+    from stewart_drake.planning.limits import Limits as Limits
+    from stewart_drake.plant.multibody_plant import StewartPlant as StewartPlant
+    from stewart_drake.plant.multibody_plant import add_plant as add_plant
+    from stewart_drake.plant.multibody_plant import build_plant as build_plant
+    from stewart_drake.plant.plant_options import PlantOptions as PlantOptions
+    from stewart_drake.plant.sdf_model import write_sdf as write_sdf
     from stewart_drake.references import HoldReference as HoldReference
     from stewart_drake.references import SineReference as SineReference
     from stewart_drake.references import paper_reference as paper_reference
-    from stewart_drake.rigid_body_model import forward_dynamics as forward_dynamics
-    from stewart_drake.rigid_body_model import inverse_dynamics as inverse_dynamics
     from stewart_drake.robot import RobotParameters as RobotParameters
+    from stewart_drake.runs.simulation import run as run
     from stewart_drake.sampling import on_grid as on_grid
     from stewart_drake.scenario import AnnTuner as AnnTuner
     from stewart_drake.scenario import BlockTuner as BlockTuner
     from stewart_drake.scenario import FixedTuner as FixedTuner
     from stewart_drake.scenario import Scenario as Scenario
     from stewart_drake.scenario import load_scenario as load_scenario
-    from stewart_drake.sdf_model import write_sdf as write_sdf
-    from stewart_drake.simulation import run as run
+    from stewart_drake.systems.diagram import ClosedLoop as ClosedLoop
+    from stewart_drake.systems.diagram import build_diagram as build_diagram
 
     __version__: str
 
 _HOME = {
-    "ControlLaw": "control_law",
-    "LqiOptions": "lqi_options",
-    "Measurement": "control_inputs",
-    "Setpoint": "control_inputs",
-    "ClosedLoop": "diagram",
-    "build_diagram": "diagram",
+    "ControlLaw": "control.control_law",
+    "LqiOptions": "control.lqi_options",
+    "Measurement": "control.inputs",
+    "Setpoint": "control.inputs",
+    "ClosedLoop": "systems.diagram",
+    "build_diagram": "systems.diagram",
     "ConfigurationError": "errors",
     "StewartDrakeError": "errors",
-    "check_reference": "feasibility",
-    "forward_kinematics": "kinematics",
-    "inverse_kinematics": "kinematics",
-    "leg_geometry": "kinematics",
-    "Limits": "limits",
-    "SimulationLog": "log",
-    "load_log": "log",
-    "run_metrics": "metrics",
-    "load_network": "network",
-    "StewartPlant": "plant",
-    "add_plant": "plant",
-    "build_plant": "plant",
-    "PlantOptions": "plant_options",
+    "check_reference": "planning.feasibility",
+    "forward_kinematics": "mechanics.kinematics",
+    "inverse_kinematics": "mechanics.kinematics",
+    "leg_geometry": "mechanics.kinematics",
+    "Limits": "planning.limits",
+    "SimulationLog": "logs.log",
+    "load_log": "logs.log",
+    "run_metrics": "logs.metrics",
+    "load_network": "control.network",
+    "StewartPlant": "plant.multibody_plant",
+    "add_plant": "plant.multibody_plant",
+    "build_plant": "plant.multibody_plant",
+    "PlantOptions": "plant.plant_options",
     "HoldReference": "references",
     "SineReference": "references",
     "paper_reference": "references",
-    "forward_dynamics": "rigid_body_model",
-    "inverse_dynamics": "rigid_body_model",
+    "forward_dynamics": "mechanics.dynamics",
+    "inverse_dynamics": "mechanics.dynamics",
     "RobotParameters": "robot",
     "on_grid": "sampling",
     "AnnTuner": "scenario",
@@ -84,8 +84,8 @@ _HOME = {
     "FixedTuner": "scenario",
     "Scenario": "scenario",
     "load_scenario": "scenario",
-    "write_sdf": "sdf_model",
-    "run": "simulation",
+    "write_sdf": "plant.sdf_model",
+    "run": "runs.simulation",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
@@ -95,7 +95,7 @@ if not TYPE_CHECKING:
     # A type checker that saw this would take every misspelt name for one of the package.
     def __getattr__(name: str) -> Any:
         if name == "__version__":
-            from stewart_drake.versions import package_version
+            from stewart_drake.logs.versions import package_version
 
             return package_version("stewart-drake") or "not installed"
         if name not in _HOME:

@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """`cli.main`; Ctrl-C while that loads ends in one line too."""
     try:
-        from stewart_drake.cli import main as run
+        from stewart_drake.cli.app import main as run
     except KeyboardInterrupt:
         sys.stderr.write("stewart-drake: interrupted\n")
         sys.exit(130)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import SECTION, Count, Positive, Real, Vector3, is_finite, plain
+from stewart_drake.section import SECTION, Count, Positive, Real, Vector3, is_finite, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6

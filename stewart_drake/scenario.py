@@ -23,31 +23,30 @@ from pydantic import (
     model_validator,
 )
 
-from stewart_drake.command_link import LinkOptions
-from stewart_drake.computed_torque import ComputedTorqueOptions
-from stewart_drake.control_law import ControlLaw
-from stewart_drake.density import DensityKind
-from stewart_drake.disturbances import Disturbance
+from stewart_drake.control.computed_torque import ComputedTorqueOptions
+from stewart_drake.control.control_law import ControlLaw
+from stewart_drake.control.density import DensityKind
+from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.estimator import EncoderOptions
-from stewart_drake.joint_pid import PidOptions
-from stewart_drake.limits import Limits
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.motors import MotorOptions
-from stewart_drake.named_files import anchor_files
-from stewart_drake.network import TunerNetwork, default_network_path, load_network
-from stewart_drake.outcomes import Bounds
-from stewart_drake.plant_options import PlantOptions
+from stewart_drake.files.named_files import anchor_files
+from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
+from stewart_drake.hardware.command_link import LinkOptions
+from stewart_drake.hardware.disturbances import Disturbance
+from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.sensor_faults import PoseFault
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.planning.bounds import Bounds
+from stewart_drake.planning.limits import Limits
+from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.rigid_body_model import STANDARD_GRAVITY
 from stewart_drake.robot import LARGEST, RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
-from stewart_drake.scalars import SECTION, Count, Real, Vector6
-from stewart_drake.scenario_errors import explain, keys_of, kind_class, shown
-from stewart_drake.sensor_faults import PoseFault
-from stewart_drake.user_controller import PythonOptions
-from stewart_drake.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
+from stewart_drake.section import SECTION, Count, Real, Vector6, explain, keys_of, kind_class, shown
 
 MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""

@@ -19,18 +19,18 @@ import numpy as np
 from conftest import make_network, resealed
 from made_logs import made_log
 
-from stewart_drake import parquet_files
+from stewart_drake.campaigns.comparison_file import load_comparison
+from stewart_drake.campaigns.sweep_file import load_sweep
+from stewart_drake.control.network import load_network
+from stewart_drake.control.user_controller import PythonOptions, construct
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.experiments.comparison.spec import load_comparison
-from stewart_drake.experiments.sweeps.spec import load_sweep
-from stewart_drake.log import load_log
-from stewart_drake.named_files import digest
-from stewart_drake.network import load_network
+from stewart_drake.files.named_files import digest
+from stewart_drake.files.whole import parquet_files
+from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.logs.log import load_log
 from stewart_drake.references import RecordedReference
 from stewart_drake.scenario import load_scenario
 from stewart_drake.training.dataset import Dataset, load_dataset
-from stewart_drake.user_controller import PythonOptions, construct
-from stewart_drake.yaml_files import shipped_folder
 
 MEMORY = 1_500_000_000
 """[byte] that loading may take beyond what the modules do."""

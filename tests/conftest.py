@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from stewart_drake.files import seal
-from stewart_drake.network import TunerNetwork
+from stewart_drake.control.network import TunerNetwork
+from stewart_drake.files.whole import seal
 
 # A deadline would make the outcome depend on how busy the machine is.
 settings.register_profile("default", deadline=None)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stewart_drake.log import SIGNALS, SimulationLog
+from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.scenario import Scenario
 
 STATES = 49

@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import mujoco
 import numpy as np
 
-from stewart_drake.kinematics import rotation_matrix
-from stewart_drake.sdf_model import home_frames
+from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.plant.sdf_model import home_frames
 
 LEGS = range(6)
 

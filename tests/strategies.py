@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from stewart_drake.kinematics import reach_margin
+from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.estimator import EncoderOptions
-from stewart_drake.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
-from stewart_drake.metrics import run_metrics
-from stewart_drake.rigid_body_model import task_inertia
+from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.mechanics.dynamics import task_inertia
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
+from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import load_scenario
-from stewart_drake.simulation import check_scenario, run
 
 SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "300"))
 """Of faults; more of them for a longer search."""

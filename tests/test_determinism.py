@@ -8,9 +8,9 @@ import pytest
 ROOT = Path(__file__).parent.parent
 RUN = """
 import hashlib, json, sys
-from stewart_drake.metrics import run_metrics
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import load_scenario
-from stewart_drake.simulation import run
+from stewart_drake.runs.simulation import run
 content = hashlib.sha256()
 for name in ("paper_fig7", "exact_heart"):
     log = run(load_scenario(name).replace({"duration": 0.3}))

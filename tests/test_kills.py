@@ -12,11 +12,11 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.cli import main
+from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.campaigns.sweep_table import INCIDENTAL
+from stewart_drake.cli.app import main
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.experiments.runs import RunStore
-from stewart_drake.experiments.sweeps.table import INCIDENTAL
-from stewart_drake.files import locked_folder
+from stewart_drake.files.whole import locked_folder
 from stewart_drake.scenario import Scenario
 
 ROOT = Path(__file__).parent.parent
@@ -45,12 +45,12 @@ conditions:
 """
 MAIN = """
 if __name__ == "__main__":
-    from stewart_drake.cli import main
+    from stewart_drake.cli.app import main
     main()
 """
 # Short runs of a few faults; the workers import this file too.
 FEW_FAULTS = f"""
-from stewart_drake.experiments.faults import fault, rows, table
+from stewart_drake.campaigns import fault, fault_rows as rows, fault_table as table
 some = [pair for pair in rows.all_rows() if pair[1] == "hold"][:6]
 rows.all_rows = table.all_rows = lambda: some
 short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})
@@ -62,8 +62,8 @@ FEW_SECTIONS = f"""
 import sys
 from types import ModuleType
 from matplotlib.figure import Figure
-from stewart_drake.experiments.report import Section
-from stewart_drake.experiments.reproduction import reproduce
+from stewart_drake.paper.report import Section
+from stewart_drake.paper import reproduce
 
 def module(key):
     def make(study):

@@ -44,7 +44,7 @@ def test_make_targets_exist():
 
 
 def test_commands_exist():
-    from stewart_drake.cli import cli
+    from stewart_drake.cli.app import cli
 
     named = set(re.findall(r"`stewart-drake ([a-z-]+)", README))
     assert {"run", "reproduce", "collect", "train"} <= named

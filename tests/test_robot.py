@@ -6,7 +6,7 @@ import pydantic
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()

@@ -10,15 +10,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.control_inputs import Measurement, Setpoint
-from stewart_drake.control_law import ControlLaw
+from stewart_drake.control.control_law import ControlLaw
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.limits import Limits
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.network import default_network_path, load_network
-from stewart_drake.plant_options import PlantOptions
+from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.planning.limits import Limits
+from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineReference
-from stewart_drake.rigid_body_model import static_torque
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import (
     AnnTuner,
@@ -27,7 +28,6 @@ from stewart_drake.scenario import (
     load_scenario,
     scenario_schema,
 )
-from stewart_drake.yaml_files import MAX_BYTES, find_file, shipped_folder
 
 PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
 SHIPPED = (*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path")

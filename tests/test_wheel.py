@@ -36,7 +36,9 @@ def test_the_wheel_runs_the_main_job_outside_of_the_checkout(wheel, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     environment = {**os.environ, "PYTHONPATH": str(site)}
-    where = "import stewart_drake, stewart_drake.sdf_model as s; print(stewart_drake.__file__); print(s.sdf_path())"
+    where = (
+        "import stewart_drake, stewart_drake.plant.sdf_model as s; print(stewart_drake.__file__); print(s.sdf_path())"
+    )
     found = subprocess.run(
         [sys.executable, "-c", where], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
     ).stdout.split()

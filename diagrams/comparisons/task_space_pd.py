@@ -3,8 +3,8 @@
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.kinematics import pose_rate_to_twist, twist_jacobian
-from stewart_drake.rigid_body_model import static_torque, task_inertia
+from stewart_drake.mechanics.dynamics import static_torque, task_inertia
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 
 
 class TaskSpacePd(LeafSystem):

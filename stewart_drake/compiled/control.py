@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.compiled.mechanism import (
@@ -30,7 +31,6 @@ from stewart_drake.compiled.mechanism import (
     task_inertia,
 )
 from stewart_drake.compiled.riccati import chain_gain
-from stewart_drake.riccati import SMALLEST_SINGULAR_VALUE
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import SAME_BRANCH
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
 from stewart_drake.compiled.mechanism import (
@@ -16,7 +17,6 @@ from stewart_drake.compiled.mechanism import (
     rod_lines,
     scalar,
 )
-from stewart_drake.estimator import SAME_BRANCH
 
 
 @njit(cache=True, error_model="numpy")

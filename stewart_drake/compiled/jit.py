@@ -21,12 +21,10 @@ import numba
 from numba.core import event
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
+from stewart_drake.files.whole import write_atomically
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-_BESIDE = ("density.py", "estimator.py", "riccati.py")
-"""Modules outside of this package whose constants its functions have compiled into them."""
 _PREFIX, _CHECKSUM = "stewart_drake-", ".sha256"
 _CONFIG: Any = numba.config
 _REGISTER: Any = event.register
@@ -35,8 +33,7 @@ _LOCK, _COMPILE = "numba:compiler_lock", "numba:compile"
 
 def digest(folder: Path = Path(__file__).parent) -> str:
     """Of all sources that code compiled in `folder` comes from."""
-    files = [*sorted(folder.glob("*.py")), *(folder.parent / name for name in _BESIDE)]
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in sorted(folder.glob("*.py")))).hexdigest()
 
 
 def is_kept(function: Any) -> bool:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import UNSETTLED
 from stewart_drake.compiled.jit import njit
-from stewart_drake.riccati import UNSETTLED
 
 ITERATIONS = 60
 """At most; about ten do."""

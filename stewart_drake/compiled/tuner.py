@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import MEAN_FLOOR
 from stewart_drake.compiled.jit import njit
-from stewart_drake.density import MEAN_FLOOR
 
 
 @njit(cache=True, error_model="numpy")

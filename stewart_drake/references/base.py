@@ -6,9 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from stewart_drake import option_checks
+from stewart_drake import section as option_checks
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.scalars import Vector6
+from stewart_drake.section import Vector6
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, check_vectors, is_six, smoothstep
-from stewart_drake.scalars import SECTION, Positive, Real, Vector6
+from stewart_drake.section import SECTION, Positive, Real, Vector6
 
 
 @dataclass(frozen=True, kw_only=True)

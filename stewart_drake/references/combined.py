@@ -15,7 +15,7 @@ from stewart_drake.references.basic import HoldReference, SineBurstsReference, S
 from stewart_drake.references.paths import MinimumJerkReference, SplineReference
 from stewart_drake.references.recorded import RecordedReference
 from stewart_drake.references.surgical import BreathingReference, HeartbeatReference, TremorReference
-from stewart_drake.scalars import SECTION, NotNegative, Positive, Vector6
+from stewart_drake.section import SECTION, NotNegative, Positive, Vector6
 
 Motion = (
     HoldReference

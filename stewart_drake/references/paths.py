@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import check_poses, smoothstep
-from stewart_drake.scalars import SECTION, Real, Vector6, is_finite
+from stewart_drake.section import SECTION, Real, Vector6, is_finite
 
 
 @dataclass(frozen=True, kw_only=True)

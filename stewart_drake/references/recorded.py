@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import StrictStr
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import open_checked
-from stewart_drake.parquet_files import refuse_bomb
+from stewart_drake.files.parquet_files import refuse_bomb
+from stewart_drake.files.whole import open_checked
 from stewart_drake.references.base import check_numbers, check_positive
-from stewart_drake.scalars import SECTION, Positive
+from stewart_drake.section import SECTION, Positive
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 """[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""

@@ -11,9 +11,19 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.option_checks import check_seed
 from stewart_drake.references.base import HOME, check_numbers, check_positive, check_vectors, check_whole, smoothstep
-from stewart_drake.scalars import SECTION, Count, Natural, NotNegative, Positive, Real, Share, Vector6, is_finite
+from stewart_drake.section import (
+    SECTION,
+    Count,
+    Natural,
+    NotNegative,
+    Positive,
+    Real,
+    Share,
+    Vector6,
+    check_seed,
+    is_finite,
+)
 
 _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""

@@ -25,8 +25,8 @@ from stewart_drake.safety.memory import (
     first_trip,
     initial_memory,
 )
-from stewart_drake.safety.options import SafetyOptions
 from stewart_drake.safety.refusals import refuse_motion, refuse_start, sample_times
+from stewart_drake.safety.safety_options import SafetyOptions
 from stewart_drake.safety.tick import FlatTick, flat_tick, safety_tick
 
 __all__ = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.safety.options import SafetyOptions
+from stewart_drake.safety.safety_options import SafetyOptions
 
 FROZEN_SIZE = 42
 """Readings of the tick before, and for each of the six what it is compared with as it was when the reading changed."""

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from stewart_drake.errors import UnreachablePoseError, failure_code
-from stewart_drake.kinematics import (
+from stewart_drake.mechanics.dynamics import static_torque_of_legs
+from stewart_drake.mechanics.kinematics import (
     crank_rates,
     leg_geometry,
     line_conditioning,
@@ -16,10 +17,9 @@ from stewart_drake.kinematics import (
     rotation_angle,
     rotation_matrix,
 )
-from stewart_drake.rigid_body_model import static_torque_of_legs
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import HOLD, MONITORS, RAMP, SafetyInputs, Trip
-from stewart_drake.safety.options import SafetyOptions
+from stewart_drake.safety.safety_options import SafetyOptions
 
 _ABSURD = 10.0
 """A command of so many times the limit is an error of the controller and no wish for torque."""

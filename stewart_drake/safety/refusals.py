@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.kinematics import (
+from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
+from stewart_drake.mechanics.kinematics import (
     crank_rates,
     leg_geometry,
     line_conditioning,
@@ -16,11 +17,10 @@ from stewart_drake.kinematics import (
     rotation_angle,
     rotation_matrix,
 )
-from stewart_drake.rigid_body_model import inverse_dynamics, static_torque
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import MONITORS, SafetyInputs
 from stewart_drake.safety.monitors import look
-from stewart_drake.safety.options import SafetyOptions
+from stewart_drake.safety.safety_options import SafetyOptions
 
 _SAMPLES = 4000
 

@@ -30,7 +30,7 @@ from stewart_drake.safety.monitors import (
     measured,
     unusable,
 )
-from stewart_drake.safety.options import SafetyOptions
+from stewart_drake.safety.safety_options import SafetyOptions
 
 _REFILL = 0.05
 """Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
+from stewart_drake.control.network import TunerNetwork
 from stewart_drake.errors import NotFiniteError
-from stewart_drake.network import TunerNetwork
-from stewart_drake.option_checks import check_numbers
 from stewart_drake.sampling import on_grid
+from stewart_drake.section import check_numbers
 
 
 class AnnTuner(LeafSystem):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.command_link import LinkOptions, link_step
+from stewart_drake.hardware.command_link import LinkOptions, link_step
 from stewart_drake.systems.ticked import TickedSystem
 
 

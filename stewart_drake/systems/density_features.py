@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.density import DensityKind, density, push
+from stewart_drake.control.density import DensityKind, density, push
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.systems.ticked import TickedSystem
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.sensor_faults import EncoderFault, PoseFault, faulty_reading, kept_readings
+from stewart_drake.hardware.sensor_faults import EncoderFault, PoseFault, faulty_reading, kept_readings
 from stewart_drake.systems.ticked import TickedSystem
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
+from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.lqi import MEMORY_SIZE, flat_tick
-from stewart_drake.lqi_options import LqiOptions
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.tracking_controller import TrackingController
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem
 
-from stewart_drake.motors import MotorOptions
-from stewart_drake.plant import StewartPlant
+from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.plant.multibody_plant import StewartPlant
 
 
 class MotorDrive(LeafSystem):

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem
 
-from stewart_drake.estimator import EncoderOptions
-from stewart_drake.plant import StewartPlant
+from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.sampling import on_grid
 
 

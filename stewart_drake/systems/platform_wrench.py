@@ -11,8 +11,8 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context, LeafSystem
 
-from stewart_drake.disturbances import Disturbance, total_wrench
-from stewart_drake.plant import StewartPlant
+from stewart_drake.hardware.disturbances import Disturbance, total_wrench
+from stewart_drake.plant.multibody_plant import StewartPlant
 
 
 class PlatformWrench(LeafSystem):

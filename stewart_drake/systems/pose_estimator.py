@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
 

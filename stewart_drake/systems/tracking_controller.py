@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.control_inputs import Measurement, Setpoint
+from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.systems.ticked import TickedSystem
 
 

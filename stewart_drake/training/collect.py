@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.density import DensityKind, density
+from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.feasibility import amplitude_table, largest_scale
-from stewart_drake.limits import Limits
-from stewart_drake.log import SimulationLog
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.planning.feasibility import amplitude_table, largest_scale
+from stewart_drake.planning.limits import Limits
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scalars import Vector6
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+from stewart_drake.section import Vector6
 from stewart_drake.training.dataset import Dataset
 
 OMEGAS = (0.1, 1.0, 10.0)
@@ -184,7 +184,7 @@ def collect_dataset(
         RunFailure: An experiment ended early; it says which. The rest is not run.
         KeyboardInterrupt: After Ctrl-C, which `simulation.run` turns into a log.
     """
-    from stewart_drake.simulation import run
+    from stewart_drake.runs.simulation import run
 
     base = Scenario() if base is None else base
     if not isinstance(base.tuner, AnnTuner):

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files import write_atomically
-from stewart_drake.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.whole import write_atomically
 
 _INPUTS = tuple(f"density_{i}" for i in range(12))
 _FORMAT_KEY = b"stewart_drake.dataset"

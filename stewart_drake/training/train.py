@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 import torch
 
+from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.training.dataset import Dataset
 
 Split = Literal["samples", "runs"]

@@ -5,7 +5,7 @@ from mujoco_model import MujocoRobot
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake import RobotParameters, build_plant
-from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 
 ROBOT = RobotParameters()
 STEP, STEPS = 0.001, 150

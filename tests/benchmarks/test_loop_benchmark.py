@@ -11,14 +11,14 @@ from pydrake.systems.analysis import Simulator
 
 from stewart_drake import RobotParameters, build_diagram, build_plant, load_network, load_scenario
 from stewart_drake.compiled import control
-from stewart_drake.estimator import flat_estimate, initial_memory
-from stewart_drake.kinematics import inverse_kinematics
-from stewart_drake.lqi import MEMORY_SIZE, flat_tick
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.riccati import riccati_gain
-from stewart_drake.rigid_body_model import pose_acceleration_map, static_torque
+from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.riccati import riccati_gain
+from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, discretize, input_matrix, state_matrix
+from stewart_drake.hardware.estimator import flat_estimate, initial_memory
+from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.sampling import on_grid
-from stewart_drake.state_space import INTEGRAL, POSITION, RATE, STATES, discretize, input_matrix, state_matrix
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.lqi_controller import LqiController
 from stewart_drake.systems.motor_encoders import MotorEncoders
@@ -129,7 +129,7 @@ def test_the_same_systems_doing_nothing(compare, monkeypatch):
     monkeypatch.setattr(MotorEncoders, "_calc", encoders)
     monkeypatch.setattr(ReferenceSource, "_calc", lambda _self, _context, output: output.SetFromVector(wanted))
     monkeypatch.setattr(
-        "stewart_drake.network.TunerNetwork.compiled_weights", lambda _self: lambda _densities: np.ones(2)
+        "stewart_drake.control.network.TunerNetwork.compiled_weights", lambda _self: lambda _densities: np.ones(2)
     )
     loop = Loop("reference={kind: hold}", *ALL)
     compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
@@ -217,7 +217,7 @@ def test_numpy_reference_of_a_tick(compare):
         (
             "stewart-drake run --help",
             "import sys; sys.argv = ['stewart-drake', 'run', '--help']\n"
-            "from stewart_drake.cli import main\ntry:\n    main()\nexcept SystemExit:\n    pass",
+            "from stewart_drake.cli.app import main\ntry:\n    main()\nexcept SystemExit:\n    pass",
             "",
         ),
         (

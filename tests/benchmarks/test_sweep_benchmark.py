@@ -3,9 +3,9 @@
 import json
 import time
 
-from stewart_drake.experiments.sweeps.executors import LocalProcesses
-from stewart_drake.experiments.sweeps.runner import run_sweep
-from stewart_drake.experiments.sweeps.spec import Sweep
+from stewart_drake.campaigns.executors import LocalProcesses
+from stewart_drake.campaigns.sweep import run_sweep
+from stewart_drake.campaigns.sweep_file import Sweep
 
 RUNS, WARM = 40, 6
 """Runs of a sweep, and how many of them pass before the clock starts."""

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from stewart_drake.limits import Limits, limit_margins
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.planning.workspace import measure_poses, smallest_reach
+from stewart_drake.planning.workspace_region import spanning_grid
 from stewart_drake.robot import RobotParameters
-from stewart_drake.workspace import measure_poses, smallest_reach
-from stewart_drake.workspace_region import spanning_grid
 
 ROBOT = RobotParameters()
 

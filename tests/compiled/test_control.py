@@ -8,13 +8,13 @@ from robots import PAPER, ROBOTS, offsets, robots
 from strategies import vectors
 
 from stewart_drake.compiled import control, mechanism
-from stewart_drake.control_inputs import Measurement, Setpoint
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.lqi import initial_memory, lqi_tick
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.state_space import acceleration_map
 from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
-from stewart_drake.kinematics import leg_geometry, line_conditioning, reach_margin
-from stewart_drake.lqi import initial_memory, lqi_tick
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.rigid_body_model import pose_acceleration_map
-from stewart_drake.state_space import acceleration_map
+from stewart_drake.mechanics.dynamics import pose_acceleration_map
+from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin
 
 GRAVITY = 9.81
 REST = np.zeros(6)

@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 from robots import PAPER, ROBOTS, offsets, robots
 from strategies import vectors
 
-from stewart_drake import kinematics, rigid_body_model
 from stewart_drake.compiled import mechanism
 from stewart_drake.errors import ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.mechanics import dynamics as rigid_body_model
+from stewart_drake.mechanics import kinematics
 
 many = settings(max_examples=60)
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from strategies import vectors
 
 from stewart_drake.compiled.tuner import density_tick
-from stewart_drake.density import density, push
+from stewart_drake.control.density import density, push
 
 
 @settings(max_examples=40)

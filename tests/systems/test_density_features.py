@@ -4,7 +4,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
 
-from stewart_drake.density import density
+from stewart_drake.control.density import density
 from stewart_drake.sampling import on_grid
 from stewart_drake.systems.density_features import DensityFeatures
 

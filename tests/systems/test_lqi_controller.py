@@ -5,14 +5,14 @@ from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.control_inputs import Measurement, Setpoint
-from stewart_drake.diagram import ClosedLoop
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.lqi import initial_memory, lqi_tick
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import NotFiniteError, SingularPoseError
-from stewart_drake.lqi import initial_memory, lqi_tick
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.plant import build_plant
+from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
+from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.lqi_controller import LqiController
 
 GRAVITY = 9.81

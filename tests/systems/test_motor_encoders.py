@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.diagram import ClosedLoop
-from stewart_drake.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario import Scenario
+from stewart_drake.systems.diagram import ClosedLoop
 
 
 def make(**sensors):

@@ -2,17 +2,17 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
-from stewart_drake.control_inputs import Measurement, Setpoint
-from stewart_drake.diagram import ClosedLoop
+from stewart_drake.control.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.joint_pid import PidMemory, PidOptions, pid_tick
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.joint_pid import PidMemory, PidOptions, pid_tick
-from stewart_drake.lqi_options import LqiOptions
-from stewart_drake.metrics import run_metrics
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques
+from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.simulation import run
 from stewart_drake.systems.computed_torque import ComputedTorque
+from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.joint_pid import JointPid
 
 GRAVITY = 9.81
@@ -85,7 +85,7 @@ def test_an_unknown_payload_leaves_a_pd_loop_off_and_an_integral_does_not():
         return run(heavy)["pose"][-1, 5] - 0.3
 
     # In heave the payload adds weight and inertia: M z'' = -M_believed omega^2 z - 0.3 g.
-    from stewart_drake.rigid_body_model import task_inertia
+    from stewart_drake.mechanics.dynamics import task_inertia
 
     still = -0.3 * GRAVITY / (task_inertia(ROBOT, HOME)[5, 5] * 93.8**2)
     assert sag(integral_frequency=0.0) == pytest.approx(still, rel=0.02)

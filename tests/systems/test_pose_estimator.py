@@ -4,8 +4,8 @@ from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
 from stewart_drake.errors import EncoderError
-from stewart_drake.estimator import EncoderOptions, flat_estimate, initial_memory
-from stewart_drake.kinematics import inverse_kinematics
+from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.systems.pose_estimator import PoseEstimator
 
 HOME = ROBOT.home_pose

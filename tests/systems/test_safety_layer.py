@@ -4,22 +4,22 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from strategies import ROBOT
 
-from stewart_drake import simulation
-from stewart_drake.diagram import ClosedLoop
 from stewart_drake.errors import ConfigurationError, NotFiniteError, SafetyStop
-from stewart_drake.kinematics import pose_jacobian
-from stewart_drake.log import load_log
-from stewart_drake.metrics import run_metrics
-from stewart_drake.outputs import write_run
-from stewart_drake.plant import add_plant
-from stewart_drake.rigid_body_model import STANDARD_GRAVITY, static_torque
+from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.logs.log import load_log
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.kinematics import pose_jacobian
+from stewart_drake.plant.multibody_plant import add_plant
+from stewart_drake.runs import simulation
+from stewart_drake.runs.outputs import write_run
+from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.simulation import check_scenario, run
+from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
-from stewart_drake.yaml_files import shipped_folder
 
 BASE = {
     "duration": 0.12,

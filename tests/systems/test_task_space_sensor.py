@@ -6,8 +6,8 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.plant import add_plant
-from stewart_drake.plant_options import PlantOptions
+from stewart_drake.plant.multibody_plant import add_plant
+from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 
 

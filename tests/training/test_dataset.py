@@ -11,12 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.feasibility import check_reference
-from stewart_drake.log import SimulationLog
-from stewart_drake.parquet_files import SealedWriter
+from stewart_drake.files.parquet_files import SealedWriter
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import SineBurstsReference
+from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
-from stewart_drake.simulation import run
 from stewart_drake.training import collect
 from stewart_drake.training.collect import (
     BURST,

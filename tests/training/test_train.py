@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stewart_drake.control.network import load_network
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.network import load_network
 from stewart_drake.training.dataset import Dataset
 from stewart_drake.training.train import TrainingOptions, r_squared, split_samples, train_network
 

@@ -1,0 +1,388 @@
+"""A comparison as typed YAML: named controllers, references and conditions, each some changed keys of one scenario."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StrictStr, ValidationError
+
+from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
+from stewart_drake.campaigns.one_run import Measure
+from stewart_drake.campaigns.sweep_file import _load_base, vary
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.named_files import anchor_files
+from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
+from stewart_drake.planning.feasibility import largest_amplitude
+from stewart_drake.scenario import Scenario
+from stewart_drake.section import SECTION, Count, Real, explain, shown
+
+SEED = "{seed}"
+"""In a value, stands for the seed of the run."""
+MAX_RUNS = 10_000
+AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
+_QUICK_FREQUENCIES = 2
+_KINDS = ("controllers", "references", "conditions")
+_MODEL = cast(ConfigDict, {**SECTION, "frozen": True})
+_NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
+
+
+class BestOf(BaseModel):
+    """A row for the best of some controllers, picked anew for each reference and condition."""
+
+    model_config = _MODEL
+
+    of: tuple[StrictStr, ...]
+    """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
+
+
+class Product(BaseModel):
+    """Every one of these controllers with every one of these references under every one of these conditions."""
+
+    model_config = _MODEL
+
+    controllers: tuple[StrictStr, ...]
+    references: tuple[StrictStr, ...]
+    conditions: tuple[StrictStr, ...]
+
+
+class Bands(BaseModel):
+    """Closed-loop amplitude and phase, one run for each controller, axis and frequency."""
+
+    model_config = _MODEL
+
+    controllers: tuple[StrictStr, ...]
+    """Names of controllers."""
+    condition: StrictStr
+    """Name of a condition."""
+    axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
+    """One after the other."""
+    frequencies: tuple[Annotated[Real, Field(gt=0.0, le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+    """[Hz]"""
+    largest_angle: Annotated[Real, Field(gt=0.0)] = 0.05
+    """[rad] amplitude, where half of the largest feasible one is not less."""
+    largest_travel: Annotated[Real, Field(gt=0.0)] = 0.005
+    """[m] amplitude, where half of the largest feasible one is not less."""
+    transient: Annotated[Real, Field(ge=0.0)] = 3.0
+    """[s] before the fit begins."""
+    window: Annotated[Real, Field(gt=0.0)] = 1.0
+    """[s] of the fit at least, in whole periods."""
+
+
+class CompareFile(BaseModel):
+    """Keys of a comparison file."""
+
+    model_config = _MODEL
+
+    name: Annotated[StrictStr, Field(min_length=1, max_length=80, pattern=r"^\w[\w .+-]*$")] = "comparison"
+    """Used for the output folder and titles."""
+    scenario: StrictStr
+    """What is changed: a file, relative to the comparison file, or the name of a shipped scenario."""
+    set: Any = {}
+    """Scenario key -> value, in every run."""
+    controllers: Any
+    """Name -> (scenario key -> value)."""
+    references: Any
+    """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
+    conditions: Any = {"nominal": {}}
+    """Name -> (scenario key -> value), changed last."""
+    best_of: dict[StrictStr, BestOf] = {}
+    """Name -> the controllers that it is the best of."""
+    runs: tuple[Product, ...] | None = None
+    """What is run, at least one; null for all controllers on all references under all conditions."""
+    seeds: Annotated[tuple[Annotated[Count, Field(ge=0, lt=2**63)], ...], Field(min_length=1)] = (0,)
+    """A run with the text {seed} among its values is done once with each, any other once with the first."""
+    layout: Literal["rows", "grid"] = "rows"
+    """Of the Markdown: a row a run, or a table for each condition with a column for each reference."""
+    band: Annotated[Real, Field(gt=0.0)] = 0.5
+    """[mm] of pose error, rotations times the characteristic length, within which a run counts as settled."""
+    traced: StrictStr | None = None
+    """Reference whose error over time is drawn; null for the first."""
+    bands: Bands | None = None
+    """Tracked frequencies; null for none."""
+    quick: Annotated[Real, Field(gt=0.0)] = 1.5
+    """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One run.
+
+    Attributes:
+        controller: Its name.
+        reference: Its name; of a band, the axis.
+        condition: Its name.
+        seed: What {seed} became.
+        changes: Scenario key -> value.
+        frequency: [Hz] of a band; None for a run of the table.
+        amplitude: [rad] or [m] of a band.
+        window: [s] at the end of a band's run, over which it is fitted; whole periods.
+    """
+
+    controller: str
+    reference: str
+    condition: str
+    seed: int
+    changes: Mapping[str, Any]
+    frequency: float | None = None
+    amplitude: float | None = None
+    window: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What is compared; a `runner.Plan` of the sweeps.
+
+    Attributes:
+        file: Keys of the file.
+        base: The scenario, with `set` in it.
+        cells: Runs of the table, then bands.
+    """
+
+    file: CompareFile
+    base: Scenario
+    cells: tuple[Cell, ...]
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False) -> Comparison:
+        """A comparison from plain values, as YAML gives them; every scenario of it is checked.
+
+        Args:
+            data: See `CompareFile`.
+            folder: Paths in `data` are relative to it; None for the current folder.
+            quick: Shorter, see `CompareFile.quick`.
+
+        Raises:
+            ConfigurationError: Names the key, the value and what is allowed.
+        """
+        if not isinstance(data, Mapping):
+            raise ConfigurationError("comparison", data, "a mapping of keys to values")
+        folder = Path() if folder is None else folder
+        try:
+            file = CompareFile.model_validate(dict(data))
+        except ValidationError as error:
+            raise explain(CompareFile, error, data) from None
+        fixed = _keys("set", file.set, folder)
+        base = vary(_load_base(file.scenario, folder), fixed, "set.")
+        parts = {kind: _entries(kind, getattr(file, kind), folder) for kind in _KINDS}
+        _check_names(file, parts)
+        cells = _table_cells(file, base, parts, quick)
+        if file.bands is not None:
+            cells += _band_cells(file, file.bands, base, parts, quick)
+        if len(cells) > MAX_RUNS:
+            raise ConfigurationError("runs", f"{len(cells)} runs", f"at most {MAX_RUNS}")
+        return cls(file, base, tuple(cells))
+
+    @property
+    def name(self) -> str:
+        """For folders and titles."""
+        return self.file.name
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return len(self.cells)
+
+    @property
+    def traced(self) -> str:
+        """Reference whose error over time is drawn."""
+        return self.file.traced or self.cells[0].reference
+
+    def run_seed(self, index: int) -> int:
+        """Seed of run `index`."""
+        return self.cells[index].seed
+
+    def run_name(self, index: int) -> str:
+        """Name of the scenario of run `index`."""
+        return f"{self.name} {index}"
+
+    def draw(self, index: int) -> dict[str, Any]:
+        """Which run it is."""
+        return {"run": index}
+
+    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Scenario key -> value of that run."""
+        return self.cells[drawn["run"]].changes
+
+    def measure(self, index: int) -> Measure:
+        """Figures of run `index`."""
+        cell = self.cells[index]
+        if cell.frequency is None:
+            return partial(measure_run, band=self.file.band)
+        return partial(measure_band, frequency=cell.frequency, axis=AXES[cell.reference], window=cell.window)
+
+    def scenario(self, index: int) -> Scenario:
+        """The scenario of run `index`."""
+        return vary(self.base, {"name": self.run_name(index), **self.cells[index].changes})
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that the rows depend on, in plain types."""
+        return {
+            "scenario": self.base.to_dict(),
+            "band": self.file.band,
+            "cells": [dataclasses.asdict(cell) for cell in self.cells],
+        }
+
+
+def load_comparison(path: str | Path, quick: bool = False) -> Comparison:
+    """Reads a comparison file.
+
+    Args:
+        path: YAML file, or the name of a comparison of the package such as `tracking`.
+        quick: See `Comparison.from_dict`.
+
+    Raises:
+        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
+    """
+    path = find_file("comparison", path)
+    data = read_mapping("comparison", path, 80)
+    return Comparison.from_dict(data, path.parent, quick)
+
+
+def comparison_folder() -> Path:
+    """Folder of the comparisons that the package carries (in a checkout: diagrams/comparisons)."""
+    return shipped_folder("comparisons")
+
+
+_Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+
+def _entries(kind: str, given: Any, folder: Path) -> dict[str, dict[str, Any]]:
+    if not isinstance(given, Mapping) or not given:
+        raise ConfigurationError(kind, given, "a mapping of names to changed scenario keys, at least one")
+    for name in given:
+        if not isinstance(name, str) or _NAME.fullmatch(name) is None:
+            raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
+    return {name: _keys(f"{kind}.{shown(name)}", values, folder) for name, values in given.items()}
+
+
+def _keys(where: str, given: Any, folder: Path) -> dict[str, Any]:
+    """Scenario key -> value, paths in it made absolute."""
+    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
+        raise ConfigurationError(where, given, "a mapping of scenario keys to values")
+    keys = dict(given)
+    for key, value in given.items():
+        holder = {key: copy.deepcopy(value)}
+        anchor_files(holder, folder)
+        keys |= holder
+    return keys
+
+
+def _check_names(file: CompareFile, parts: _Parts) -> None:
+    """Refuses names that nothing has, before anything is run."""
+
+    def known(where: str, names: Sequence[str], kind: str, others: Sequence[str] = ()) -> None:
+        allowed = [*parts[kind], *others]
+        for name in names:
+            if name not in allowed:
+                raise ConfigurationError(where, name, f"one of {', '.join(allowed)}")
+
+    for name, best in file.best_of.items():
+        if name in parts["controllers"] or _NAME.fullmatch(name) is None:
+            raise ConfigurationError(f"best_of.{shown(name)}", name, "a name that no controller has, without |")
+        if not best.of:
+            raise ConfigurationError(f"best_of.{shown(name)}.of", list(best.of), "at least one controller")
+        known(f"best_of.{shown(name)}.of", best.of, "controllers")
+    if file.runs == ():
+        raise ConfigurationError("runs", [], "at least one product, or null")
+    for index, product in enumerate(file.runs or ()):
+        for kind in _KINDS:
+            if not getattr(product, kind):
+                raise ConfigurationError(f"runs.{index}.{kind}", [], "at least one name")
+        known(f"runs.{index}.controllers", product.controllers, "controllers", list(file.best_of))
+        known(f"runs.{index}.references", product.references, "references")
+        known(f"runs.{index}.conditions", product.conditions, "conditions")
+    if file.traced is not None:
+        known("traced", [file.traced], "references")
+    if file.bands is not None:
+        known("bands.controllers", file.bands.controllers, "controllers")
+        known("bands.condition", [file.bands.condition], "conditions")
+
+
+def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
+    names = [tuple(parts[kind]) for kind in _KINDS]
+    products = file.runs or (Product(controllers=names[0], references=names[1], conditions=names[2]),)
+    found: dict[tuple[str, str, str], None] = {}
+    for product in products:
+        controllers = [
+            one for name in product.controllers for one in (file.best_of[name].of if name in file.best_of else (name,))
+        ]
+        found |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
+    cells = []
+    for controller, reference, condition in found:
+        changes = {
+            **parts["references"][reference],
+            **parts["controllers"][controller],
+            **parts["conditions"][condition],
+        }
+        for seed in file.seeds if _has_seed(changes) else file.seeds[:1]:
+            seeded = {key: _with_seed(value, seed) for key, value in changes.items()}
+            scenario = _checked(base, seeded, f"{controller}, {reference}, {condition}")
+            if quick:
+                seeded["duration"] = min(scenario.duration, file.quick)
+            cells.append(Cell(controller, reference, condition, seed, seeded))
+    return cells
+
+
+def _band_cells(file: CompareFile, bands: Bands, base: Scenario, parts: _Parts, quick: bool) -> list[Cell]:
+    frequencies = sorted(set(bands.frequencies))
+    transient = bands.transient
+    if quick:
+        frequencies = [f for f in frequencies if f >= 1.0][-_QUICK_FREQUENCIES:] or frequencies[-1:]
+        transient = min(transient, 0.5)
+    plain = _checked(base, parts["conditions"][bands.condition], f"bands, {bands.condition}")
+    middle = plain.robot.home_pose
+    cells = []
+    for axis, frequency in itertools.product(bands.axes, frequencies):
+        most = largest_amplitude(plain.robot, plain.limits, AXES[axis], frequency, plain.gravity)
+        cap = bands.largest_angle if AXES[axis] < 3 else bands.largest_travel
+        amplitude = min(cap, 0.5 * most)
+        if amplitude <= 0.0:
+            raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
+        size = np.zeros(6)
+        size[AXES[axis]] = amplitude
+        omega = 2.0 * math.pi * frequency
+        reference = {
+            "kind": "sine",
+            "center": middle.tolist(),
+            "amplitude": size.tolist(),
+            "angular_frequency": [omega] * 6,
+        }
+        window = math.ceil(bands.window * frequency - 1e-9) / frequency
+        for controller in bands.controllers:
+            changes = {**parts["controllers"][controller], **parts["conditions"][bands.condition]}
+            changes |= {"reference": reference, "duration": transient + window}
+            seeded = {key: _with_seed(value, file.seeds[0]) for key, value in changes.items()}
+            _checked(base, seeded, f"bands, {controller}, {axis}, {frequency:g} Hz")
+            cells.append(Cell(controller, axis, bands.condition, file.seeds[0], seeded, frequency, amplitude, window))
+    return cells
+
+
+def _checked(base: Scenario, changes: Mapping[str, Any], what: str) -> Scenario:
+    try:
+        return vary(base, changes)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{what}: {error.key}", error.value, error.allowed) from None
+
+
+def _has_seed(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_has_seed, value.values()))
+    return any(map(_has_seed, value)) if isinstance(value, list) else value == SEED
+
+
+def _with_seed(value: Any, seed: int) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _with_seed(item, seed) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_seed(item, seed) for item in value]
+    return seed if value == SEED else value

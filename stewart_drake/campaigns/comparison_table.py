@@ -1,0 +1,336 @@
+"""Tables of a comparison: one row a run as Parquet and CSV, and what is read, as Markdown."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stewart_drake.campaigns.comparison_file import Comparison
+from stewart_drake.campaigns.one_run import Row, not_finite
+from stewart_drake.campaigns.sweep_table import NOT_FINITE_COLUMN
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FORMAT_KEY = b"stewart_drake.comparison"
+SMALLEST = 1e-5
+"""What is smaller is not written out."""
+VERSION = 1
+
+_LATE = "over the second half of the planned duration"
+
+NAMES: Mapping[str, tuple[str, str, str]] = {
+    "controller": ("text", "", "its name"),
+    "chosen": ("text", "", "of a best of several: which it is here"),
+    "reference": ("text", "", "its name; of a band, the axis"),
+    "condition": ("text", "", "its name"),
+    "seed": ("whole", "", "what {seed} stood for"),
+    "status": ("text", "", "completed, stopped, lost, failed, rejected, raised or crashed, as in a sweep"),
+    "reason": ("text", "", "stable name of what happened, null for completed"),
+    "message": ("text", "", "one line on it"),
+    "outcome_time": ("number", "s", "when that was decided, null for completed"),
+    "safety": ("text", "", "monitor of the safety layer that tripped first, null for none"),
+    "warnings": ("text", "", "names of the warnings, null for none"),
+    "end_time": ("number", "s", "simulated time reached"),
+    "leg": ("whole", "", "leg 0..5 to which a failure belongs"),
+    "not_finite": NOT_FINITE_COLUMN,
+}
+"""First columns of both tables: name -> (kind, unit, explanation)."""
+
+COLUMNS: Mapping[str, tuple[str, str, str]] = {
+    **NAMES,
+    "rmse_deg": ("number", "deg", f"RMS length of the roll, pitch, yaw error, {_LATE}"),
+    "rmse_mm": ("number", "mm", f"RMS length of the position error, {_LATE}"),
+    "worst_half_rmse_deg": ("number", "deg", "the larger of both halves' RMS"),
+    "worst_half_rmse_mm": ("number", "mm", "the larger of both halves' RMS"),
+    "peak_deg": ("number", "deg", f"largest length of the roll, pitch, yaw error, {_LATE}"),
+    "peak_mm": ("number", "mm", f"largest length of the position error, {_LATE}"),
+    "pose_rmse_mm": ("number", "mm", f"RMS of both together, rotations times the characteristic length, {_LATE}"),
+    "settling_s": ("number", "s", "after which the pose error stays within the comparison's band; null: it does not"),
+    "torque_rms": ("number", "N m", f"of all motors, within their limits, {_LATE}"),
+    "torque_change_rms": ("number", "N m", f"of the torque asked for, from tick to tick, {_LATE}"),
+    "torque_peak": ("number", "N m", "of all motors, within their limits, over the whole run"),
+    "saturated_fraction": ("number", "1", "share of torques at the limit, of ticks and motors"),
+    "loop_gap_max_m": ("number", "m", "largest distance from a rod end to its platform joint"),
+    "finite": ("flag", "", "every number of the log is finite"),
+}
+"""Columns of the table."""
+
+BANDS: Mapping[str, tuple[str, str, str]] = {
+    **NAMES,
+    "frequency_hz": ("number", "Hz", "of the sine that is tracked"),
+    "amplitude": ("number", "rad or m", "of that sine"),
+    "ratio": ("number", "1", "amplitude of the pose over that of the reference"),
+    "phase_deg": ("number", "deg", "of the pose to the reference, negative for a lag"),
+    "rest": ("number", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
+}
+"""Columns of the table of bands."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table as texts.
+
+    Attributes:
+        title: One line.
+        header: (k,) names with units.
+        rows: Each (k,).
+        brief: Columns that matter most, for narrow terminals.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    brief: tuple[int, ...]
+
+    def markdown(self) -> str:
+        """The table as GitHub shows it; names to the left, the rest to the right."""
+        lines = [f"**{self.title}**", "", f"| {' | '.join(self.header)} |", f"|{'---|' * len(self.header)}"]
+        return "\n".join(lines + [f"| {' | '.join(row)} |" for row in self.rows]) + "\n"
+
+
+def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
+    """Rows of the table, flat; a best of several is a copy of the row that it is, before those that it is chosen from.
+
+    Args:
+        comparison: What was run.
+        rows: See `runner.run_plan`.
+    """
+    flat = [_flat(comparison, row) for row in rows if comparison.cells[row["index"]].frequency is None]
+    found: list[Row] = []
+    for name, best in comparison.file.best_of.items():
+        groups: dict[tuple[str, str, int], list[Row]] = {}
+        for row in flat:
+            if row["controller"] in best.of:
+                groups.setdefault((row["reference"], row["condition"], row["seed"]), []).append(row)
+        for group in groups.values():
+            if {row["controller"] for row in group} != set(best.of):
+                continue
+            completed = [row for row in group if row.get("pose_rmse_mm") is not None and row["status"] == "completed"]
+            # All failed: the one that got furthest.
+            chosen = (
+                min(completed, key=lambda row: float(row["pose_rmse_mm"]))
+                if completed
+                else max(group, key=lambda row: float(row.get("end_time") or 0.0))
+            )
+            found.append({**chosen, "controller": name, "chosen": chosen["controller"]})
+    return found + flat
+
+
+def band_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
+    """Rows of the table of bands, flat."""
+    flat = []
+    for row in rows:
+        cell = comparison.cells[row["index"]]
+        if cell.frequency is not None:
+            flat.append({**_flat(comparison, row), "frequency_hz": cell.frequency, "amplitude": cell.amplitude})
+    return flat
+
+
+def to_arrow(
+    comparison: Comparison,
+    rows: Sequence[Row],
+    columns: Mapping[str, tuple[str, str, str]],
+    versions: Mapping[str, str | None],
+) -> pa.Table:
+    """A table with unit and explanation in each field's metadata, the comparison in the table's.
+
+    Nothing in it depends on where, when or with how many workers it was made.
+    """
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string()}
+    fields, arrays = [], []
+    for name, (kind, unit, text) in columns.items():
+        fields.append(pa.field(name, types[kind], metadata={"unit": unit, "text": text}))
+        arrays.append(pa.array([row.get(name) for row in rows], type=types[kind]))
+    about = {"version": VERSION, "comparison": comparison.to_dict(), "versions": dict(versions)}
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={FORMAT_KEY: json.dumps(about).encode()}))
+
+
+def to_csv(table: pa.Table) -> bytes:
+    """The table as a CSV file, without its metadata."""
+    from pyarrow import csv
+
+    stream = io.BytesIO()
+    csv.write_csv(table, stream)
+    return stream.getvalue()
+
+
+def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) -> list[Sheet]:
+    """The tables that are read: of several seeds the worst number.
+
+    Args:
+        comparison: What was run.
+        rows: See `table_rows`.
+        bands: See `band_rows`.
+    """
+    hidden = {name for best in comparison.file.best_of.values() for name in best.of}
+    asked = {
+        key
+        for product in comparison.file.runs or ()
+        for key in itertools.product(product.controllers, product.references, product.conditions)
+    }
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for name in order(comparison):
+        for row in rows:
+            key = (row["controller"], row["reference"], row["condition"])
+            if name == key[0] and (key in asked if asked else name not in hidden):
+                groups.setdefault(key, []).append(row)
+    made = [_list(comparison, groups)] if comparison.file.layout == "rows" else _grids(groups)
+    return made + [_band_sheet(axis, bands) for axis in dict.fromkeys(row["reference"] for row in bands)]
+
+
+def order(comparison: Comparison) -> list[str]:
+    """Names of controllers as the file has them: those of `runs`, or a best of several in the place of its first."""
+    if comparison.file.runs is not None:
+        return list(dict.fromkeys(name for product in comparison.file.runs for name in product.controllers))
+    found: dict[str, None] = {}
+    for cell in comparison.cells:
+        found |= dict.fromkeys(name for name, best in comparison.file.best_of.items() if cell.controller in best.of)
+        found[cell.controller] = None
+    return list(found)
+
+
+def _flat(comparison: Comparison, row: Row) -> Row:
+    cell = comparison.cells[row["index"]]
+    names = {"controller": cell.controller, "reference": cell.reference, "condition": cell.condition}
+    return {**row, **names, "chosen": None, "seed": cell.seed, "not_finite": not_finite(row)}
+
+
+def _worst(group: Sequence[Row], name: str) -> float | None:
+    values = [row.get(name) for row in group]
+    return None if None in values else max(float(value) for value in values if value is not None)
+
+
+def _failure(group: Sequence[Row]) -> str | None:
+    failed = [row for row in group if row["status"] != "completed"]
+    if not failed:
+        return None
+    first = failed[0]
+    words = str(first["reason"] or first["status"]).replace("_", " ")
+    if first["status"] in ("stopped", "lost"):
+        words = f"{first['status']}, {words}"
+    end = first.get("outcome_time")
+    when = "" if end is None else f" at {end:.2f} s"
+    share = f", {len(failed)} of {len(group)} runs" if len(group) > 1 else ""
+    return f"{words}{when}{share}"
+
+
+def _only_lost(group: Sequence[Row]) -> bool:
+    """Whether all runs have figures: what was lost went on to its end."""
+    return all(row["status"] in ("completed", "lost") for row in group)
+
+
+def _chosen(group: Sequence[Row]) -> str:
+    names = dict.fromkeys(row["chosen"] for row in group if row["chosen"])
+    return f" ({', '.join(names)})" if names else ""
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, without an exponent."""
+    if value is None:
+        return "-"
+    if 0.0 < abs(value) < SMALLEST:
+        return f"<{SMALLEST:.5f}"
+    return format(Decimal(f"{value:.2e}"), "f")
+
+
+_LIST: Sequence[tuple[str, str, Callable[[float | None], str]]] = (
+    ("RMSE [deg]", "rmse_deg", number),
+    ("RMSE [mm]", "rmse_mm", number),
+    ("worst half [mm]", "worst_half_rmse_mm", number),
+    ("peak [mm]", "peak_mm", number),
+    ("settled [s]", "settling_s", lambda value: _text(value, ".2f")),
+    ("torque RMS [N m]", "torque_rms", lambda value: _text(value, ".3f")),
+    ("change per tick [N m]", "torque_change_rms", number),
+    ("at the limit", "saturated_fraction", lambda value: _text(value, ".1%")),
+)
+
+
+def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
+    columns = [(name, n) for n, name in enumerate(("controller", "motion", "condition"))]
+    lines = []
+    for key, group in groups.items():
+        failure = _failure(group)
+        figures = [show(_worst(group, name)) for _, name, show in _LIST]
+        if failure is not None:
+            figures = [failure] + (figures[1:] if _only_lost(group) else ["-"] * (len(_LIST) - 1))
+        lines.append((key[0] + _chosen(group), *key[1:], *figures))
+    title = f"{comparison.name}: RMSE and peak of the length of the error, {_LATE}"
+    return Sheet(
+        title, (*(name for name, _ in columns), *(name for name, _, _ in _LIST)), tuple(lines), (0, 1, 2, 3, 4, 8)
+    )
+
+
+def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
+    made = []
+    for condition in dict.fromkeys(key[2] for key in groups):
+        here = {key: group for key, group in groups.items() if key[2] == condition}
+        references = list(dict.fromkeys(key[1] for key in here))
+        lines = []
+        for controller in dict.fromkeys(key[0] for key in here):
+            line, all_of = [controller], []
+            for reference in references:
+                group = here.get((controller, reference, condition))
+                if group is None:
+                    line.append("")
+                    continue
+                all_of += list(group)
+                rotation, position = number(_worst(group, "rmse_deg")), number(_worst(group, "rmse_mm"))
+                failure, figures = _failure(group), f"{rotation}° {position} mm{_chosen(group)}"
+                line.append(
+                    failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
+                )
+            done = [row for row in all_of if row["status"] == "completed"]
+            settling = [row.get("settling_s") for row in done]
+            line.append(
+                "-" if None in settling or not done else f"{max(float(value or 0.0) for value in settling):.2f}"
+            )
+            line.append(number(_worst(done, "torque_rms")) if done else "-")
+            line.append(number(_worst(done, "torque_change_rms")) if done else "-")
+            line.append(_text(_worst(done, "saturated_fraction"), ".1%") if done else "-")
+            line.append(f"{len(all_of) - len(done)} of {len(all_of)}")
+            lines.append(tuple(line))
+        header = (
+            "controller",
+            *references,
+            "settled, slowest [s]",
+            "torque RMS, largest [N m]",
+            "change per tick, largest [N m]",
+            "at the limit, most",
+            "not completed",
+        )
+        brief = (*range(len(references) + 1), len(header) - 1)
+        made.append(Sheet(f"{condition}: RMSE {_LATE}, rotation and position", header, tuple(lines), brief))
+    return made
+
+
+def _band_sheet(axis: str, bands: Sequence[Row]) -> Sheet:
+    here = [row for row in bands if row["reference"] == axis]
+    frequencies = sorted({row["frequency_hz"] for row in here})
+    lines = []
+    for controller in dict.fromkeys(row["controller"] for row in here):
+        line = [controller]
+        for frequency in frequencies:
+            found = [row for row in here if row["controller"] == controller and row["frequency_hz"] == frequency]
+            row = found[0]
+            if row.get("ratio") is None:
+                line.append(_failure(found) or "-")
+            else:
+                line.append(f"{row['ratio']:.4f}, {row['phase_deg']:+.1f}°")
+        lines.append(tuple(line))
+    header = ("controller", *(f"{frequency:g} Hz" for frequency in frequencies))
+    brief = tuple(dict.fromkeys(np.linspace(0, len(frequencies), 5).round().astype(int).tolist()))
+    return Sheet(f"{axis}: amplitude ratio and phase, pose to reference", header, tuple(lines), brief)

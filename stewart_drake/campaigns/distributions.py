@@ -1,0 +1,221 @@
+"""What a key of a scenario is drawn from: inverse distribution functions, pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.section import SECTION, Count, Flag, Real, explain
+
+LARGEST = 1e100
+"""Bounds beyond this are slips of the pen; differences of them could leave floating point."""
+LEAST_PROBABILITY = 1e-9
+"""A truncated normal that keeps less of its bell than this is one too."""
+_LOWEST = 2.0**-54
+
+Bound = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+Whole = Annotated[Count, Field(ge=-(2**53), le=2**53)]
+Column = Literal["number", "whole", "flag", "text", "json"]
+
+
+class _Distribution(BaseModel):
+    model_config = cast(ConfigDict, {**SECTION, "frozen": True})
+
+    factor: Flag = False
+    """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
+    where it is a list."""
+
+    column: ClassVar[Column] = "number"
+
+    @abstractmethod
+    def at(self, quantile: float) -> Any:
+        """The value below which the share `quantile`, 0 to 1, of the distribution lies."""
+
+
+class _Between(_Distribution):
+    low: Bound
+    high: Bound
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_order(self.low, self.high)
+        return self
+
+
+class Uniform(_Between):
+    """Uniform from `low` to `high`."""
+
+    kind: Literal["uniform"] = "uniform"
+
+    def at(self, quantile: float) -> float:
+        """See `_Distribution.at`."""
+        return min(self.low + quantile * (self.high - self.low), self.high)
+
+
+class LogUniform(_Between):
+    """Uniform in the logarithm, from `low` to `high`, both positive."""
+
+    kind: Literal["loguniform"] = "loguniform"
+    low: Annotated[Real, Field(gt=0.0, le=LARGEST)]
+
+    def at(self, quantile: float) -> float:
+        """See `_Distribution.at`."""
+        value = math.exp(math.log(self.low) + quantile * (math.log(self.high) - math.log(self.low)))
+        return min(max(value, self.low), self.high)
+
+
+class Normal(_Distribution):
+    """Normal, cut off at `low` and `high` where they are given."""
+
+    kind: Literal["normal"] = "normal"
+    mean: Bound
+    std: Annotated[Real, Field(gt=0.0, le=LARGEST)]
+    low: Bound | None = None
+    high: Bound | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.low is not None and self.high is not None:
+            _check_order(self.low, self.high)
+        below, above, _ = self._shares()
+        if above - below < LEAST_PROBABILITY:
+            raise ConfigurationError(
+                "low", [self.low, self.high], f"bounds that keep at least {LEAST_PROBABILITY:g} of the distribution"
+            )
+        return self
+
+    def at(self, quantile: float) -> float:
+        """See `_Distribution.at`."""
+        from scipy.special import ndtri
+
+        below, above, mirrored = self._shares()
+        if mirrored:
+            quantile = 1.0 - quantile
+        score = float(ndtri(max(below + quantile * (above - below), _LOWEST)))
+        value = self.mean + self.std * (-score if mirrored else score)
+        value = value if self.low is None else max(value, self.low)
+        return value if self.high is None else min(value, self.high)
+
+    def _shares(self) -> tuple[float, float, bool]:
+        """Share of the bell below each bound; of its mirror image where only the upper tail, which rounds off, is kept.
+
+        Both are finite and the first is the smaller.
+        """
+        from scipy.special import ndtr
+
+        low = -math.inf if self.low is None else (self.low - self.mean) / self.std
+        high = math.inf if self.high is None else (self.high - self.mean) / self.std
+        mirrored = low > 0.0
+        if mirrored:
+            low, high = -high, -low
+        return float(ndtr(low)), float(ndtr(high)), mirrored
+
+
+class Integers(_Distribution):
+    """Whole numbers from `low` to `high`, both included, equally often."""
+
+    kind: Literal["integers"] = "integers"
+    low: Whole
+    high: Whole
+
+    column: ClassVar[Column] = "whole"
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_order(self.low, self.high)
+        return self
+
+    def at(self, quantile: float) -> int:
+        """See `_Distribution.at`."""
+        return min(self.low + int(quantile * (self.high - self.low + 1)), self.high)
+
+
+class Choice(_Distribution):
+    """One of `values`, equally often: numbers, texts, truth values, lists, sections."""
+
+    kind: Literal["choice"] = "choice"
+    values: Annotated[list[Any], Field(min_length=1, max_length=100_000)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            json.dumps(self.values, allow_nan=False)
+        except (TypeError, ValueError):
+            raise ConfigurationError("values", self.values, "finite numbers, texts, true, false, null, lists") from None
+        if self.factor and not all(_is_number(value) for value in self.values):
+            raise ConfigurationError("values", self.values, "numbers, to multiply by")
+        return self
+
+    def at(self, quantile: float) -> Any:
+        """See `_Distribution.at`."""
+        return self.values[min(int(quantile * len(self.values)), len(self.values) - 1)]
+
+
+class Grid(Choice):
+    """Each of `values` in turn; several grids of a sweep run through all their combinations, the first key fastest."""
+
+    kind: Literal["grid"] = "grid"  # type: ignore[assignment]
+
+
+Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
+KINDS: Mapping[str, type[Distribution]] = {
+    "uniform": Uniform,
+    "loguniform": LogUniform,
+    "normal": Normal,
+    "integers": Integers,
+    "choice": Choice,
+    "grid": Grid,
+}
+
+
+def parse_distribution(key: str, data: Any) -> Distribution:
+    """A distribution from plain values, as YAML gives them.
+
+    Args:
+        key: Where they stand, for messages.
+        data: With a `kind` and what that kind wants.
+
+    Raises:
+        ConfigurationError: Names the key, the value and what is allowed.
+    """
+    kinds = ", ".join(KINDS)
+    if not isinstance(data, Mapping):
+        raise ConfigurationError(key, data, f"a section such as {{kind: uniform, low: 0, high: 1}}; kinds: {kinds}")
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ConfigurationError(f"{key}.kind", kind, f"one of {kinds}")
+    try:
+        return KINDS[kind].model_validate(dict(data))
+    except ValidationError as error:
+        raise explain(KINDS[kind], error, data, key) from None
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{key}.{error.key}", error.value, error.allowed) from None
+
+
+def column_of(distribution: Distribution) -> Column:
+    """What a column must be to hold the values of a distribution as they are."""
+    if not isinstance(distribution, Choice):
+        return distribution.column
+    values = distribution.values
+    if all(isinstance(value, bool) for value in values):
+        return "flag"
+    if all(isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63 for value in values):
+        return "whole"
+    if all(_is_number(value) for value in values):
+        return "number"
+    return "text" if all(isinstance(value, str) for value in values) else "json"
+
+
+def _check_order(low: float, high: float) -> None:
+    if not low < high:
+        raise ConfigurationError("high", high, f"more than low, {low:g}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

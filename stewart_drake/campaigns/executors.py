@@ -1,0 +1,277 @@
+"""Where a sweep's runs go: processes of this machine, a Dask cluster, or any `concurrent.futures.Executor`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+from stewart_drake.campaigns.run_store import start_worker
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+CONNECT_TIMEOUT = 20.0
+"""[s] that a scheduler has to answer, and to have a worker."""
+NO_WORKERS_TIMEOUT = 60.0
+"""[s] that a cluster may be without workers; a restarted one needs a few."""
+
+
+class Workplace(Protocol):
+    """Where runs go. An executor that broke is replaced by another `open`."""
+
+    workers: int
+    """Runs at a time; known after the first `open`."""
+
+    def open(self, workers: int | None = None) -> Executor:
+        """An executor that takes work.
+
+        Args:
+            workers: At most so many runs at a time, where that can be chosen; None for `self.workers`.
+
+        Raises:
+            ConfigurationError: It cannot be reached.
+            StewartDrakeError: It broke and cannot be replaced.
+        """
+
+    def check(self) -> None:
+        """Called now and then while runs are under way.
+
+        Raises:
+            StewartDrakeError: Nobody is left to run them.
+        """
+
+    def close(self, executor: Executor, abort: bool) -> None:
+        """Ends an executor of `open`; `abort` does not wait for what it is running."""
+
+    def leave(self) -> None:
+        """Called at the end of a sweep, whatever happened before."""
+
+
+class LocalProcesses:
+    """A pool of fresh processes on this machine.
+
+    They import the calling script anew: there the call must stand under `if __name__ == "__main__":`.
+
+    Attributes:
+        workers: Processes.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        self.workers = max(1, min(8, os.cpu_count() or 1)) if workers is None else workers
+
+    def open(self, workers: int | None = None) -> Executor:
+        """See `Workplace.open`."""
+        return _Pool(self.workers if workers is None else min(workers, self.workers))
+
+    def check(self) -> None:
+        """See `Workplace.check`; a pool notices by itself."""
+
+    def close(self, executor: Executor, abort: bool) -> None:
+        """See `Workplace.close`."""
+        if abort and isinstance(executor, _Pool):
+            executor.kill()
+        executor.shutdown(wait=True, cancel_futures=True)
+
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+
+
+class DaskCluster:
+    """Workers of a Dask cluster; they need this package, the same version. One thread a worker serves best.
+
+    Attributes:
+        address: Of the scheduler, such as tcp://host:8786.
+        workers: Threads of all workers.
+
+    Raises:
+        ConfigurationError: `dask.distributed` is not installed.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            import distributed  # noqa: F401
+        except ImportError:
+            allowed = "an installation with Dask: pip install 'stewart-drake[dask]'"
+            raise ConfigurationError("--scheduler", address, allowed) from None
+        self.address, self.workers = address, 1
+        self._client: Any = None
+        self._silenced = ExitStack()
+        self._empty_since: float | None = None
+
+    def connect(self) -> None:
+        """Connects to the scheduler, where that is not done yet.
+
+        Raises:
+            ConfigurationError: It does not answer, or has no workers.
+        """
+        import distributed
+
+        if self._client is not None:
+            return
+        client: Any = distributed.Client  # untyped in parts
+        self._silenced.enter_context(_silence())
+        try:
+            # The client itself would wait for ever for a port that takes what it is told and says nothing.
+            asyncio.run(_greet(self.address))
+            self._client = client(self.address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        except Exception as error:  # of what is no scheduler, whatever its first words are taken for
+            self.leave()
+            why = " ".join(str(error).split()) or type(error).__name__
+            allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
+            raise ConfigurationError("--scheduler", self.address, allowed) from None
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
+        except TimeoutError:
+            self.leave()
+            raise ConfigurationError("--scheduler", self.address, "a Dask cluster with workers") from None
+
+    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
+        """See `Workplace.open`."""
+        self.connect()
+        try:
+            self._client.wait_for_workers(1, timeout=NO_WORKERS_TIMEOUT)
+        except TimeoutError:
+            raise self._deserted() from None
+        self.workers = max(1, sum(self._client.nthreads().values()))
+        # A lost worker must show, not be made good in silence beyond what the scheduler does by itself.
+        return self._client.get_executor(pure=False, retries=0)
+
+    def check(self) -> None:
+        """See `Workplace.check`."""
+        try:
+            empty = not self._client.nthreads()
+        except Exception as error:  # of a lost scheduler, whatever kind its transport raises
+            raise StewartDrakeError(f"the Dask scheduler {self.address} is gone: {error}") from None
+        now = time.monotonic()
+        if not empty:
+            self._empty_since = None
+        elif self._empty_since is None:
+            self._empty_since = now
+        elif now - self._empty_since > NO_WORKERS_TIMEOUT:
+            raise self._deserted()
+
+    def close(self, executor: Executor, abort: bool) -> None:
+        """See `Workplace.close`."""
+        executor.shutdown(wait=not abort)
+
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+        client, self._client = self._client, None
+        with self._silenced:
+            if client is not None:
+                client.close()
+
+    def _deserted(self) -> StewartDrakeError:
+        return StewartDrakeError(
+            f"the Dask cluster {self.address} has been without workers for {NO_WORKERS_TIMEOUT:g} s; rows done are "
+            "kept. Workers started under a nanny come back by themselves"
+        )
+
+
+async def _greet(address: str) -> None:
+    """Connects as Dask does, and hangs up."""
+    from distributed import comm as library
+
+    connect: Any = vars(library)["connect"]
+    comm: Any = await asyncio.wait_for(connect(address, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT)
+    await comm.close()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps what Dask logs, with tracebacks, about a cluster that goes away off the terminal: one line of ours says it.
+
+    Its loggers have levels and handlers of their own, so that a level for all of them would not reach them.
+    """
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
+    before = {logger: logger.disabled for logger in map(logging.getLogger, names)}
+    for logger in before:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for logger, disabled in before.items():
+            logger.disabled = disabled
+
+
+class Given:
+    """An executor of the caller's; it stays open.
+
+    Attributes:
+        workers: Runs at a time; taken from the executor where it tells.
+    """
+
+    def __init__(self, executor: Executor, workers: int | None = None) -> None:
+        told = getattr(executor, "_max_workers", None)
+        self.workers = workers or (told if isinstance(told, int) else 1)
+        self._executor = executor
+        self._broken = False
+
+    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - it has the workers that it has
+        """See `Workplace.open`."""
+        if self._broken:
+            raise StewartDrakeError("a worker of the executor died, and an executor that is handed over stays broken")
+        return self._executor
+
+    def check(self) -> None:
+        """See `Workplace.check`."""
+
+    def close(self, executor: Executor, abort: bool) -> None:  # noqa: ARG002 - it stays open
+        """See `Workplace.close`."""
+        self._broken = bool(getattr(executor, "_broken", False))
+
+    def leave(self) -> None:
+        """See `Workplace.leave`."""
+
+
+class SerialExecutor(Executor):
+    """Runs at once, in the calling thread."""
+
+    def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """A future that is done."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+ATTEMPTS = 2
+"""Times that a run, alone, may take its worker with it before that is its row: once could be somebody else's kill."""
+
+
+def worker_deaths(error: BaseException) -> int:
+    """How often a worker ended in the midst of its work, by what an executor says; 0 for any other failure."""
+    if isinstance(error, BrokenExecutor):
+        return 1
+    # By its name: a sweep without Dask does without importing it. The scheduler has tried several workers by itself.
+    return ATTEMPTS if type(error).__name__ == "KilledWorker" else 0
+
+
+class _Pool(ProcessPoolExecutor):
+    def __init__(self, workers: int) -> None:
+        self._others = set(multiprocessing.active_children())
+        # Spawned, not forked: Drake and numpy hold threads that do not survive a fork.
+        super().__init__(workers, multiprocessing.get_context("spawn"), initializer=start_worker)
+
+    def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        # The workers inherit that Ctrl-C is not for them: this process ends them, without a traceback from each.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(function, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+    def kill(self) -> None:
+        for worker in set(multiprocessing.active_children()) - self._others:
+            worker.terminate()

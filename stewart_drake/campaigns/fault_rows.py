@@ -1,0 +1,182 @@
+"""A run of the fault table, and its row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.campaigns.fault import MOTIONS, Fault, Reaction
+from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.hardware.motors import HoldableLoad, holdable_load
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix, twist_jacobian
+from stewart_drake.safety import RAMP
+from stewart_drake.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """A row.
+
+    Attributes:
+        fault: Name in `catalogue.FAULTS`.
+        motion: Name in `fault.MOTIONS`.
+        reaction: See `fault.Reaction`; `broke` where the run ended without the safety layer.
+        monitor: That tripped first, or None.
+        cause: Of the trip, where an estimator or controller failed.
+        leg: Of the trip, or None.
+        latency_ms: [ms] from the fault to the trip, or None.
+        status: Of the run.
+        reason: Of its end, or None.
+        end_time: [s] or None.
+        peak_error_deg: [deg] largest angle from the reference after the fault, while the controller was in charge.
+        peak_error_mm: [mm] largest distance likewise.
+        travel_deg: [deg] largest angle turned after the layer took over, or None.
+        travel_mm: [mm] largest distance moved likewise.
+        peak_torque: [N m] largest torque given to a motor after the fault, within its limit.
+        holds_weight: Whether the motors that are left carry the robot's weight at rest, or None without a dead motor.
+        support_newton: [N] smallest outside force with which they would.
+        force_newton: [N] largest outside force that they hold; None where not even the weight.
+        moment_newton_metre: [N m] likewise.
+        message: One line, or None.
+        warnings: Names of the run's warnings, or None.
+    """
+
+    fault: str
+    motion: str
+    reaction: str
+    monitor: str | None = None
+    cause: str | None = None
+    leg: int | None = None
+    latency_ms: float | None = None
+    status: str | None = None
+    reason: str | None = None
+    end_time: float | None = None
+    peak_error_deg: float | None = None
+    peak_error_mm: float | None = None
+    travel_deg: float | None = None
+    travel_mm: float | None = None
+    peak_torque: float | None = None
+    holds_weight: bool | None = None
+    support_newton: float | None = None
+    force_newton: float | None = None
+    moment_newton_metre: float | None = None
+    message: str | None = None
+    warnings: str | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Column -> value."""
+        return asdict(self)
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Any]) -> FaultRow:
+        """Inverse of `plain`; other keys are left aside."""
+        return cls(**{field.name: values[field.name] for field in fields(cls)})
+
+
+_WORST: dict[str, Reaction] = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
+
+
+def fault_row(fault: Fault, motion: str) -> FaultRow:
+    """Runs a fault during a motion.
+
+    Args:
+        fault: Of `catalogue.FAULTS`, or one of the caller's.
+        motion: Of `fault.MOTIONS`.
+    """
+    from stewart_drake.runs.simulation import run
+
+    try:
+        scenario = fault.scenario(motion)
+        log = run(scenario, check=fault.checked)
+    except ConfigurationError as error:
+        return FaultRow(fault.name, motion, "refused", reason=error.reason, message=str(error))
+    if log.status == "interrupted":
+        raise KeyboardInterrupt
+    return measured_row(fault, motion, log)
+
+
+def named_row(name: str, motion: str) -> FaultRow:
+    """`fault_row` by the fault's name; for workers."""
+    return fault_row(next(fault for fault in FAULTS if fault.name == name), motion)
+
+
+def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
+    """The row of a run that is done."""
+    trip = log.safety
+    # Rows at which a log stands are those of the safety layer's ticks.
+    after = log.time >= fault.since - 1e-9
+    taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
+    turned, moved = _distance(log["pose"], log["reference"])
+    charge = after & ~taken
+    travel: tuple[float | None, float | None] = None, None
+    if taken.any():
+        first = int(taken.argmax())
+        angle, way = _distance(log["pose"][first:], log["pose"][first : first + 1])
+        travel = float(np.degrees(angle.max())), float(1e3 * way.max())
+    if trip is not None:
+        reaction: str = _WORST[trip["worst"]]
+        if log.status == "failed":
+            # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
+            reaction = "ended"
+    elif log.status == "failed":
+        reaction = "broke"
+    else:
+        allowed = log.scenario.safety and log.scenario.safety.following_error
+        far = allowed and (turned[charge].max() > allowed[0] or moved[charge].max() > allowed[1])
+        reaction = "unnoticed" if far else "ridden through"
+    load = _holdable(log.scenario, log)
+    torque = np.abs(log["torque_applied"][after])
+    return FaultRow(
+        fault.name,
+        motion,
+        reaction,
+        monitor=None if trip is None else trip["monitor"],
+        cause=None if trip is None else trip["cause"],
+        leg=None if trip is None else trip["leg"],
+        latency_ms=None if trip is None else 1e3 * (trip["time"] - fault.since),
+        status=log.status,
+        reason=log.reason,
+        end_time=log.end_time,
+        peak_error_deg=float(np.degrees(turned[charge].max())) if charge.any() else None,
+        peak_error_mm=float(1e3 * moved[charge].max()) if charge.any() else None,
+        travel_deg=travel[0],
+        travel_mm=travel[1],
+        peak_torque=float(torque.max()) if len(torque) else None,
+        holds_weight=None if load is None else load.weight,
+        support_newton=None if load is None else load.support,
+        force_newton=None if load is None else load.force,
+        moment_newton_metre=None if load is None else load.moment,
+        message=log.message,
+        warnings=", ".join(each["name"] for each in log.warnings) or None,
+    )
+
+
+def all_rows() -> list[tuple[str, str]]:
+    """Fault and motion of each row, in the order of the table."""
+    return [(fault.name, motion) for fault in FAULTS for motion in MOTIONS]
+
+
+def _distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle (n,) [rad] and distance (n,) [m] between poses (n, 6)."""
+    relative = rotation_matrix(pose[:, :3]) @ np.swapaxes(rotation_matrix(other[:, :3]), -1, -2)
+    return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
+
+
+def _holdable(scenario: Scenario, log: SimulationLog) -> HoldableLoad | None:
+    """What five motors hold where the platform stood as the sixth died."""
+    dead = scenario.motors.dead
+    if dead is None:
+        return None
+    row = min(int(np.searchsorted(log.time, dead.time - 1e-9)), len(log.time) - 1)
+    pose, robot = log["pose"][row], scenario.robot
+    try:
+        weight = static_torque(robot, pose, scenario.gravity)
+        return holdable_load(weight, twist_jacobian(robot, pose), robot.effort_limit, dead.leg)
+    except (UnreachablePoseError, np.linalg.LinAlgError):
+        return None

@@ -1,0 +1,251 @@
+"""The fault table: all runs, as Parquet and Markdown."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stewart_drake.campaigns.executors import LocalProcesses
+from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
+from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, named_row
+from stewart_drake.campaigns.one_run import Row
+from stewart_drake.campaigns.row_store import RowStore
+from stewart_drake.campaigns.run_store import WORKER_GONE
+from stewart_drake.errors import StewartDrakeError
+from stewart_drake.files.whole import plain_json, write_atomically
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.runs.outputs import prepare_folder
+
+QUICK_MOTIONS = ("hold",)
+
+
+@dataclass(frozen=True)
+class FaultTable:
+    """The rows and where they are kept.
+
+    Attributes:
+        rows: In the order of `catalogue.FAULTS`, motion by motion.
+        parquet: File with all columns of `FaultRow`.
+        markdown: File with the short form and an explanation.
+    """
+
+    rows: tuple[FaultRow, ...]
+    parquet: Path
+    markdown: Path
+
+
+def make_table(
+    folder: str | Path,
+    quick: bool = False,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+    restart: bool = False,
+) -> FaultTable:
+    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`; goes on where it was stopped.
+
+    With more than one worker the calling script is imported anew, see `sweeps.executors.LocalProcesses`.
+
+    Args:
+        folder: Where to.
+        quick: The held platform alone.
+        workers: Processes; None for one per core, at most 8.
+        progress: Called with the number of rows done.
+        restart: Throw away the rows that an earlier call left in the folder.
+
+    Raises:
+        ConfigurationError: The folder cannot be written to, is in use, or holds rows of another version.
+        StewartDrakeError: A worker ended by itself, or a run raised what is no verdict on it; rows done are kept.
+    """
+    folder = prepare_folder(folder)
+    parquet, markdown = folder / "faults.parquet", folder / "faults.md"
+    wanted = {index: pair for index, pair in enumerate(all_rows()) if not quick or pair[1] in QUICK_MOTIONS}
+    with RowStore(folder, _identity(), restart, (parquet.name, markdown.name)) as store:
+        kept = store.rows()
+        done = {index: kept[index] for index in wanted if index in kept}
+        missing = {index: pair for index, pair in wanted.items() if index not in done}
+        if progress is not None:
+            progress(float(len(done)))
+        for index, row in _run(missing, LocalProcesses(workers)):
+            store.add(row)
+            done[index] = row
+            if progress is not None:
+                progress(float(len(done)))
+        rows = tuple(FaultRow.from_plain(done[index]) for index in wanted)
+        write_atomically(parquet, _parquet(rows))
+        write_atomically(markdown, markdown_table(rows).encode())
+    return FaultTable(rows, parquet, markdown)
+
+
+def _run(missing: Mapping[int, tuple[str, str]], where: LocalProcesses) -> Iterator[tuple[int, Row]]:
+    """Rows by index, as they come."""
+    if not missing:
+        return
+    executor = where.open()
+    aborted = True
+    try:
+        futures = {executor.submit(_row, index, *pair): index for index, pair in missing.items()}
+        for future in as_completed(futures):
+            index = futures[future]
+            try:
+                yield index, future.result()
+            except (StewartDrakeError, KeyboardInterrupt, GeneratorExit):
+                raise
+            except BrokenExecutor:
+                raise StewartDrakeError(WORKER_GONE) from None
+            except BaseException as error:  # SystemExit among them, which would end this process without a word
+                text = f"{', '.join(missing[index])}: {type(error).__name__}: {error}"
+                raise StewartDrakeError(text) from error
+        aborted = False
+    finally:
+        where.close(executor, aborted)
+
+
+def _row(index: int, fault: str, motion: str) -> Row:
+    """What a worker does: figures that are not finite become null where they are made."""
+    return plain_json({"index": index, **named_row(fault, motion).plain()})
+
+
+def _identity() -> dict[str, Any]:
+    """What the rows depend on."""
+    versions = collect_versions()
+    return {
+        "faults": hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24],
+        "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
+    }
+
+
+HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")
+
+
+def short_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
+    """A line per fault, see `HEADERS`: how each motion ends, and the worst figures over the motions."""
+    lines = []
+    for fault in FAULTS:
+        mine = {row.motion: row for row in rows if row.fault == fault.name}
+        if mine:
+            worst = [
+                _largest(mine, names) for names in (("peak_error_deg", "peak_error_mm"), ("travel_deg", "travel_mm"))
+            ]
+            torque = _largest(mine, ("peak_torque",))
+            ends = [_end(mine[motion]) if motion in mine else "-" for motion in MOTIONS]
+            lines.append((fault.name, *ends, *worst, torque))
+    return lines
+
+
+TERSE_HEADERS = ("fault", "reaction", "outcome", "monitor", "ms", "deg", "mm", "N m")
+
+
+def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
+    """A short line per fault for a terminal, see `TERSE_HEADERS`: what differs between motions stands side by side.
+
+    Latency [ms] from the smallest to the largest; worst peak error [deg, mm] and torque [N m].
+    """
+    lines = []
+    for name in dict.fromkeys(row.fault for row in rows):
+        mine = [row for row in rows if row.fault == name]
+        waits = [row.latency_ms for row in mine if row.latency_ms is not None] if _begins(name) else []
+        ends = sorted({f"{wait:.0f}" for wait in (min(waits), max(waits))}, key=float) if waits else ["-"]
+        figures = []
+        for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
+            values = [value for row in mine if (value := getattr(row, figure)) is not None]
+            figures.append(f"{max(values):.2f}" if values else "-")
+        words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "monitor"))
+        told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
+        lines.append((name, *told, "-".join(ends), *figures))
+    return lines
+
+
+def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
+    """What five motors hold, a line per dead motor and motion."""
+    lines = []
+    for row in rows:
+        if row.holds_weight is None or row.support_newton is None:
+            continue
+        held = "none: not even the weight; smallest force from outside with which it would stand: "
+        held += f"{row.support_newton:.1f} N"
+        if row.holds_weight:
+            held = f"{row.force_newton:.0f} N or {row.moment_newton_metre:.1f} N m"
+        lines.append(f"{row.fault}, {row.motion}: {held}")
+    return lines
+
+
+def markdown_table(rows: Sequence[FaultRow]) -> str:
+    """The table as a Markdown page."""
+    faults = {fault.name: fault for fault in FAULTS}
+    page = [
+        "# Fault table",
+        "",
+        f"{len(rows)} runs of {DURATION:g} s; faults begin at {ONSET:g} s, or are there from the start. The",
+        "exact-model LQI at 1 kHz behind the safety layer with its defaults. In brackets: monitor, latency, leg;",
+        "after the colon: the outcome of the run, and its warnings.",
+        "Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far",
+        "it went after the safety layer took over. The worst of the motions counts.",
+        "",
+        "| " + " | ".join(HEADERS) + " |",
+        "|" + " --- |" * len(HEADERS),
+        *("| " + " | ".join(line) + " |" for line in short_rows(rows)),
+        "",
+        "With a dead motor, the wrench that the other five hold at rest:",
+        "",
+        *(f"- {line}" for line in holdable_lines(rows)),
+        "",
+        "What the faults are:",
+        "",
+        *(_told(faults[name]) for name in dict.fromkeys(row.fault for row in rows)),
+        "",
+        "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
+        "",
+    ]
+    return "\n".join(page)
+
+
+def _told(fault: Fault) -> str:
+    bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
+    return f"- `{fault.name}`: {fault.text}{bound}"
+
+
+def _end(row: FaultRow) -> str:
+    status = "" if row.status is None else f": {row.status}"
+    status += "" if row.warnings is None else f", {row.warnings.replace('_', ' ')}"
+    if row.monitor is None or row.latency_ms is None:
+        return f"{row.reaction}{status}"
+    leg = "" if row.leg is None else f", leg {row.leg}"
+    # What chance brings, such as ticks lost in a row, has a time but no latency.
+    when = f", {row.latency_ms:.0f} ms" if _begins(row.fault) else ""
+    return f"{row.reaction} ({row.monitor}{when}{leg}){status}"
+
+
+def _begins(name: str) -> bool:
+    return next(fault for fault in FAULTS if fault.name == name).since > 0.0
+
+
+def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
+    units = {"deg": "deg", "mm": "mm", "torque": "N m"}
+    parts = []
+    for name in names:
+        values = [value for row in rows.values() if (value := getattr(row, name)) is not None]
+        if values:
+            parts.append(f"{max(values):.2f} {units[name.rpartition('_')[2]]}")
+    return ", ".join(parts) or "-"
+
+
+def _parquet(rows: Sequence[FaultRow]) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    kinds: dict[str, Any] = {"leg": pa.int64(), "holds_weight": pa.bool_()}
+    texts = ("fault", "motion", "reaction", "monitor", "cause", "status", "reason", "message", "warnings")
+    plain = [row.plain() for row in rows]
+    columns = list(plain[0])
+    schema = pa.schema(
+        [pa.field(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in columns]
+    )
+    stream = io.BytesIO()
+    pq.write_table(pa.Table.from_pylist(plain, schema=schema), stream, compression="zstd")
+    return stream.getvalue()

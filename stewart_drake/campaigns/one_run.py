@@ -1,0 +1,194 @@
+"""What a worker does: one run in, one row out, whatever happens in it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
+from stewart_drake.files.whole import NOT_FINITE, plain_json
+from stewart_drake.logs import versions
+
+if TYPE_CHECKING:
+    from stewart_drake.logs.log import SimulationLog
+    from stewart_drake.scenario import Scenario
+
+MAX_MESSAGE = 500
+
+Row = dict[str, Any]
+Measure = Callable[["SimulationLog"], Row]
+"""Figures of a log, in values that JSON has; a function of a module that the workers can import."""
+
+
+class RunFunction(Protocol):
+    """Simulates a scenario; a function of a module that the workers can import."""
+
+    def __call__(self, scenario: Scenario, /) -> SimulationLog:
+        """See `simulation.run`."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run, in plain values that travel to any worker.
+
+    Attributes:
+        index: Number of the run.
+        seed: Of the run.
+        base: The scenario before the draws, as `Scenario.to_dict` gives it.
+        changes: Scenario key -> value, see `Sweep.changes`.
+        drawn: See `Sweep.draw`; goes into the row.
+        source: Digest of the package's source that the worker must have.
+        attempt: How often the run has been sent; an executor may take equal tasks for one.
+        measure: What goes into the row; None for the function of this name.
+    """
+
+    index: int
+    seed: int
+    base: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    drawn: Mapping[str, Any]
+    source: str
+    attempt: int = 1
+    measure: Measure | None = None
+
+
+def simulate(scenario: Scenario) -> SimulationLog:
+    """What a comparison runs by default: `simulation.run`, the check of the reference included."""
+    from stewart_drake.runs.simulation import run
+
+    return run(scenario)
+
+
+def simulate_figures(scenario: Scenario) -> SimulationLog:
+    """What a sweep runs by default: the same without rows, so that a run may be as long as it likes."""
+    from stewart_drake.logs.log_rows import NoRows
+    from stewart_drake.runs.simulation import run
+
+    return run(scenario, rows=NoRows())
+
+
+def warm_up(source: str) -> None:
+    """Loads what a run needs, so that no run pays for it.
+
+    Raises:
+        StewartDrakeError: This worker's copy of the package is another one.
+    """
+    import stewart_drake.campaigns.sweep_file
+    import stewart_drake.runs.simulation  # noqa: F401
+
+    if _own_source() != source:
+        raise StewartDrakeError(
+            "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
+            "its files alone while a sweep runs"
+        )
+
+
+def execute(function: RunFunction, task: Task) -> Row:
+    """Runs `task` and turns whatever comes of it into a row; what ends the process is beyond it.
+
+    Args:
+        function: Simulates the scenario.
+        task: What to run.
+
+    Returns:
+        index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `files.plain_json`.
+
+    Raises:
+        StewartDrakeError: The worker's copy of the package is another one.
+        KeyboardInterrupt: The run was interrupted; it is no row.
+    """
+    warm_up(task.source)
+    start = time.perf_counter()
+    row = plain_json(_outcome(function, task))
+    return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
+
+
+def empty_row(task: Task, status: str, reason: str | None, message: str | None) -> Row:
+    """A row of a run of which nothing else is known."""
+    return {
+        "index": task.index,
+        "seed": task.seed,
+        "values": dict(task.drawn),
+        "status": status,
+        "reason": reason,
+        # Below the first line is the traceback of a user's code, which a log keeps.
+        "message": None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE],
+    }
+
+
+def not_finite(row: Mapping[str, Any]) -> str | None:
+    """Which figures of a row are null because they are no finite numbers, and what they are; None for none."""
+    found = {name: value for name, value in row.get(NOT_FINITE, {}).items() if "." not in name}
+    return ", ".join(f"{name} {value}" for name, value in found.items()) or None
+
+
+_FROM_METRICS = (
+    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_ratio", "torque_rms", "torque_peak",
+    "saturated_fraction", "loop_gap_max_m", "omega_ratio", "finite",
+)  # fmt: skip
+"""Keys of `run_metrics` that are figures of a row under the same name."""
+
+
+def measure(log: SimulationLog) -> dict[str, Any]:
+    """Figures of a run, flat; see `table.OUTCOME` for what each is."""
+    from stewart_drake.logs.metrics import run_metrics
+
+    metrics = run_metrics(log)
+    row: dict[str, Any] = {name: metrics[name] for name in _FROM_METRICS} | {"simulation_s": log.wall_time}
+    safety = metrics["safety"] or dict.fromkeys(("monitor", "time", "worst"))
+    row |= {"safety": safety["monitor"], "safety_time": safety["time"], "safety_level": safety["worst"]}
+    row["warnings"] = ", ".join(warning["name"] for warning in metrics["warnings"]) or None
+    for figure in ("rmse", "peak"):
+        for unit, axes in (("deg", ("roll", "pitch", "yaw")), ("mm", ("x", "y", "z"))):
+            values = metrics[f"{figure}_{unit}"] or (None, None, None)
+            row |= {f"{figure}_{axis}_{unit}": value for axis, value in zip(axes, values, strict=True)}
+            row[f"{figure}_{unit}"] = metrics[f"{figure}_norm_{unit}"]
+    return {**row, NOT_FINITE: _flat_names(metrics[NOT_FINITE])}
+
+
+def _flat_names(found: Mapping[str, str]) -> dict[str, str]:
+    """Names of figures as a row has them: `rmse_mm.2` is rmse_z_mm, and `rmse_norm_mm` rmse_mm."""
+    axes = {"deg": ("roll", "pitch", "yaw"), "mm": ("x", "y", "z")}
+    names = {}
+    for name, value in found.items():
+        key, _, index = name.partition(".")
+        figure, _, unit = key.rpartition("_")
+        if index and unit in axes:
+            key = f"{figure}_{axes[unit][int(index)]}_{unit}"
+        names[key.replace("_norm_", "_")] = value
+    return names
+
+
+def _outcome(function: RunFunction, task: Task) -> Row:
+    from stewart_drake.campaigns.sweep_file import vary
+    from stewart_drake.scenario import Scenario
+
+    try:
+        log = function(vary(Scenario.from_dict(task.base), task.changes))
+        if log.status == "interrupted":
+            raise KeyboardInterrupt
+        # A finite blow-up overflows in the squares; its row says so.
+        with np.errstate(all="ignore"):
+            return {**empty_row(task, log.status, log.reason, log.message), **(task.measure or measure)(log)}
+    except KeyboardInterrupt:
+        raise
+    except ConfigurationError as error:
+        return empty_row(task, "rejected", error.reason, str(error))
+    except RunFailure as error:
+        return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
+        name = type(error).__name__
+        return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")
+
+
+@lru_cache(maxsize=1)
+def _own_source() -> str:
+    # Once a process: what is loaded does not change.
+    return versions.source_digest()

@@ -1,0 +1,330 @@
+"""Command line: parse, call, print."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stewart_drake.cli.check_command import check
+from stewart_drake.cli.common_options import OutPath, out_file, out_folder, overrides
+from stewart_drake.cli.compare_command import compare
+from stewart_drake.cli.faults_command import faults
+from stewart_drake.cli.sweep_command import sweep
+from stewart_drake.cli.workspace_command import workspace
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.runs.terminal import (
+    ProgressBar,
+    announce_compilation,
+    drop_output,
+    print_run,
+    print_table,
+    quiet_libraries,
+)
+
+if TYPE_CHECKING:
+    from stewart_drake.paper.report import Section
+    from stewart_drake.training.train import Split
+
+EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED = 2, 3, 4, 130
+TRACEBACK = "STEWART_DRAKE_TRACEBACK"
+"""Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
+
+_LONG = 100.0
+"""[s] of a run whose check takes more than a second or two."""
+_STATUS = {
+    "completed": 0,
+    "stopped": EXIT_RUN_FAILED,
+    "lost": EXIT_RUN_FAILED,
+    "failed": EXIT_RUN_FAILED,
+    "interrupted": EXIT_INTERRUPTED,
+}
+
+
+def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        from stewart_drake.logs.versions import package_version
+
+        click.echo(f"stewart-drake {package_version('stewart-drake') or 'not installed'}")
+        context.exit()
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120}, invoke_without_command=True
+)
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show the version."
+)
+@click.pass_context
+def cli(context: click.Context) -> None:
+    """Closed-loop torque control of rotary Stewart platforms in Drake."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+
+
+@cli.command()
+@click.argument("scenario")
+@out_folder()
+@overrides()
+@click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
+@click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
+    """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
+
+    Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
+    """
+    from stewart_drake.logs.log_rows import RowsInFile
+    from stewart_drake.runs.outputs import ResultsFolder
+    from stewart_drake.scenario import load_scenario
+
+    loaded = load_scenario(scenario, overrides)
+    out = out if out is not None else Path("runs") / loaded.name
+    results = ResultsFolder(out, loaded, force)
+    rows = RowsInFile(results.folder)
+    rows.check(loaded)
+
+    from stewart_drake.runs.simulation import check_scenario
+    from stewart_drake.runs.simulation import run as simulate
+    from stewart_drake.systems.diagram import build_diagram
+
+    if loaded.duration > _LONG and not quiet:
+        click.echo("checking the motion", err=True)
+    check_scenario(loaded)
+    graph = build_diagram(loaded).graph()
+    # Only now, with everything checked, does anything appear on the disk.
+    with results:
+        if not quiet:
+            announce_compilation(loaded.controller)
+        viewer = None
+        if meshcat:
+            from pydrake.geometry import Meshcat
+
+            viewer = Meshcat()
+            click.echo(f"live view: {viewer.web_url()}", err=True)
+        with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
+            log = simulate(loaded, progress=advance, meshcat=viewer, check=False, rows=rows)
+        try:
+            metrics = results.finish(log, graph)
+        except KeyboardInterrupt:
+            where = f"the log is in {results.folder}"
+            click.echo(f"stewart-drake: interrupted while writing the results; {where}", err=True)
+            sys.exit(EXIT_INTERRUPTED)
+    if not quiet:
+        print_run(log, metrics, out)
+    for line in results.left_out:
+        click.echo(f"stewart-drake: {line}", err=True)
+    if log.status != "completed":
+        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
+        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
+    sys.exit(_STATUS[log.status])
+
+
+@cli.command()
+@out_file("runs/dataset.parquet")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def collect(out: Path, quiet: bool) -> None:
+    """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
+
+    Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
+    """
+    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.training.collect import collect_dataset
+
+    prepare_file(out, SPACE)
+    with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
+        dataset = collect_dataset(progress=advance)
+    dataset.save(out)
+    click.echo(f"{len(dataset.inputs)} samples in {out}")
+
+
+@cli.command()
+@click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"))
+@out_file("runs/tuner.json")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of first weights and split.")
+@click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True, help="Passes over the data.")
+@click.option(
+    "--split",
+    type=click.Choice(["samples", "runs"]),
+    default="samples",
+    show_default=True,
+    help="What is held back for validation: samples at random, which leak from run to run, or whole runs.",
+)
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def train(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
+    """Train the 12-10-2 network on DATASET by back-propagation and write its weights file.
+
+    Exit status: 0 done, 2 bad input, 130 interrupted.
+    """
+    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.training.dataset import load_dataset
+
+    data = load_dataset(dataset)
+
+    from stewart_drake.training.train import TrainingOptions, train_network
+
+    options = TrainingOptions(seed=seed, epochs=epochs, split=split)
+    prepare_file(out, SPACE)
+    with ProgressBar("training", float(epochs), quiet, unit="epochs") as advance:
+        result = train_network(data, options, progress=advance)
+    result.network.save(out)
+    if not quiet:
+        print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
+
+
+@cli.command()
+@out_folder("runs/reproduction")
+@click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
+@click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
+@overrides("gravity=0")
+@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
+    """Test the paper claim by claim: report.html, report.md, report.json, figures/.
+
+    Finished parts are kept in OUT, so that an interrupted reproduction goes on where it was.
+
+    Exit status: 0 done, 2 bad input, 130 interrupted.
+    """
+    from stewart_drake.runs.outputs import SPACE, prepare_folder
+    from stewart_drake.scenario import load_scenario
+
+    base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
+
+    from stewart_drake.paper.reproduce import check_base
+    from stewart_drake.paper.reproduce import reproduce as make_report
+
+    check_base(base)
+    prepare_folder(out, SPACE)
+
+    def tell(section: Section) -> None:
+        # Where the bar cannot move, in a log file say, a line for each section.
+        if not quiet and not sys.stderr.isatty():
+            click.echo(f"done: {section.title}", err=True)
+
+    with ProgressBar("reproduction", 100.0, quiet, unit="%") as advance:
+
+        def show(key: str, share: float) -> None:
+            advance(100.0 * share, key.replace("_", " "))
+
+        sections = make_report(out, quick, base, show, tell)
+    if not quiet:
+        print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
+
+
+@cli.command()
+@click.option("--out", type=OutPath(dir_okay=False), help="File to write [default: standard output].")
+def schema(out: Path | None) -> None:
+    """JSON schema of scenario files, for editors."""
+    from stewart_drake.files.whole import write_atomically
+    from stewart_drake.scenario import scenario_schema
+
+    text = json.dumps(scenario_schema(), indent=2) + "\n"
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_atomically(out, text.encode())
+
+
+@cli.command("write-sdf")
+@click.argument("out", type=OutPath(dir_okay=False))
+@click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
+@overrides("robot.rod_length=0.42")
+@click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
+def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...], collision: bool) -> None:
+    """Write the robot of a scenario, with its plant.rod_joint, as an SDF file; another geometry gives another robot."""
+    from stewart_drake.plant.sdf_model import write_sdf
+    from stewart_drake.scenario import load_scenario
+
+    loaded = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
+    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
+
+
+cli.add_command(check)
+cli.add_command(compare)
+cli.add_command(faults)
+cli.add_command(sweep)
+cli.add_command(workspace)
+
+
+def main() -> None:
+    """Runs a command; it ends in an exit status and, where something is wrong, in one line, never in a traceback.
+
+    Beside what the commands say of themselves, 3 is also for a machine without memory, and 4 for an error that nobody
+    expected: a mistake in this package, worth a report. STEWART_DRAKE_TRACEBACK=1 shows all of it.
+
+    SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
+    """
+    for number in {signal.Signals.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+        # What `nohup` has shut out stays out.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    with quiet_libraries():
+        status = _status()
+    try:
+        # There is none where the shell has closed it.
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        status = _lost_output(error) or status
+    sys.exit(status)
+
+
+def _status() -> int:
+    """What a command ends with, for `sys.exit`."""
+    try:
+        return _expected()
+    except MemoryError:
+        return _tell("out of memory", EXIT_RUN_FAILED)
+    except (Exception, SystemExit) as error:  # Drake says SystemExit where one of its checks fails
+        if os.environ.get(TRACEBACK):
+            traceback.print_exception(error)
+        name = f"{type(error).__name__}: {error}{raised_at(error)}"
+        return _tell(f"internal error: {name}; set {TRACEBACK}=1 to see all of it", EXIT_INTERNAL)
+
+
+def _expected() -> int:
+    """The same for what can be expected to go wrong."""
+    try:
+        cli(standalone_mode=False)
+    except SystemExit as end:
+        if not isinstance(end.code, int | None):
+            raise
+        return end.code or 0
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _tell("interrupted", EXIT_INTERRUPTED)
+    except ImportError as error:
+        # Ctrl-C while a compiled module loads comes out as this.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        return _tell("interrupted", EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        return _tell(error.format_message(), EXIT_BAD_INPUT)
+    except ConfigurationError as error:
+        return _tell(str(error), EXIT_BAD_INPUT)
+    except StewartDrakeError as error:
+        return _tell(f"{error.reason}: {error}", EXIT_RUN_FAILED)
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        return _lost_output(error)
+    return 0
+
+
+def _lost_output(error: OSError) -> int:
+    """Standard output that nobody reads any more is no failure; one that cannot be written is."""
+    drop_output(sys.stdout)
+    if error.errno == errno.EPIPE:
+        return 0
+    return _tell(f"standard output: got {error.strerror}; allowed: one that can be written", EXIT_BAD_INPUT)
+
+
+def _tell(text: str, status: int) -> int:
+    click.echo(f"stewart-drake: {' '.join(text.split())}", err=True)
+    return status

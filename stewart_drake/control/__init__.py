@@ -1,0 +1,1 @@
+"""Controllers and the tuner as pure functions of arrays."""

@@ -1,0 +1,123 @@
+"""Computed torque in task space as a pure function: inverse dynamics of the exact model around a linear loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.errors import NotFiniteError
+from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.robot import RobotParameters
+from stewart_drake.section import (
+    SECTION,
+    Flag,
+    Fraction,
+    NotNegative,
+    Positive,
+    check_choice,
+    check_fraction,
+    check_positive,
+    check_real,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComputedTorqueOptions:
+    """Options of the computed-torque controller; all six coordinates of the pose behave alike.
+
+    The default feedback is what the exact-model LQI has on heave at home with weights 4e5, 30, 4e7, 1 and a weight
+    length of 0.11 m.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
+
+    kind: Literal["computed_torque"] = "computed_torque"
+    period: Positive = 0.001
+    """[s] control period, > 0, a whole multiple of the plant's time step."""
+    natural_frequency: Positive = 93.8
+    """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
+    damping: Positive = 0.785
+    """[-]"""
+    integral_frequency: NotNegative = 8.47
+    """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
+    saturation: Literal["none", "clamp"] = "clamp"
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
+    meanwhile."""
+    min_transmission: Fraction = 0.02
+    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
+    min_conditioning: Fraction = 0.005
+    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
+    compiled: Flag = False
+    """The pose estimator beside the controller is compiled by numba."""
+
+    def __post_init__(self) -> None:
+        for name in ("period", "natural_frequency", "damping"):
+            check_positive(f"controller.{name}", getattr(self, name))
+        check_real("controller.integral_frequency", self.integral_frequency)
+        for name in ("min_transmission", "min_conditioning"):
+            check_fraction(f"controller.{name}", getattr(self, name))
+        check_choice("controller.saturation", self.saturation, "none", "clamp")
+
+
+class ComputedTorqueMemory(NamedTuple):
+    """What a tick says, and what the next one needs of it.
+
+    Attributes:
+        torque: (6,) [N m].
+        error: (6,) [rad, m] measured pose minus setpoint.
+        integral: (6,) [rad s, m s] z for the next tick.
+    """
+
+    torque: np.ndarray
+    error: np.ndarray
+    integral: np.ndarray
+
+
+def computed_torque_tick(
+    robot: RobotParameters,
+    options: ComputedTorqueOptions,
+    gravity: float,
+    measurement: Measurement,
+    setpoint: Setpoint,
+    memory: ComputedTorqueMemory,
+) -> ComputedTorqueMemory:
+    """Inverse dynamics at the measured pose and rate for q''_d - 2 damping omega e' - omega^2 (e + omega_i z).
+
+    The integral grows by period * e after it has been used.
+
+    Args:
+        robot: Geometry and masses as the controller believes them.
+        options: See `ComputedTorqueOptions`.
+        gravity: [m/s^2].
+        measurement: Pose and rate now.
+        setpoint: Reference now.
+        memory: Of the tick before; zeros at first.
+
+    Raises:
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`.
+    """
+    if not np.isfinite(measurement.pose_rate).all():
+        raise NotFiniteError("measured pose rate", measurement.pose_rate)
+    checked_legs(robot, options, measurement.pose)
+    error, rate_error = measurement.pose - setpoint.pose, measurement.pose_rate - setpoint.pose_rate
+    omega = options.natural_frequency
+    acceleration = (
+        setpoint.pose_acceleration
+        - 2.0 * options.damping * omega * rate_error
+        - omega**2 * (error + options.integral_frequency * memory.integral)
+    )
+    wanted = inverse_dynamics(robot, measurement.pose, measurement.pose_rate, acceleration, gravity)
+    if not np.isfinite(wanted).all():
+        raise NotFiniteError("torque", wanted)
+    torque, growth = wanted, options.period * error
+    if options.saturation == "clamp":
+        torque = np.clip(wanted, -robot.effort_limit, robot.effort_limit)
+        if np.any(torque != wanted):
+            growth = np.zeros(6)
+    return ComputedTorqueMemory(torque, error, memory.integral + growth)

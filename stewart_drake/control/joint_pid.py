@@ -1,0 +1,144 @@
+"""Joint-space PID on the crank angles as a pure function, the controller that most such robots have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.control.lqi_options import SATURATIONS, Saturation
+from stewart_drake.errors import NotFiniteError
+from stewart_drake.mechanics.dynamics import static_torque_of_legs
+from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.robot import RobotParameters
+from stewart_drake.section import (
+    SECTION,
+    Flag,
+    Fraction,
+    NotNegative,
+    Positive,
+    check_choice,
+    check_fraction,
+    check_positive,
+    check_real,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PidOptions:
+    """Options of the joint-space PID; the same gains for all six motors.
+
+    The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
+    with weights 4e5, 30, 4e7, 1 and a weight length of 0.11 m: for the inertia M of heave and J = d(theta)/dZ, a
+    feedback k of acceleration is k M / (6 J^2) at each crank.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
+
+    kind: Literal["pid"] = "pid"
+    period: Positive = 0.001
+    """[s] control period, > 0, a whole multiple of the plant's time step."""
+    kp: NotNegative = 37.3
+    """[N m/rad]"""
+    ki: NotNegative = 316.0
+    """[N m/(rad s)]"""
+    kd: NotNegative = 0.624
+    """[N m s/rad]"""
+    feedforward: Literal["none", "gravity"] = "gravity"
+    """gravity: adds the static torque of all bodies at the measured pose."""
+    torque_limit: Positive | None = None
+    """[N m] largest torque of a motor; null takes the robot's `effort_limit`, which nothing exceeds."""
+    saturation: Saturation = "clamp"
+    """none: the torque asked for may exceed the limit. clamp: it is limited, and the integral of a motor at its limit
+    grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
+    reset_time: Positive = 0.05
+    """[s] of back_calculation."""
+    min_transmission: Fraction = 0.02
+    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
+    min_conditioning: Fraction = 0.005
+    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
+    compiled: Flag = False
+    """The pose estimator beside the controller is compiled by numba."""
+
+    def __post_init__(self) -> None:
+        for name in ("period", "reset_time"):
+            check_positive(f"controller.{name}", getattr(self, name))
+        for name in ("kp", "ki", "kd"):
+            check_real(f"controller.{name}", getattr(self, name))
+        for name in ("min_transmission", "min_conditioning"):
+            check_fraction(f"controller.{name}", getattr(self, name))
+        check_choice("controller.feedforward", self.feedforward, "none", "gravity")
+        check_choice("controller.saturation", self.saturation, *SATURATIONS)
+        if self.torque_limit is not None:
+            check_positive("controller.torque_limit", self.torque_limit)
+
+    def limit(self, robot: RobotParameters) -> float:
+        """[N m] of a motor's torque."""
+        return robot.effort_limit if self.torque_limit is None else min(self.torque_limit, robot.effort_limit)
+
+
+class PidMemory(NamedTuple):
+    """What a tick says, and what the next one needs of it.
+
+    Attributes:
+        torque: (6,) [N m].
+        integral: (6,) [rad s] of the crank angles' errors, for the next tick.
+    """
+
+    torque: np.ndarray
+    integral: np.ndarray
+
+
+def pid_tick(
+    robot: RobotParameters,
+    options: PidOptions,
+    gravity: float,
+    measurement: Measurement,
+    setpoint: Setpoint,
+    memory: PidMemory,
+) -> PidMemory:
+    """T = T_gravity - kp e - kd e' - ki z with e = theta(pose) - theta(reference), wrapped to half a turn.
+
+    Crank angles by inverse kinematics, their rates by the Jacobian, of the measurement and of the reference alike. The
+    integral grows by period * e after it has been used.
+
+    Args:
+        robot: Geometry and masses as the controller believes them.
+        options: See `PidOptions`.
+        gravity: [m/s^2] for the feedforward.
+        measurement: Pose and rate now.
+        setpoint: Reference now.
+        memory: Of the tick before; zeros at first.
+
+    Raises:
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`; UnreachablePoseError
+            also where the reference is out of reach.
+    """
+    if not np.isfinite(measurement.pose_rate).all():
+        raise NotFiniteError("measured pose rate", measurement.pose_rate)
+    legs, wanted_legs = checked_legs(robot, options, measurement.pose), leg_geometry(robot, setpoint.pose)
+    error = legs.crank_angles - wanted_legs.crank_angles
+    error = np.arctan2(np.sin(error), np.cos(error))
+    rate = crank_rates(robot, legs, measurement.pose, measurement.pose_rate)
+    rate_error = rate - crank_rates(robot, wanted_legs, setpoint.pose, setpoint.pose_rate)
+    integral = memory.integral
+    wanted = -(options.kp * error + options.kd * rate_error + options.ki * integral)
+    if options.feedforward == "gravity" and gravity != 0.0:
+        wanted = wanted + static_torque_of_legs(robot, legs, gravity)
+    if not np.isfinite(wanted).all():
+        raise NotFiniteError("torque", wanted)
+    torque, growth = wanted, options.period * error
+    if options.saturation != "none":
+        limit = options.limit(robot)
+        torque = np.clip(wanted, -limit, limit)
+        cut = wanted - torque
+        if options.saturation == "clamp":
+            growth = np.where(cut == 0.0, growth, 0.0)
+        elif options.ki > 0.0:
+            growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
+    return PidMemory(torque, integral + growth)

@@ -1,1 +1,0 @@
-"""Experiments made of many runs: one module each."""

@@ -1,0 +1,123 @@
+"""Files that a scenario, a sweep or a comparison names: where they are, and what is in them."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.whole import open_checked, read_checked
+
+MAX_BYTES = 100_000_000
+"""Of any file that is named."""
+
+_CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
+"""A class in a file, as `controller.system` has it."""
+FILE_KEYS = ("weights_file", "motion_file")
+
+
+def anchor_files(data: Any, folder: Path) -> None:
+    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are.
+
+    Args:
+        data: Plain values of a YAML file or a command line; they have not been through here before.
+        folder: Where that file lies; for a command line the current folder.
+
+    Raises:
+        ConfigurationError: The file of a controller, whose code would be run, lies elsewhere than in `folder` or below.
+    """
+    for section, key in _places(data):
+        path, name = _split(section[key])
+        if name:
+            # As written, without `..`, and not where links lead: this very path is what is opened.
+            top = os.path.abspath(folder)  # noqa: PTH100 - Path.absolute leaves `..` in
+            found = os.path.normpath(os.path.join(top, path))  # noqa: PTH118
+            if not Path(found).is_relative_to(top):
+                raise ConfigurationError("controller.system", section[key], f"a file in {top} or below")
+            section[key] = f"{found}{name}"
+        elif not Path(path).is_absolute():
+            section[key] = str((folder / path).absolute())
+
+
+def take_code_along(scenario: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """A scenario that can be run from another folder, although it may run only what lies beside it.
+
+    Args:
+        scenario: From `Scenario.to_dict`.
+
+    Returns:
+        A copy with the controller's file relative to it, and that file, name -> content; none for other controllers.
+
+    Raises:
+        ConfigurationError: The file cannot be read.
+    """
+    data: dict[str, Any] = copy.deepcopy(dict(scenario))
+    match = _CLASS.fullmatch(str(data["controller"].get("system")))
+    if match is None:
+        return data, {}
+    path = Path(match["file"])
+    data["controller"]["system"] = f"{path.name}{match['name']}"
+    return data, {path.name: read_checked(path, f"controller file {path}", MAX_BYTES)}
+
+
+def file_digests(data: Any) -> dict[str, str | None]:
+    """Path of each file named in `data` -> sha256 of its content, None where it cannot be read.
+
+    Args:
+        data: Plain values: sections, lists, and under dotted keys such as `tuner.weights_file` what a sweep chooses
+            from.
+    """
+    paths = {_split(section[key])[0] for section, key in _places(data)}
+    return {path: digest(path) for path in sorted(paths)}
+
+
+def digest(path: str | Path) -> str | None:
+    """sha256 of a file's content; None where it cannot be read, is no regular file or larger than `MAX_BYTES`."""
+    try:
+        with open_checked(path, str(path), MAX_BYTES) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except (ConfigurationError, OSError):
+        return None
+
+
+def _places(data: Any) -> Iterator[tuple[Any, Any]]:
+    """Sections or lists, and the key or index in them, at which a file is named."""
+    waiting: list[tuple[str, Any]] = [("", data)]
+    seen: set[tuple[str, int]] = set()
+    while waiting:
+        name, section = waiting.pop()
+        # Sections made in Python can hold themselves; of one that two keys share, both count.
+        if (name, id(section)) in seen:
+            continue
+        seen.add((name, id(section)))
+        if isinstance(section, (list, tuple)):
+            waiting.extend((name, value) for value in section)
+        if not isinstance(section, dict):
+            continue
+        for key, value in section.items():
+            leaf = str(key).rpartition(".")[2]
+            if _is_file(leaf, value):
+                yield section, key
+            # What a sweep chooses from lies in a list under `values`.
+            elif leaf == "values" and name in (*FILE_KEYS, "system") and isinstance(value, list):
+                yield from ((value, index) for index, path in enumerate(value) if _is_file(name, path))
+            else:
+                waiting.append((leaf, value))
+
+
+def _is_file(key: str, value: Any) -> bool:
+    """Whether a value names a file, given the last part of its key."""
+    if not isinstance(value, str):
+        return False
+    return key in FILE_KEYS or (key == "system" and _CLASS.fullmatch(value) is not None)
+
+
+def _split(value: str) -> tuple[str, str]:
+    """Path, and for a controller's class the colon and its name."""
+    match = _CLASS.fullmatch(value)
+    return (match["file"], match["name"]) if match else (value, "")

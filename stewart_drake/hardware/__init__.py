@@ -1,0 +1,1 @@
+"""What stands between controller and robot, and how it fails."""

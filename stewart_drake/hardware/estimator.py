@@ -1,0 +1,234 @@
+"""Pose and rate of the platform from the motor encoders alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from stewart_drake.compiled.constants import SAME_BRANCH
+from stewart_drake.errors import (
+    AssemblyModeError,
+    EncoderError,
+    RunFailure,
+    SingularPoseError,
+    UnreachablePoseError,
+)
+from stewart_drake.hardware.seeded import tick_normal
+from stewart_drake.hardware.sensor_faults import EncoderFault
+from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
+from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.section import (
+    SECTION,
+    Natural,
+    NotNegative,
+    Positive,
+    Real,
+    Vector6,
+    check_numbers,
+    check_positive,
+    check_positive_pair,
+    check_real,
+    check_seed,
+    check_whole,
+)
+
+MEMORY_SIZE = 27
+"""Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
+
+_STREAM = 1
+"""Of random numbers, see `seeded`."""
+
+TOLERANCE = 1e-12
+"""[m] rod-length error at which Newton's method stops."""
+ITERATIONS = 12
+"""Newton steps at most; a warm start needs two."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderOptions:
+    """Motor encoders, and the estimator that knows nothing else.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: Literal["encoders"] = "encoders"
+    resolution_bits: Natural = 17
+    """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
+    offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """[rad] reading minus true angle of each motor: an error of homing."""
+    noise: NotNegative = 0.0
+    """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
+    noise_seed: Natural = 0
+    """Of the noise."""
+    faults: tuple[EncoderFault, ...] = ()
+    """Encoders that fail, in order: each acts on what those before it left of the readings."""
+    rate_cutoff: Positive | None = None
+    """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
+    max_speed: Positive = 60.0
+    """[rad/s] a reading that has moved faster than this is not believed."""
+    max_step: tuple[Real, Real] = (0.2, 0.05)
+    """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
+    another assembly mode."""
+    hold_ticks: Natural = 10
+    """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
+
+    def __post_init__(self) -> None:
+        check_whole("sensors.resolution_bits", self.resolution_bits, 0, 40)
+        check_numbers("sensors.offset", self.offset, 6, "6 finite numbers [rad]")
+        check_real("sensors.noise", self.noise, 0.0, f"a number from 0 to {LARGEST:g}", LARGEST)
+        check_seed("sensors.noise_seed", self.noise_seed)
+        if self.rate_cutoff is not None:
+            check_positive("sensors.rate_cutoff", self.rate_cutoff, allowed="a positive number [Hz], or null")
+        check_positive("sensors.max_speed", self.max_speed, allowed="a positive number [rad/s]")
+        check_positive_pair("sensors.max_step", self.max_step, "two positive numbers [rad, m]")
+        check_whole("sensors.hold_ticks", self.hold_ticks, 0, 1000)
+
+    @cached_property
+    def quantum(self) -> float:
+        """[rad] of one count; 0 for none."""
+        return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
+
+    def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
+        """What the encoders say, while none fails.
+
+        Args:
+            crank_angles: (..., 6) [rad] true.
+            tick: Whose noise it has; None for none.
+
+        Returns:
+            (..., 6) [rad].
+        """
+        angles = crank_angles + self.read_offset
+        if tick is not None and self.noise > 0.0:
+            angles = angles + self.noise * tick_normal(self.noise_seed, _STREAM, tick, 6)
+        return np.rint(angles / self.quantum) * self.quantum if self.quantum else angles
+
+    @cached_property
+    def read_offset(self) -> np.ndarray:
+        """`offset` (6,) [rad] as an array."""
+        return np.array(self.offset)
+
+    def smoothing(self, period: float) -> float:
+        """Share of a new difference in the filtered crank rate, 1 without a low pass."""
+        return 1.0 if self.rate_cutoff is None else 1.0 - math.exp(-2.0 * math.pi * self.rate_cutoff * period)
+
+
+FlatEstimate = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def initial_memory(pose: np.ndarray, crank_rates: np.ndarray | None = None) -> np.ndarray:
+    """Memory (27,) before the first tick.
+
+    Args:
+        pose: (6,) [rad, m] roughly where the platform stands.
+        crank_rates: (6,) [rad/s] of a robot that is in motion at the start; None for one at rest.
+    """
+    memory = np.zeros(MEMORY_SIZE)
+    memory[:6] = pose
+    memory[18:24] = 0.0 if crank_rates is None else crank_rates
+    return memory
+
+
+def estimate(
+    robot: RobotParameters, options: EncoderOptions, period: float, angles: np.ndarray, memory: np.ndarray
+) -> np.ndarray:
+    """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles.
+
+    Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
+    has one reading; it repeats the crank rates of `initial_memory`. A pose is
+    believed if no angle has jumped, Newton's method converges near the last pose, and the rods' lines have not changed
+    orientation: between two assembly modes lies a parallel singularity, where their determinant changes sign. The
+    cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead centres.
+
+    Args:
+        robot: Geometry.
+        options: See `EncoderOptions`.
+        period: [s].
+        angles: (6,) [rad] readings.
+        memory: (27,) of the tick before, see `MEMORY_SIZE`; its first 12 are the measurement.
+
+    Returns:
+        (27,) of this tick.
+
+    Raises:
+        EncoderError: Readings that are not finite, or have jumped.
+        ForwardKinematicsError: Newton's method does not converge.
+        AssemblyModeError: The pose found is not near the last one (at first: the start), or in another assembly mode.
+        SingularPoseError: A crank at its dead centre or beyond, or rods at a parallel singularity.
+    """
+    started = memory[26] > 0.0
+    if not np.isfinite(angles).all():
+        raise EncoderError("not finite", angles)
+    if started and np.abs(angles - memory[12:18]).max() > options.max_speed * period * (1.0 + memory[24]):
+        raise EncoderError(f"changed faster than {options.max_speed:g} rad/s", angles)
+    guess = memory[:6]
+    pose = forward_kinematics(robot, angles, guess, TOLERANCE, ITERATIONS)
+    try:
+        legs = leg_geometry(robot, pose)
+    except UnreachablePoseError as error:
+        # A crank carried across its dead centre, by a hair.
+        raise SingularPoseError("serial", pose, error.margin, 0.0, error.leg) from None
+    beyond = np.cos(legs.crank_angles - angles) < SAME_BRANCH
+    if beyond.any():
+        leg = int(beyond.argmax())
+        raise SingularPoseError("serial", pose, -float(abs(legs.transmission[leg])), 0.0, leg)
+    lines = rod_lines(legs)
+    sign = math.copysign(1.0, np.linalg.det(lines))
+    step = np.abs(pose - guess) / np.repeat(options.max_step, 3)
+    if (started and sign != memory[25]) or step.max() > 1.0:
+        raise AssemblyModeError(pose, guess)
+    rate = memory[18:24]
+    if started:
+        difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
+        rate = rate + options.smoothing(period) * (difference - rate)
+    try:
+        twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
+    except np.linalg.LinAlgError:
+        raise SingularPoseError("parallel", pose, 0.0, 0.0) from None
+    return np.concatenate([pose, twist_to_pose_rate(pose, twist), angles, rate, [0.0, sign, 1.0]])
+
+
+def held_estimate(
+    robot: RobotParameters, options: EncoderOptions, period: float, angles: np.ndarray, memory: np.ndarray
+) -> np.ndarray:
+    """`estimate`, where up to `hold_ticks` failures in a row are bridged by the last good pose and rate.
+
+    Raises:
+        RunFailure: As `estimate`, where no good tick came before or they failed too often in a row.
+    """
+    try:
+        return estimate(robot, options, period, angles, memory)
+    except RunFailure:
+        if memory[26] == 0.0 or memory[24] >= options.hold_ticks:
+            raise
+    held = memory.copy()
+    held[24] += 1.0
+    return held
+
+
+def flat_estimate(robot: RobotParameters, options: EncoderOptions, period: float, compiled: bool) -> FlatEstimate:
+    """`held_estimate` as a function of angles (6,) and memory (27,) alone, compiled or not."""
+    if not compiled:
+        return lambda angles, memory: held_estimate(robot, options, period, angles, memory)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import estimator, mechanism
+
+    packed = mechanism.pack(robot)
+    numbers = np.array([period, options.smoothing(period), options.max_speed, *options.max_step, TOLERANCE, ITERATIONS])
+
+    def tick(angles: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        result = np.empty(MEMORY_SIZE)
+        if estimator.estimate(packed, numbers, angles, memory, result) == mechanism.OK:
+            return result
+        # Rare: the reference says what was wrong, and bridges it.
+        return held_estimate(robot, options, period, angles, memory)
+
+    return tick

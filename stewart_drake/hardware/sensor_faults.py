@@ -1,0 +1,179 @@
+"""Sensors that fail: readings that freeze, jump, drift, come late, of the wrong sign or from another leg; pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.section import (
+    SECTION,
+    Leg,
+    NotNegative,
+    Positive,
+    Real,
+    check_choice,
+    check_leg,
+    check_other_leg,
+    check_positive,
+    check_real,
+)
+
+EncoderFaultKind = Literal["freeze", "nan", "jump", "late", "drift", "reversed", "inverted", "swapped"]
+PoseFaultKind = Literal["freeze", "nan", "late"]
+
+LONGEST_DELAY = 1.0
+"""[s] by which a reading may be late; so many readings are kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderFault:
+    """One encoder that fails, or all six at once.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: EncoderFaultKind
+    """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts. late:
+    says what it read `delay` ago. drift: off by `size` more each second. reversed: counts backwards from its last good
+    reading. inverted: says the negative angle. swapped: `leg` and `other` say each other's angle."""
+    leg: Leg | None
+    """0 to 5; null for all."""
+    time: NotNegative = 0.0
+    """[s] when it begins."""
+    duration: Positive | None = None
+    """[s] after which the encoder is well again; null for never."""
+    size: Real = 0.0
+    """[rad] of a jump, [rad/s] of a drift."""
+    delay: Positive | None = None
+    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+    other: Leg | None = None
+    """0 to 5, of swapped encoders."""
+
+    def __post_init__(self) -> None:
+        check_choice("sensors.faults.kind", self.kind, *get_args(EncoderFaultKind))
+        if self.leg is not None or self.kind == "swapped":
+            check_leg("sensors.faults.leg", self.leg)
+        _check_times(self.time, self.duration)
+        check_real("sensors.faults.size", self.size, -math.inf, "a finite number [rad or rad/s]")
+        _check_delay(self.kind, self.delay)
+        check_other_leg("sensors.faults.other", self.kind, self.leg, self.other)
+
+    @property
+    def channels(self) -> slice:
+        """Entries of the reading that it spoils."""
+        return slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseFault:
+    """A sensor of pose and rate that fails as a whole.
+
+    Raises:
+        ConfigurationError: A value outside what the field says.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    kind: PoseFaultKind
+    """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
+    time: NotNegative = 0.0
+    """[s] when it begins."""
+    duration: Positive | None = None
+    """[s] after which the sensor is well again; null for never."""
+    delay: Positive | None = None
+    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+
+    def __post_init__(self) -> None:
+        check_choice("sensors.faults.kind", self.kind, *get_args(PoseFaultKind))
+        _check_times(self.time, self.duration)
+        _check_delay(self.kind, self.delay)
+
+    @property
+    def channels(self) -> slice:
+        """Entries of the reading that it spoils: all."""
+        return slice(None)
+
+
+def kept_readings(faults: Sequence[EncoderFault] | Sequence[PoseFault], period: float) -> int:
+    """Rows of the memory of `faulty_reading`: the last good readings, and as many before as the latest fault needs."""
+    return 1 + max((ticks_late(fault, period) for fault in faults), default=0)
+
+
+def ticks_late(fault: EncoderFault | PoseFault, period: float) -> int:
+    """Whole ticks by which a fault delays a reading; 0 for one that does not."""
+    return 0 if fault.delay is None else math.ceil(fault.delay / period - 1e-6)
+
+
+def faulty_reading(
+    faults: Sequence[EncoderFault] | Sequence[PoseFault],
+    reading: np.ndarray,
+    time: float,
+    period: float,
+    memory: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a sensor says where it may have failed.
+
+    Args:
+        faults: Those of the scenario, in order: each acts on what those before it have made of the reading.
+        reading: (n,) true.
+        time: [s].
+        period: [s] of the ticks.
+        memory: (`kept_readings`, n) of the tick before: for each channel the last reading before it froze or began to
+            count backwards, then the true readings of the ticks before, newest first. Before the first tick all rows
+            are the first reading.
+
+    Returns:
+        The reading (n,) and the memory for the next tick.
+    """
+    good = memory[0]
+    says, kept = np.array(reading, dtype=float), np.zeros(len(reading), dtype=bool)
+    for fault in faults:
+        if not fault.time <= time < fault.time + (math.inf if fault.duration is None else fault.duration):
+            continue
+        where = fault.channels
+        if fault.kind == "freeze":
+            says[where], kept[where] = good[where], True
+        elif fault.kind == "nan":
+            says[where] = np.nan
+        elif fault.kind == "late":
+            says[where] = memory[ticks_late(fault, period)][where]
+        elif fault.kind == "reversed":
+            says[where], kept[where] = 2.0 * good[where] - says[where], True
+        elif isinstance(fault, EncoderFault):
+            _spoil(fault, says, time)
+    after = np.vstack([np.where(kept, good, reading), reading, memory[1:]])[: len(memory)]
+    return says, after
+
+
+def _spoil(fault: EncoderFault, says: np.ndarray, time: float) -> None:
+    """The kinds that need no memory, in place."""
+    if fault.kind == "swapped":
+        pair = np.array([fault.leg, fault.other], dtype=int)
+        says[pair] = says[pair[::-1]]
+    elif fault.kind == "inverted":
+        says[fault.channels] *= -1.0
+    else:
+        says[fault.channels] += fault.size * (1.0 if fault.kind == "jump" else time - fault.time)
+
+
+def _check_delay(kind: str, delay: Any) -> None:
+    if kind != "late":
+        if delay is not None:
+            raise ConfigurationError("sensors.faults.delay", delay, "null, but for kind late")
+        return
+    check_positive("sensors.faults.delay", delay, allowed=f"a positive number up to {LONGEST_DELAY:g} s, for kind late")
+    check_real("sensors.faults.delay", delay, 0.0, f"a positive number up to {LONGEST_DELAY:g} s", LONGEST_DELAY)
+
+
+def _check_times(time: Any, duration: Any) -> None:
+    check_real("sensors.faults.time", time)
+    if duration is not None:
+        check_positive("sensors.faults.duration", duration, allowed="a positive number [s], or null")

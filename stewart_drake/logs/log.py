@@ -1,0 +1,320 @@
+"""The log of one run: named signals with units and frames, kept as one Parquet file."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.logs.outcomes import Status
+from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+LEGS = tuple(str(i) for i in range(6))
+ROW_GROUP = 65_536
+"""Rows of a log that are in memory at a time where it goes to a file."""
+UNFINISHED = "rows"
+"""Folder in a results folder under construction: parts of a log, numbered, each a log of its own."""
+
+_FORMAT_KEY = b"stewart_drake.run"
+_VERSION = 2
+_LARGEST = 10**11
+"""[byte] of a file."""
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """What a signal is.
+
+    Attributes:
+        components: Last part of each column's name; empty for a scalar.
+        units: One per component.
+        frame: In which frame, or about what.
+        text: One line of explanation.
+    """
+
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    frame: str
+    text: str
+
+
+def _axes(angle: str, length: str, text: str) -> SignalSpec:
+    return SignalSpec(AXES, (angle,) * 3 + (length,) * 3, "P in B", text)
+
+
+def _legs(unit: str, frame: str, text: str) -> SignalSpec:
+    return SignalSpec(LEGS, (unit,) * 6, frame, f"{text}, by leg 0..5")
+
+
+SIGNALS: Mapping[str, SignalSpec] = {
+    "time": SignalSpec((), ("s",), "", "simulated time"),
+    "pose": _axes("rad", "m", "pose of the platform"),
+    "pose_rate": _axes("rad/s", "m/s", "Euler rates and velocity of the platform"),
+    "reference": _axes("rad", "m", "reference pose"),
+    "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
+    "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
+    "error": _axes("rad", "m", "measured pose minus reference at the latest tick"),
+    "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
+    "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
+    "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
+    "crank_angle": _legs("rad", "about the motor axis", "theta, from the horizontal"),
+    "weights": SignalSpec(("omega_q", "omega_r"), ("1", "1"), "", "weights in force"),
+    "block_weights": SignalSpec(
+        ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
+    ),
+    "density": SignalSpec(
+        (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEGS)), ("1",) * 12, "", "density features"
+    ),
+    "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
+    "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),
+    "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
+    "disturbance": SignalSpec(
+        ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
+    ),
+    "safety": SignalSpec(
+        ("level", "monitor", "leg"),
+        ("1",) * 3,
+        "",
+        "state of the safety layer: numbers in safety.LEVELS and safety.MONITORS, leg or -1",
+    ),
+    "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
+}
+"""Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
+of the plant's state, named by Drake."""
+
+OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "disturbance", "safety")
+"""block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders or a
+sensor that fails, the disturbance where there is one, safety where that layer is on."""
+
+
+def _state_column(name: str) -> tuple[str, str, str]:
+    """Unit, frame and explanation of an entry of the plant's state, from the name that Drake gives it."""
+    joint, _, quantity = name.rpartition("_")
+    if joint == "platform":
+        unit = "1" if quantity[0] == "q" else {"w": "rad/s", "v": "m/s"}.get(quantity[0], "m")
+        return unit, "P in B", "quaternion, position, angular velocity or velocity of the platform"
+    unit = "rad/s" if quantity[0] == "w" else "rad"
+    if joint.startswith("motor"):
+        return unit, "about the motor axis, from home", "crank_angle less its value at home, or its speed"
+    return unit, "rod in crank, from home", "angle or speed of the joint between crank and rod"
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationLog:
+    """Signals of one run and how it ended.
+
+    Attributes:
+        scenario: As run.
+        signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
+        state_names: Names of the columns of `plant_state`.
+        status: See `outcomes.Status`.
+        reason: Stable name of what happened, or None.
+        message: One line on it, or None; where a user's code raised, its traceback follows.
+        outcome_time: [s] when that was decided, or None.
+        end_time: [s] simulated time reached.
+        leg: Leg 0..5 to which it belongs, or None.
+        warnings: See `outcomes.find_warnings`.
+        safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
+        wall_time: [s] spent in the simulation.
+        versions: Versions of what ran.
+        files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
+        figures: See `tally.Tally.figures`, from every tick and step of the run, whatever rows the log has; None where
+            nobody took them. Those that are not finite are None and named in `not_finite`.
+    """
+
+    scenario: Scenario
+    signals: Mapping[str, np.ndarray]
+    state_names: tuple[str, ...] = ()
+    status: Status = "completed"
+    reason: str | None = None
+    message: str | None = None
+    outcome_time: float | None = None
+    end_time: float = 0.0
+    leg: int | None = None
+    warnings: tuple[Mapping[str, Any], ...] = ()
+    safety: Mapping[str, Any] | None = None
+    wall_time: float = 0.0
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+    files: Mapping[str, str | None] = field(default_factory=dict)
+    figures: Mapping[str, Any] | None = None
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Signal `name`.
+
+        Raises:
+            KeyError: Names the signals that exist.
+        """
+        try:
+            return self.signals[name]
+        except KeyError:
+            raise KeyError(f"{name}; this log has {', '.join(self.signals)}") from None
+
+    @property
+    def reached_end(self) -> bool:
+        """Whether the controller was in charge for the whole duration, its motion followed or lost."""
+        return self.status in ("completed", "lost")
+
+    @property
+    def time(self) -> np.ndarray:
+        """(n,) [s] simulated time of each row."""
+        return self.signals["time"]
+
+    def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
+        """Column name -> (values (n,), unit, frame, explanation)."""
+        columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
+        for name, values in self.signals.items():
+            spec = SIGNALS[name]
+            if name == "plant_state":
+                for index, state in enumerate(self.state_names):
+                    columns[f"plant_state.{state}"] = (values[:, index], *_state_column(state))
+            elif not spec.components:
+                columns[name] = (values, spec.units[0], spec.frame, spec.text)
+            else:
+                for index, (component, unit) in enumerate(zip(spec.components, spec.units, strict=True)):
+                    columns[f"{name}.{component}"] = (values[:, index], unit, spec.frame, spec.text)
+        return columns
+
+    def table(self) -> pa.Table:
+        """The signals as an Arrow table: a column per component, unit, frame and text in each field's metadata."""
+        import pyarrow as pa
+
+        columns = self.columns()
+        fields = [
+            pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, "frame": frame, "text": text})
+            for name, (_, unit, frame, text) in columns.items()
+        ]
+        return pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=pa.schema(fields))
+
+    def to_parquet(self) -> bytes:
+        """The log as a Parquet file with a checksum."""
+        stream = io.BytesIO()
+        write_log(self, [self.table()], stream)
+        return stream.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Writes `to_parquet` to a file.
+
+        Raises:
+            ConfigurationError: The folder is missing or not writable.
+        """
+        write_atomically(Path(path), self.to_parquet())
+
+
+_OUTCOME = (
+    "status",
+    "reason",
+    "message",
+    "outcome_time",
+    "end_time",
+    "leg",
+    "warnings",
+    "safety",
+    "wall_time",
+    "versions",
+    "files",
+    "figures",
+)
+"""What a log says besides its signals."""
+
+
+def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) -> None:
+    """Writes a log as a Parquet file with a checksum.
+
+    Args:
+        log: Everything but the rows.
+        tables: At least one; the rows in order, see `SimulationLog.table`.
+        stream: An empty file, open for writing and reading.
+    """
+    import pyarrow as pa
+
+    run = {
+        "version": _VERSION,
+        "scenario": log.scenario.to_dict(),
+        "state_names": list(log.state_names),
+        "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
+    }
+    waiting = iter(tables)
+    held = [next(waiting)]
+    with SealedWriter(stream, held[0].schema, _FORMAT_KEY, run) as writer:
+        for table in waiting:
+            held.append(table)
+            if sum(part.num_rows for part in held) >= ROW_GROUP:
+                writer.write(pa.concat_tables(held))
+                held = []
+        if held:
+            writer.write(pa.concat_tables(held))
+
+
+def load_log(path: str | Path, most_rows: int | None = None) -> SimulationLog:
+    """Reads a log written by `SimulationLog.save` or by the command `run`.
+
+    Args:
+        path: The file, or a results folder. Of a run that was killed midway its unfinished folder, with the rows up to
+            the last that were written.
+        most_rows: Of a longer log every so many rows are read, so that there are at most so many; None for all.
+
+    Raises:
+        ConfigurationError: Missing file, not a log of this package, or not as it was written.
+    """
+    path = Path(path)
+    # Unlike `Path.is_dir` this never raises.
+    folder = os.path.isdir(path)  # noqa: PTH112
+    if folder and not (path / "log.parquet").exists() and (path / UNFINISHED).is_dir():
+        parts = [_load_file(part, most_rows) for part in sorted((path / UNFINISHED).glob("*.parquet"))]
+        if parts:
+            signals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].signals}
+            return replace(parts[-1], signals=signals)
+    return _load_file(path / "log.parquet" if folder else path, most_rows)
+
+
+def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
+    key = f"log {path}"
+
+    def stride(rows: int) -> int:
+        return 1 if most_rows is None else max(1, -(-rows // most_rows))
+
+    run, columns = read_sealed(path, key, _FORMAT_KEY, _LARGEST, MAX_LOG_ROWS + 1, "this package", stride)
+    try:
+        if run["version"] != _VERSION:
+            raise ConfigurationError(key, f"version {run['version']}", f"version {_VERSION}")
+        state_names = tuple(run["state_names"])
+        outcome = {name: run["outcome"][name] for name in _OUTCOME}
+        outcome["warnings"] = tuple(outcome["warnings"])
+        scenario = run["scenario"]
+    except (KeyError, TypeError) as error:
+        what = f"metadata that cannot be read ({type(error).__name__}: {error})"
+        raise ConfigurationError(key, what, "a log written by this package") from None
+    try:
+        scenario = Scenario.from_dict(scenario)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+    signals: dict[str, np.ndarray] = {}
+    for name, spec in SIGNALS.items():
+        components = state_names if name == "plant_state" else spec.components
+        wanted = [f"{name}.{component}" for component in components] if components else [name]
+        missing = [column for column in wanted if column not in columns]
+        if not missing:
+            arrays = [columns.pop(column) for column in wanted]
+            signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
+        elif name == "time" or len(missing) < len(wanted):
+            raise ConfigurationError(key, f"no column {missing[0]}", "all columns of a signal, and time")
+    return SimulationLog(scenario, signals, state_names, **outcome)
+
+
+def _plain(value: Any) -> Any:
+    """A field of a log in values that JSON has."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    return [dict(each) for each in value] if isinstance(value, tuple) else value

@@ -1,0 +1,107 @@
+"""How a run ended, told by what happened in it and not by the clock; pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from stewart_drake.errors import RunFailure, SafetyStop
+from stewart_drake.planning.bounds import Bounds
+
+Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
+"""completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
+robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
+broke midway. interrupted: the user, or the end of the process, ended it."""
+
+MUCH_SATURATION = 0.01
+"""Share of torques at the limit above which there is a warning."""
+LARGE_GAP = 0.1
+"""Share of the position's RMSE above which the loop gap is a warning: errors are then known no better than that."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        status: See `Status`.
+        reason: Stable name of what happened; None for completed.
+        message: One line on it, or None; where a user's code raised, its traceback follows.
+        time: [s] when it was decided; None for completed.
+        leg: Leg 0..5 to which it belongs, or None.
+    """
+
+    status: Status
+    reason: str | None = None
+    message: str | None = None
+    time: float | None = None
+    leg: int | None = None
+
+
+def judge(
+    bounds: Bounds,
+    figures: Mapping[str, Any],
+    trip: Mapping[str, Any] | None,
+    end_time: float,
+    ended_by: RunFailure | KeyboardInterrupt | None,
+) -> Outcome:
+    """How a run ended.
+
+    Args:
+        bounds: Of the scenario.
+        figures: See `tally.Tally.figures`.
+        trip: First trip of the safety layer, see `safety.first_trip`, or None.
+        end_time: [s] simulated time reached.
+        ended_by: What ended the run before its time, or None.
+    """
+    if isinstance(ended_by, KeyboardInterrupt):
+        return Outcome("interrupted", "interrupted", "stopped by the user", end_time)
+    held = isinstance(ended_by, SafetyStop) and trip is not None and trip["last"] != "end"
+    if ended_by is not None and not held:
+        when = end_time if ended_by.time is None else ended_by.time
+        text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))
+        return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
+    by = None if trip is None else trip["stopped"] or figures["events"]["held"]
+    if trip is not None and by is not None:
+        text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} when the time was up"
+        return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
+    left = {name: event for name, event in figures["events"]["left"].items() if event is not None}
+    if left:
+        name = min(left, key=lambda name: float(left[name]["time"]))
+        event = left[name]
+        scale, unit = (math.degrees(1.0), "deg") if name == "rotation" else (1e3, "mm")
+        bound, worst = (f"{scale * value:.4g} {unit}" for value in (getattr(bounds, name), event["worst"]))
+        what = "the loops opened by more than" if name == "loop_gap" else f"the error in {name} went beyond"
+        text = f"{what} {bound} at t = {event['time']:.3f} s; the largest was {worst}"
+        return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
+    ratio = figures["motion_ratio"]
+    if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
+        text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
+        return Outcome("lost", "not_followed", text, end_time)
+    return Outcome("completed")
+
+
+def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
+    """What a reader of a run should know beside its outcome.
+
+    Returns:
+        name, time [s], number and text of each. safety_intervention: the safety layer took over and gave back, so many
+        times. saturation: share of torques at the limit. loop_gap: largest gap over the RMSE of the position.
+    """
+    found: list[dict[str, Any]] = []
+
+    def warn(name: str, time: float, number: float, text: str) -> None:
+        found.append({"name": name, "time": time, "number": number, "text": text})
+
+    events, share = figures["events"], figures["saturated_fraction"]
+    if trip is not None and trip["last"] == "none":
+        warn("safety_intervention", trip["time"], events["interventions"], f"{trip['monitor']}, {trip['worst']}")
+    if share is not None and share > MUCH_SATURATION:
+        warn("saturation", events["saturated_at"], share, f"{share:.1%} of the torques are at their limit")
+    gap, rmse = figures["loop_gap_max_m"], figures["rmse_norm_mm"]
+    if gap is not None and rmse is not None and gap > LARGE_GAP * 1e-3 * rmse:
+        ratio = gap / (1e-3 * rmse) if rmse > 0.0 else math.inf
+        warn("loop_gap", events["gap_at"], ratio, f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position")
+    return tuple(found)

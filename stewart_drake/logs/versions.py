@@ -1,0 +1,55 @@
+"""Which versions produced a result."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+import subprocess
+
+from stewart_drake.files.whole import PACKAGE
+
+
+def collect_versions() -> dict[str, str | None]:
+    """Versions of Python, of this package and of what it computes with; the git revision where run from a checkout."""
+    versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in ("stewart-drake", "drake", "numpy", "scipy"):
+        versions[name] = package_version(name)
+    versions["git_revision"] = git_revision()
+    versions["source"] = source_digest()
+    return versions
+
+
+def package_version(name: str) -> str | None:
+    """Version of an installed distribution; None where it is not installed."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def source_digest() -> str:
+    """Digest of this package's Python files: tells changed code from unchanged where there is no git."""
+    root = PACKAGE
+    content = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        content.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+def git_revision() -> str | None:
+    """Revision of the checkout that this package runs from, with `-dirty` for changed files; None outside of one."""
+    root = PACKAGE.parent
+    if not (root / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

@@ -1,0 +1,1 @@
+"""Kinematics, force map and dynamics of the closed chain, on arrays."""

@@ -1,0 +1,67 @@
+"""The paper's map from motor torques to the wrench on the platform, (10)-(18), as printed and by statics."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import LegGeometry, leg_geometry, rod_lines
+from stewart_drake.robot import RobotParameters
+
+ForceMapKind = Literal["printed", "statics"]
+
+
+def rod_map(legs: LegGeometry) -> np.ndarray:
+    """tau_1 of (14): wrench [M; F] of P in B from the six rod forces.
+
+    Deviation: e_M = (R^-1 p_i) x e_l; the print leaves p_i unrotated.
+
+    Returns:
+        (..., 6, 6) [m, -].
+    """
+    return np.swapaxes(rod_lines(legs), -1, -2)
+
+
+def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+    """Diagonal of tau_2 of (16): force in a rod per unit of motor torque.
+
+    `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
+    `statics`; the two agree only where the rod lies along e_N.
+
+    Returns:
+        (..., 6) [1/m]; `statics` is infinite at a crank's dead centre.
+
+    Raises:
+        ConfigurationError: Another `kind`.
+    """
+    if kind == "printed":
+        return legs.transmission / robot.crank_length
+    if kind != "statics":
+        raise ConfigurationError("force_map", kind, "statics or printed")
+    with np.errstate(divide="ignore"):
+        return 1.0 / (robot.crank_length * legs.transmission)
+
+
+def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+    """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
+    return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
+
+
+def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
+    """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
+
+    Args:
+        robot: Geometry.
+        pose: (..., 6) [rad, m].
+        kind: `statics` or `printed`, see `crank_map`.
+
+    Returns:
+        (..., 6, 6) [-, 1/m].
+
+    Raises:
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; another `kind`.
+    """
+    return force_map_of_legs(robot, leg_geometry(robot, pose), kind)

@@ -1,0 +1,160 @@
+"""What the poses around a centre allow: both workspaces, their boundaries, and slices through them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.paper.study import Study
+from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays
+from stewart_drake.planning.workspace_region import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
+from stewart_drake.scenario import Scenario
+
+KINDS: tuple[Kind, Kind] = ("position", "orientation")
+OTHER_CENTERS: tuple[tuple[Kind, str, tuple[float, ...]], ...] = (
+    ("position", "roll 15 deg", (np.pi / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "pitch 30 deg", (0.0, np.pi / 6.0, 0.0, 0.0, 0.0, 0.0)),
+    ("position", "yaw 30 deg", (0.0, 0.0, np.pi / 6.0, 0.0, 0.0, 0.0)),
+    ("orientation", "Z 50 mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
+    ("orientation", "Z 50 mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
+    ("orientation", "X 100 mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
+)
+"""Turned or moved from the centre; 30 deg of roll and 50 mm of height are the amplitudes of (37), (38)."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStudy:
+    """What the poses allow.
+
+    Attributes:
+        center: (6,) [rad, m].
+        surveys: Of both workspaces.
+        boundaries: Of both workspaces.
+        ranges: (2, 6) [rad, m] lowest and highest value of each coordinate alone.
+        cuts: (2, 6) index in `LIMIT_NAMES` of what ends them; -1 for nothing.
+        others: Name, kind and survey around other centres; None where the centre is out of reach.
+        rate: [1/s] poses measured.
+    """
+
+    center: np.ndarray
+    surveys: dict[Kind, Survey]
+    boundaries: dict[Kind, Boundary]
+    ranges: np.ndarray
+    cuts: np.ndarray
+    others: list[tuple[str, Kind, Survey | None]]
+    rate: float
+
+
+def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
+    """Grids, boundaries and ranges around `center`; and around other centres.
+
+    Args:
+        study: For which robot and limits.
+        samples: Poses in each of the two workspaces; a twentieth around each other centre.
+        center: (6,) [rad, m].
+
+    Raises:
+        ConfigurationError: A center that `check_center` refuses; too few samples.
+    """
+    base = study.base
+    robot, limits, gravity = base.robot, base.limits, base.gravity
+    surveys: dict[Kind, Survey] = {}
+    boundaries: dict[Kind, Boundary] = {}
+    grids = {kind: spanning_grid(robot, kind, center, samples) for kind in KINDS}
+    start = time.perf_counter()
+    for i, (kind, grid) in enumerate(grids.items()):
+        surveys[kind] = survey(robot, limits, grid, gravity, part_of(study, 0.17 * i, 0.17))
+    rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
+    for i, kind in enumerate(KINDS):
+        size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(3, 1)}
+        boundaries[kind] = boundary(
+            robot, limits, kind, center, **size, gravity=gravity, progress=part_of(study, 0.34 + 0.08 * i, 0.08)
+        )
+    ends = np.concatenate([-np.eye(3), np.eye(3)])
+    rays = {kind: follow_rays(robot, limits, kind, center, ends, gravity) for kind in KINDS}
+    way, cuts = (
+        np.concatenate([rays["orientation"][i].reshape(2, 3), rays["position"][i].reshape(2, 3)], axis=1)
+        for i in (0, 1)
+    )
+    others: list[tuple[str, Kind, Survey | None]] = []
+    for i, (kind, name, offset) in enumerate(OTHER_CENTERS):
+        try:
+            grid = spanning_grid(robot, kind, center + offset, max(8, samples // 20))
+            others.append((name, kind, survey(robot, limits, grid, gravity)))
+        except ConfigurationError:
+            others.append((name, kind, None))
+        study.progress(0.5 + 0.1 * (i + 1) / len(OTHER_CENTERS))
+    return PoseStudy(center, surveys, boundaries, center + way * [[-1.0], [1.0]], cuts.astype(int), others, rate)
+
+
+def slice_surveys(study: Study, poses: PoseStudy, kind: Kind) -> list[Survey]:
+    """Five slices across the third coordinate and one along it, all through what the limits leave."""
+    found = poses.surveys[kind]
+    box = found.bounding_box(found.connected)
+    if box is None:
+        box = np.stack([found.grid.low, found.grid.high])
+    room = 0.4 * (box[1] - box[0])
+    low, high = np.maximum(box[0] - room, found.grid.low), np.minimum(box[1] + room, found.grid.high)
+    middle = poses.center[list(COORDINATES[kind])]
+    levels = np.linspace(box[0, 2], box[1, 2], 7)[1:-1]
+    levels[np.abs(levels - middle[2]).argmin()] = middle[2]
+    pixels = study.pick(220, 90)
+    planes = [(2, level) for level in levels] + [(1 if kind == "position" else 0, None)]
+    return [
+        _slice(
+            study.base,
+            COORDINATES[kind],
+            poses.center,
+            low,
+            high,
+            axis,
+            middle[axis] if level is None else level,
+            pixels,
+        )
+        for axis, level in planes
+    ]
+
+
+def motion_slice(study: Study, poses: PoseStudy, reference: np.ndarray) -> Survey:
+    """The slice over the two coordinates that a motion (n, 6) moves most, the others as at the centre."""
+    lever = study.base.robot.characteristic_length
+    extent = np.ptp(reference, axis=0) * [lever, lever, lever, 1.0, 1.0, 1.0]
+    two = np.argsort(-extent, kind="stable")[:2]
+    if not extent.any():
+        two = np.array([0, 5])
+    third = next(i for i in range(6) if i not in two)
+    first, second, third_ = sorted([*two.tolist(), third])
+    coordinates = (first, second, third_)
+    low, high = 1.3 * (poses.ranges - poses.center)[:, coordinates] + poses.center[list(coordinates)]
+    axis = coordinates.index(third)
+    return _slice(
+        study.base, coordinates, poses.center, low, high, axis, float(poses.center[third]), study.pick(260, 90)
+    )
+
+
+def _slice(
+    base: Scenario,
+    coordinates: tuple[int, int, int],
+    center: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    axis: int,
+    level: float,
+    pixels: int,
+) -> Survey:
+    low, high = low.copy(), high.copy()
+    low[axis] = high[axis] = level
+    size = (high - low) * np.where(np.array(coordinates) < 3, base.robot.characteristic_length, 1.0)
+    x, y, z = np.maximum(2, np.round(pixels * size / size.max())).astype(int).tolist()
+    counts = (x if axis != 0 else 1, y if axis != 1 else 1, z if axis != 2 else 1)
+    return survey(base.robot, base.limits, Grid(coordinates, center, low, high, counts), base.gravity)
+
+
+def part_of(study: Study, start: float, size: float) -> Callable[[float], None]:
+    """Progress of a part of the section, as the study wants it."""
+    return lambda share: study.progress(start + size * share)

@@ -1,0 +1,81 @@
+"""What every section of the reproduction works with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.control.network import default_network_path
+from stewart_drake.files.whole import locked_folder
+from stewart_drake.runs.outputs import prepare_folder
+from stewart_drake.scenario import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SEED = 20_210_601
+"""Of every random choice in the report, unless a section says otherwise."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """One reproduction under way.
+
+    Attributes:
+        folder: The report's folder.
+        quick: Smaller sizes: under two minutes for the whole report on two cores.
+        base: Scenario that the sections vary; the main job of the project unless the user gives another robot.
+        progress: Called with the share of the present section that is done, 0 to 1.
+    """
+
+    folder: Path
+    quick: bool = False
+    base: Scenario = field(default_factory=Scenario)
+    progress: Callable[[float], None] = lambda _: None
+
+    @property
+    def store(self) -> RunStore:
+        """Runs that are kept on disk."""
+        return RunStore(self.folder / "runs")
+
+    @property
+    def tuner_file(self) -> Path:
+        """Weights of the tuner: those that this report's own training has left, else those of the package."""
+        own = self.folder / self.name("tuner", ".json")
+        return own if own.is_file() else default_network_path()
+
+    @contextmanager
+    def locked(self, *inside: str) -> Iterator[None]:
+        """Keeps other processes out of the report's folder, and clears it of what a killed one left half written.
+
+        Args:
+            inside: Folders in it that are written to; they are made.
+
+        Raises:
+            ConfigurationError: Another process has one of them, or it cannot be written to.
+        """
+        with ExitStack() as locks:
+            for folder in (self.folder, *(self.folder / name for name in inside)):
+                locks.enter_context(locked_folder(prepare_folder(folder)))
+            yield
+
+    def name(self, stem: str, ending: str = "") -> str:
+        """Name of a file: a quick and a whole report in one folder do not overwrite each other's."""
+        return f"{stem}{'-quick' if self.quick else ''}{ending}"
+
+    def pick(self, full: Any, quick: Any) -> Any:
+        """One of two sizes."""
+        return quick if self.quick else full
+
+    def save_figure(self, figure: Figure, name: str) -> str:
+        """Keeps a picture for the report; returns the file's name for `Section.figure`."""
+        from stewart_drake.plotting import save_figure
+
+        (self.folder / "figures").mkdir(parents=True, exist_ok=True)
+        file = self.name(name, ".png")
+        save_figure(figure, self.folder / "figures" / file)
+        return file

@@ -1,0 +1,180 @@
+"""The workspace that the paper means: the states and torques that motions under its controller visit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.logs.log import AXES, SimulationLog
+from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
+from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.paper.study import Study
+from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
+from stewart_drake.planning.workspace import measure_poses
+from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.references import SineReference, paper_reference
+from stewart_drake.scenario import Scenario
+
+AMPLITUDE_SHARE = 0.5
+"""Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
+ONE_HERTZ = 2.0 * np.pi
+SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
+"""[rad/s] of the motion on all axes at once, around the paper's 2."""
+SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
+"""[rad, m] from which that motion is scaled to what is feasible."""
+
+LARGE_SPREAD = 1.5
+"""[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
+
+
+def controlled_motions(study: Study) -> dict[str, Scenario]:
+    """The runs to look at by name; first the base scenario's own motion, the paper's unless the user changes it.
+
+    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed.
+    """
+    base = study.base
+    robot, limits = base.robot, base.limits
+    whole_period = {"duration": min(base.duration, study.pick(10.0, 3.2))}
+    short = {"duration": min(base.duration, study.pick(5.0, 1.5))}
+    model = {"gravity": 0.0, "controller.feedforward": "none", "tuner.kind": "fixed"}
+    weights = {"tuner.omega_q": 1.0, "tuner.omega_r": 1.0}
+    own = "the paper's motion" if base.reference == paper_reference() else "the scenario's motion"
+    motions = {
+        own: base.replace(whole_period),
+        "the same without gravity, weights 1/1": base.replace(whole_period | model | weights),
+    }
+    for axis in study.pick((1, 2, 3, 4), (4,)):
+        largest = largest_amplitude(robot, limits, axis, 1.0, base.gravity)
+        reference = _sine(base, AMPLITUDE_SHARE * largest * np.eye(6)[axis], np.full(6, ONE_HERTZ))
+        name = AXES[axis] if axis < 3 else AXES[axis].upper()
+        motions[f"{name} at 1 Hz"] = base.replace(short | _as_change(reference))
+
+    def all_axes(scale: float) -> SineReference:
+        return _sine(base, scale * np.array(SIX_AMPLITUDES), np.array(SIX_FREQUENCIES))
+
+    scale = largest_scale(robot, limits, all_axes, short["duration"], base.gravity)
+    motions["all six axes"] = base.replace(short | _as_change(all_axes(AMPLITUDE_SHARE * scale)))
+    return motions
+
+
+def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> SineReference:
+    center, size, speed = (
+        (float(a), float(b), float(c), float(x), float(y), float(z))
+        for a, b, c, x, y, z in (base.robot.home_pose, amplitude, angular_frequency)
+    )
+    return SineReference(center=center, amplitude=size, angular_frequency=speed)
+
+
+def _as_change(reference: SineReference) -> dict[str, Any]:
+    plain = dataclasses.asdict(reference)
+    return {"reference": {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}}
+
+
+@dataclass(frozen=True, eq=False)
+class VisitedRegion:
+    """What one run visited.
+
+    Attributes:
+        name: Of the run.
+        log: The run.
+        envelope: The box around it.
+        use: Utilisation (n,) of each limit at its poses, at rest.
+        reference_use: Of its reference's poses.
+        peak_torque: [N m] largest of any motor, within its limit.
+        reference_torque: [N m] largest that the reference itself asks for, by the exact inverse dynamics.
+    """
+
+    name: str
+    log: SimulationLog
+    envelope: MotionEnvelope
+    use: dict[str, np.ndarray]
+    reference_use: dict[str, np.ndarray]
+    peak_torque: float
+    reference_torque: float
+
+    @property
+    def torque_use(self) -> float:
+        """[-] part of the motors' torque."""
+        return self.peak_torque / self.log.scenario.robot.effort_limit
+
+    @property
+    def speed(self) -> float:
+        """[rad/s] largest of any crank."""
+        return float(np.abs(self.envelope.crank_rate).max())
+
+    @property
+    def power(self) -> float:
+        """[W] largest of any motor, either way."""
+        return float(np.abs(self.envelope.power).max())
+
+    @property
+    def worst(self) -> tuple[float, str]:
+        """[-] largest part of a limit that a visited pose takes up, and the limit."""
+        return _worst(self.use)
+
+    @property
+    def reference_worst(self) -> tuple[float, str]:
+        """[-] largest part of a limit that a pose of the reference takes up, and the limit."""
+        return _worst(self.reference_use)
+
+
+def _worst(of: dict[str, np.ndarray]) -> tuple[float, str]:
+    use, cause = governing_limit(of)
+    at = int(use.argmax())
+    return float(use[at]), LIMIT_NAMES[cause[at]]
+
+
+def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
+    """What one run visited, up to where it ended."""
+    scenario = log.scenario
+    robot, limits, gravity = scenario.robot, scenario.limits, scenario.gravity
+    use, reference_use = (
+        utilisation(robot, limits, pose, measure_poses(robot, pose, gravity))
+        for pose in (log["pose"], log["reference"])
+    )
+    motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
+    wanted = inverse_dynamics(robot, *motion, gravity)
+    peaks = (float(np.abs(torque).max()) for torque in (log["torque_applied"], wanted))
+    return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
+
+
+def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
+    """What came of the claim that the method defines the workspace of states and torques.
+
+    Args:
+        regions: Of the runs that left a log, the scenario's own motion first.
+        runs: All that were tried.
+    """
+    done = [region for region in regions if region.log.reached_end]
+    if 2 * len(done) <= runs:
+        reasons = sorted({str(region.log.reason) for region in regions if not region.log.reached_end})
+        why = f" ({', '.join(reasons)})" if reasons else ""
+        return f"Does not hold: only {len(done)} of {runs} controlled motions came to their end{why}."
+    peaks = [region.peak_torque for region in done]
+    most = 100.0 * max(region.torque_use for region in done)
+    bounded = (
+        f"{len(done)} of {runs} controlled motions came to their end; each fills a bounded region of states "
+        f"and torques (up to {max(peaks):.2f} N m, {most:.0f} % of the motors' limit)"
+    )
+    first = regions[0]
+    (use, limit), (reference_use, _) = first.worst, first.reference_worst
+    own = (
+        f"{first.name[0].upper()}{first.name[1:]} takes up {100.0 * first.torque_use:.0f} % of the torque and at most "
+        f"{100.0 * use:.0f} % of a limit on poses ({limit.replace('_', ' ')}; "
+        f"its reference {100.0 * reference_use:.0f} %)."
+    )
+    outside = [region.name for region in done if region.worst[0] > 1.0]
+    if outside:
+        own += f" Poses beyond a limit were visited by: {'; '.join(outside)}."
+    range_ = f"from {min(peaks):.2f} to {max(peaks):.2f} N m"
+    if max(peaks) <= LARGE_SPREAD * min(peaks):
+        holds = "Holds" if len(done) == runs else "Holds in part"
+        return f"{holds}: {bounded}, and the largest torque hardly depends on the motion ({range_}). {own}"
+    return (
+        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque of a "
+        f"run goes {range_}. {own}"
+    )

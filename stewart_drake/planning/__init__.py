@@ -1,0 +1,1 @@
+"""What a robot can reach and whether a motion can be done."""

@@ -1,0 +1,335 @@
+"""Can this motion be done, and how large may it be: reports over the limits of `stewart_drake.planning.limits`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import reach_margin
+from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
+from stewart_drake.references import Reference
+from stewart_drake.robot import RobotParameters
+
+__all__ = [
+    "FeasibilityReport",
+    "LimitMargin",
+    "Limits",
+    "amplitude_table",
+    "check_motion",
+    "check_reference",
+    "largest_amplitude",
+    "largest_scale",
+]
+
+SEARCH_RTOL = 1e-4
+"""Relative width at which the searches for the largest amplitude and scale stop."""
+_HALF_PERIOD_SAMPLES = 257
+_SCALE_STEPS = 16
+_BLOCK = 8192
+
+
+@dataclass(frozen=True)
+class LimitMargin:
+    """The margin to one limit at one instant and place.
+
+    Attributes:
+        limit: Name of the limit, one of `limits.RULES`.
+        bound: The limit's value in `unit`.
+        margin: Signed distance to it in `unit`; negative is outside, -inf where the quantity itself is infinite.
+        time: [s].
+        leg: Leg 0..5, for `clearance` the first of the two; None where the limit belongs to the platform.
+        where: The place in words, such as `rod 1 to rod 2`.
+    """
+
+    limit: str
+    bound: float
+    margin: float
+    time: float
+    leg: int | None
+    where: str
+
+    @property
+    def unit(self) -> str:
+        """Unit of `bound` and `margin`."""
+        return RULES[self.limit][0]
+
+    @property
+    def allowed(self) -> str:
+        """The limit in words."""
+        return f"{RULES[self.limit][1].format(self.bound)} ({self.where})"
+
+
+@dataclass(frozen=True)
+class FeasibilityReport:
+    """What `check_motion` found.
+
+    Attributes:
+        smallest: The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need
+            crank angles are judged where all legs reach; one that could be judged nowhere is absent.
+        first_violation: The earliest broken limit, with the worst place at that instant; None if feasible.
+        unreachable: (n,) bool, samples at which a rod cannot span.
+    """
+
+    smallest: dict[str, LimitMargin]
+    first_violation: LimitMargin | None
+    unreachable: np.ndarray
+
+    @property
+    def feasible(self) -> bool:
+        """Whether no limit is broken."""
+        return self.first_violation is None
+
+    def raise_if_infeasible(self) -> None:
+        """Raises for the first violation, if there is one.
+
+        Raises:
+            InfeasibleReferenceError: With limit, time, leg and margin of the first violation.
+        """
+        v = self.first_violation
+        if v is not None:
+            raise InfeasibleReferenceError(v.limit, v.time, v.leg, v.margin, v.allowed)
+
+
+def check_motion(
+    robot: RobotParameters,
+    limits: Limits,
+    time: np.ndarray,
+    pose: np.ndarray,
+    pose_rate: np.ndarray,
+    pose_acceleration: np.ndarray,
+    gravity: float,
+) -> FeasibilityReport:
+    """Margins to all limits along a sampled motion.
+
+    That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
+    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`, which a
+    change of the determinant's sign breaks.
+
+    A pose out of reach does not raise: it is a violation of `reach`, and the samples after it are judged all the same.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to check.
+        time: (n,) [s] ascending.
+        pose: (n, 6) [rad, m].
+        pose_rate: (n, 6) [rad/s, m/s] Euler rates and velocity.
+        pose_acceleration: (n, 6) [rad/s^2, m/s^2] their time derivatives.
+        gravity: [m/s^2] along -z of B.
+
+    Returns:
+        The smallest margins and the first violation.
+
+    Raises:
+        ConfigurationError: An array of the wrong shape, or a value that is not finite.
+    """
+    time = np.asarray(time, dtype=float)
+    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
+        raise ConfigurationError("time", time, "finite numbers of shape (n,), n >= 1")
+    motion = {"pose": pose, "pose_rate": pose_rate, "pose_acceleration": pose_acceleration}
+    for name, values in motion.items():
+        motion[name] = np.asarray(values, dtype=float)
+        if motion[name].shape != (time.size, 6) or not np.isfinite(motion[name]).all():
+            raise ConfigurationError(name, values, f"finite numbers of shape ({time.size}, 6)")
+    if not math.isfinite(gravity):
+        raise ConfigurationError("gravity", gravity, "a finite number of m/s^2")
+    margins = limit_margins(robot, limits, **motion, gravity=gravity)
+    bounds = limit_bounds(robot, limits)
+
+    def at(limit: str, sample: int) -> LimitMargin:
+        column = int(np.nanargmin(margins[limit][sample]))
+        leg, where = PLACES[limit][column]
+        return LimitMargin(limit, bounds[limit], float(margins[limit][sample, column]), float(time[sample]), leg, where)
+
+    smallest = {
+        limit: at(limit, int(np.nanargmin(values)) // values.shape[1])
+        for limit, values in margins.items()
+        if not np.isnan(values).all()
+    }
+    broken = {limit: (values < 0.0).any(axis=-1) for limit, values in margins.items()}
+    first = min(((int(b.argmax()), limit) for limit, b in broken.items() if b.any()), key=lambda v: v[0], default=None)
+    unreachable = np.any(reach_margin(robot, motion["pose"]) < 0.0, axis=-1)
+    return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]), unreachable)
+
+
+def check_reference(
+    robot: RobotParameters,
+    limits: Limits,
+    reference: Reference,
+    duration: float,
+    gravity: float = STANDARD_GRAVITY,
+    samples_per_second: float = 500.0,
+) -> FeasibilityReport:
+    """`check_motion` of a reference from 0 to `duration`, both ends included.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to check.
+        reference: The motion.
+        duration: [s] > 0.
+        gravity: [m/s^2] along -z of B.
+        samples_per_second: [1/s] at least; at the default a peak of a 5 Hz signal is met to 5e-4, of 12 Hz to 3e-3.
+
+    Raises:
+        ConfigurationError: A duration or rate that is not positive; as in `check_motion`.
+    """
+    for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigurationError(name, value, "a finite number above 0")
+    time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
+    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
+    # singularity can be jumped over between two.
+    starts = range(0, max(1, time.size - 1), _BLOCK)
+    blocks = [time[start : start + _BLOCK + 1] for start in starts]
+    reports = [check_motion(robot, limits, block, *reference.evaluate(block), gravity) for block in blocks]
+    return _joined(reports)
+
+
+def _joined(reports: Sequence[FeasibilityReport]) -> FeasibilityReport:
+    """One report of consecutive blocks that share their end samples."""
+    smallest: dict[str, LimitMargin] = {}
+    for limit in RULES:
+        found = [report.smallest[limit] for report in reports if limit in report.smallest]
+        if found:
+            smallest[limit] = min(found, key=lambda margin: margin.margin)
+    first = next((report.first_violation for report in reports if report.first_violation is not None), None)
+    unreachable = [reports[0].unreachable, *(report.unreachable[1:] for report in reports[1:])]
+    return FeasibilityReport(smallest, first, np.concatenate(unreachable))
+
+
+def largest_amplitude(
+    robot: RobotParameters,
+    limits: Limits,
+    axis: int,
+    frequency_hz: float,
+    gravity: float,
+    center: np.ndarray | None = None,
+) -> float:
+    """Largest A for which center + a sin(2 pi f t) along one axis is feasible for every a <= A.
+
+    Whether all amplitudes up to A are feasible can be told from A alone. At an offset x the acceleration is
+    -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 (a = |x|) to (2 pi f)^2 (A^2 - x^2). Crank
+    speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to keep to.
+        axis: 0..5, roll, pitch, yaw, X, Y, Z.
+        frequency_hz: [Hz] >= 0; zero asks for the range at rest.
+        gravity: [m/s^2] along -z of B.
+        center: (6,) [rad, m] middle of the motion; None takes home.
+
+    Returns:
+        [rad] or [m], feasible, below the largest by a relative 1e-4 at most; angles end at pi. Zero where the center
+        itself is not feasible.
+
+    Raises:
+        ConfigurationError: An axis outside 0..5, a negative frequency, or a center that is not finite or not (6,).
+    """
+    middle = robot.home_pose if center is None else np.asarray(center, dtype=float)
+    if axis not in range(6):
+        raise ConfigurationError("axis", axis, "0..5: roll, pitch, yaw, X, Y, Z")
+    if not (math.isfinite(frequency_hz) and frequency_hz >= 0.0):
+        raise ConfigurationError("frequency_hz", frequency_hz, "a finite number, at least 0")
+    if middle.shape != (6,) or not np.isfinite(middle).all():
+        raise ConfigurationError("center", middle, "finite numbers of shape (6,)")
+    omega = 2.0 * math.pi * frequency_hz
+    # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
+    phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
+    offset = np.tile(np.sin(phase), 2)
+    speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])
+    along = np.eye(6)[axis]
+
+    def feasible(amplitude: float) -> bool:
+        pose = middle + amplitude * offset[:, None] * along
+        rate = amplitude * speed[:, None] * along
+        acceleration = -(omega**2) * amplitude * offset[:, None] * along
+        margins = limit_margins(robot, limits, pose, rate, acceleration, gravity)
+        return not any((values < 0.0).any() for values in margins.values())
+
+    # No platform joint is further from its shaft than crank and rod together.
+    span = robot.crank_length + robot.rod_length + robot.platform_joint_radius
+    shafts = math.hypot(robot.shaft_circle_radius, robot.shaft_height)
+    most = math.pi if axis < 3 else span + shafts + float(np.linalg.norm(middle[3:]))
+    if not feasible(0.0):
+        return 0.0
+    return most if feasible(most) else bisect(feasible, 0.0, most)
+
+
+def amplitude_table(
+    robot: RobotParameters,
+    limits: Limits,
+    frequencies: Iterable[float],
+    gravity: float,
+    center: np.ndarray | None = None,
+) -> np.ndarray:
+    """`largest_amplitude` of every axis at every frequency.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to keep to.
+        frequencies: [Hz] n_f of them.
+        gravity: [m/s^2] along -z of B.
+        center: (6,) [rad, m] middle of the motion; None takes home.
+
+    Returns:
+        (n_f, 6) [rad, m].
+
+    Raises:
+        ConfigurationError: As in `largest_amplitude`.
+    """
+    rows = [[largest_amplitude(robot, limits, axis, f, gravity, center) for axis in range(6)] for f in frequencies]
+    return np.array(rows).reshape(-1, 6)
+
+
+def largest_scale(
+    robot: RobotParameters,
+    limits: Limits,
+    make_reference: Callable[[float], Reference],
+    duration: float,
+    gravity: float,
+    samples_per_second: float = 500.0,
+) -> float:
+    """Largest scale in [0, 1] for which the scaled reference, and each smaller one tried, is feasible.
+
+    In general a larger scale may be feasible where a smaller one is not; 16 equal steps look for that before bisection.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        limits: What to keep to.
+        make_reference: The motion for a scale.
+        duration: [s] > 0.
+        gravity: [m/s^2] along -z of B.
+        samples_per_second: As in `check_reference`.
+
+    Returns:
+        [-] feasible, to a relative 1e-4. Zero where scale 0 is not feasible.
+
+    Raises:
+        ConfigurationError: As in `check_reference`.
+    """
+
+    def feasible(scale: float) -> bool:
+        return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible
+
+    low = 0.0
+    if not feasible(low):
+        return low
+    for high in np.linspace(0.0, 1.0, _SCALE_STEPS + 1)[1:].tolist():
+        if not feasible(high):
+            return bisect(feasible, low, high)
+        low = high
+    return low
+
+
+def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:
+    """The last feasible value met on the way to the boundary between `low`, feasible, and `high`, not feasible."""
+    smallest = SEARCH_RTOL**2 * high
+    while high - low > SEARCH_RTOL * high and high > smallest:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if feasible(middle) else (low, middle)
+    return low

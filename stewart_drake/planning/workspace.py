@@ -1,0 +1,288 @@
+"""What the robot can do at each of many poses: fast, closed forms over arrays with the poses on the last axis.
+
+The same quantities as in `kinematics`, `limits` and `rigid_body_model`, several times faster: crank angles are never
+formed (their cosine and sine follow from A, B, C of the crank equation), all vectors are kept as (3, legs, poses), and
+blocks that fit the cache go to a pool of threads (numpy lets go of the interpreter inside its loops).
+
+Serial and parallel singularities are told apart by two measures. `transmission` |e_l . e_N| is zero where a crank is at
+its dead centre (serial): the motor moves, the platform does not; `reach` is zero there too. `conditioning` is zero
+where the rods' lines lose rank (parallel): the platform moves, the motors do not. Its sign is that of the rods'
+determinant relative to home, so that a pose beyond a parallel singularity is known from one before it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines, rotation_matrix
+from stewart_drake.robot import LEGS, RobotParameters
+
+_BLOCK = 1024  # poses at a time: 15 pairs of legs each, arrays of 120 kB, a dozen of them alive
+_REACH_BLOCK = 8192
+_NEARLY_SINGULAR = 1e-3
+_ONE, _OTHER = np.array(list(itertools.combinations(range(LEGS), 2))).T
+
+
+@dataclass(frozen=True)
+class PoseMeasures:
+    """Measures of n poses, each (n,); all but `reach` are NaN where a rod cannot span.
+
+    Attributes:
+        reach: [-] smallest 1 - |C| / sqrt(A^2 + B^2) of a leg; negative where a rod cannot span.
+        transmission: [-] smallest |e_l . e_N| of a leg; zero at a serial singularity.
+        conditioning: [-] sigma_min / sigma_max as in `kinematics.conditioning`, negative where the rods' determinant
+            has not the sign that it has at home; zero at a parallel singularity.
+        ball_swing: [rad] largest swing of a rod from home, seen in the platform.
+        universal_swing: [rad] largest swing of a rod from home, seen in its crank.
+        clearance: [m] smallest distance of the surfaces of links of different legs; negative where they overlap.
+        holding_torque: [N m] largest |motor torque| at rest; infinite exactly at a parallel singularity.
+        force: [N] largest force, without moment about P, that can be exerted in any direction whatever.
+        moment: [N m] largest moment, without force, that can be exerted in any direction whatever.
+    """
+
+    reach: np.ndarray
+    transmission: np.ndarray
+    conditioning: np.ndarray
+    ball_swing: np.ndarray
+    universal_swing: np.ndarray
+    clearance: np.ndarray
+    holding_torque: np.ndarray
+    force: np.ndarray
+    moment: np.ndarray
+
+
+def measure_poses(
+    robot: RobotParameters,
+    pose: np.ndarray,
+    gravity: float = STANDARD_GRAVITY,
+    torque_limit: float | None = None,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> PoseMeasures:
+    """Every measure of `PoseMeasures` at every pose.
+
+    Force and moment are balls inscribed into the image of the torque limits, a box, under the statics map. To exert
+    the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of (18),
+    `statics`. Over all forces of size r the term A_i w of motor i runs from -r |a_i| to +r |a_i|, a_i the three entries
+    of row i that belong to the force (or to the moment). So r can be exerted in every direction exactly as long as
+    |t_i| + r |a_i| <= T_max for all i: the largest is min_i (T_max - |t_i|) / |a_i|. It is zero where the weight alone
+    is too much.
+
+    Args:
+        robot: Geometry, masses, effort limit.
+        pose: (n, 6) [rad, m].
+        gravity: [m/s^2] along -z of B.
+        torque_limit: [N m] T_max; None takes the robot's own.
+        workers: Threads; None takes one for each processor.
+        progress: Called with the share done, 0 to 1.
+
+    Returns:
+        What the functions of those modules give, to rounding: 1e-12 relative, but for `conditioning` (1e-11 absolute),
+        the swings (1e-8 rad, worst at 180 deg), `transmission` at a dead centre (1e-8 absolute), and torque, force and
+        moment near a parallel singularity (1e-14 / conditioning relative).
+
+    Raises:
+        ConfigurationError: Poses that are not finite or not (n, 6).
+    """
+    pose = np.asarray(pose, dtype=float)
+    if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
+        raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
+    limit = robot.effort_limit if torque_limit is None else torque_limit
+    table = np.full((len(fields(PoseMeasures)), len(pose)), np.nan)
+    table[0] = smallest_reach(robot, pose)
+    within = np.flatnonzero(table[0] >= 0.0)
+    home = _HomeRods.of(robot)
+
+    def fill(first: int) -> None:
+        block = within[first : first + _BLOCK]
+        table[1:, block] = _measure(robot, home, pose[block], gravity, limit)
+
+    starts = range(0, len(within), _BLOCK)
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        try:
+            for done, _ in enumerate(pool.map(fill, starts)):
+                if progress is not None:
+                    progress((done + 1) / len(starts))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return PoseMeasures(*table)
+
+
+def smallest_reach(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+    """The measure `PoseMeasures.reach` alone, at a fiftieth of the cost of all; (n,) [-] of poses (n, 6) [rad, m]."""
+    reach = np.empty(len(pose))
+    for first in range(0, len(pose), _REACH_BLOCK):
+        block = slice(first, first + _REACH_BLOCK)
+        reach[block] = _Cranks(robot, pose[block]).reach.min(axis=0)
+    return reach
+
+
+class _Cranks:
+    """The crank equation A cos(theta) + B sin(theta) = C of every leg; arrays (6, n), vectors (3, 6, n)."""
+
+    def __init__(self, robot: RobotParameters, pose: np.ndarray) -> None:
+        self.rotation = np.ascontiguousarray(np.moveaxis(rotation_matrix(pose[:, :3]), 0, -1))
+        self.arm = robot.platform_joints @ self.rotation
+        self.joint = self.arm + pose[:, 3:].T[:, None, :]
+        self.span = self.joint - robot.shaft_positions.T[:, :, None]
+        a, h = robot.crank_length, robot.crank_zero_directions.T[:, :, None]
+        self.along = (2.0 * a) * (self.span[0] * h[0] + self.span[1] * h[1])
+        self.up = (2.0 * a) * self.span[2]
+        self.constant = _dot(self.span, self.span) + (a * a - robot.rod_length**2)
+        self.size = np.hypot(self.along, self.up)
+        ratio = np.divide(self.constant, self.size, out=np.full_like(self.size, np.inf), where=self.size > 0.0)
+        self.reach = 1.0 - np.abs(ratio)
+
+
+@dataclass(frozen=True)
+class _HomeRods:
+    """What the swings and the side of a parallel singularity are told from."""
+
+    in_platform: np.ndarray  # (3, 6)
+    in_crank: np.ndarray  # (3, 6) along the crank, the motor axis z x h, and e_N
+    side: float  # sign of the rods' determinant
+
+    @staticmethod
+    def of(robot: RobotParameters) -> _HomeRods:
+        legs = leg_geometry(robot, robot.home_pose)
+        in_platform = legs.e_l @ rotation_matrix(robot.home_pose[:3])
+        axis = np.cross([0.0, 0.0, 1.0], robot.crank_zero_directions)
+        in_crank = [np.sum(legs.e_l * direction, axis=-1) for direction in (legs.crank, axis, legs.e_n)]
+        return _HomeRods(in_platform.T, np.array(in_crank), float(np.sign(np.linalg.det(rod_lines(legs)))) or 1.0)
+
+
+def _measure(
+    robot: RobotParameters, home: _HomeRods, pose: np.ndarray, gravity: float, torque_limit: float
+) -> np.ndarray:
+    """All fields of `PoseMeasures` but the first, (8, n), of poses within reach."""
+    cranks = _Cranks(robot, pose)
+    a, length = robot.crank_length, robot.rod_length
+    h = robot.crank_zero_directions.T
+    # theta = atan2(B, A) + branch acos(C / size), so no angle is needed: with root = branch sqrt(size^2 - C^2),
+    # cos = (A C - B root) / size^2, sin = (B C + A root) / size^2 and e_l . e_N = -root / (2 a l).
+    square = cranks.size * cranks.size
+    root = robot.branch * np.sqrt((cranks.size - cranks.constant) * (cranks.size + cranks.constant))
+    cosine = (cranks.along * cranks.constant - cranks.up * root) / square
+    sine = (cranks.up * cranks.constant + cranks.along * root) / square
+    transmission = root / (-2.0 * a * length)
+    crank = cosine * h[:, :, None]
+    crank[2] += sine
+    e_l = (cranks.span - a * crank) / length
+
+    in_crank = (
+        (cranks.constant / (2.0 * a) - a) / length,
+        (cranks.span[1] * h[0][:, None] - cranks.span[0] * h[1][:, None]) / length,
+        transmission,
+    )
+    lines = np.concatenate([_cross(cranks.arm, e_l), e_l])
+    conditioning, inverse = _invert(robot, home, lines)
+    return np.stack(
+        [
+            np.abs(transmission).min(axis=0),
+            conditioning,
+            _largest_swing(e_l, np.einsum("ckn,kl->cln", cranks.rotation, home.in_platform)),
+            _largest_swing(in_crank, home.in_crank[:, :, None]),
+            _smallest_distance(robot, cranks, crank, e_l) - 2.0 * robot.link_radius,
+            *_strength(robot, cranks.arm, cosine, a * transmission, inverse, gravity, torque_limit),
+        ]
+    )
+
+
+def _invert(robot: RobotParameters, home: _HomeRods, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed conditioning (n,) and the inverse [twist component, leg] (6, 6, n) of the rods' lines (6, 6, n).
+
+    The singular values come from the eigenvalues of rows rows', at half the cost; where squaring would lose digits,
+    from the singular value decomposition. The inverse of a singular matrix is infinite.
+    """
+    rows = np.ascontiguousarray(lines.transpose(2, 1, 0))
+    determinant = np.linalg.det(rows)
+    singular = determinant == 0.0
+    scaled = rows.copy()
+    scaled[..., :3] /= robot.characteristic_length
+    square = np.linalg.eigvalsh(scaled @ scaled.swapaxes(-1, -2))
+    ratio = np.sqrt(np.maximum(square[:, 0], 0.0) / square[:, -1])
+    small = np.flatnonzero(ratio < _NEARLY_SINGULAR)
+    if small.size:
+        sigma = np.linalg.svd(scaled[small], compute_uv=False)
+        ratio[small] = sigma[:, -1] / sigma[:, 0]
+    rows[singular] = np.eye(6)
+    inverse = np.ascontiguousarray(np.linalg.inv(rows).transpose(1, 2, 0))
+    inverse[..., singular] = np.inf
+    return ratio * np.sign(determinant) * home.side, inverse
+
+
+def _strength(
+    robot: RobotParameters,
+    arm: np.ndarray,
+    cosine: np.ndarray,
+    lever: np.ndarray,
+    inverse: np.ndarray,
+    gravity: float,
+    torque_limit: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Holding torque, force and moment, each (n,); `lever` (6, n) [m] is torque over rod force."""
+    half_rod = 0.5 * robot.rod_mass * gravity
+    weight = robot.platform_mass * gravity + LEGS * half_rod
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Each platform joint carries half a rod, each crank half a rod at its tip and its own weight in the middle.
+        rod_force = half_rod * (inverse[0] * arm[1].sum(axis=0) - inverse[1] * arm[0].sum(axis=0)) + weight * inverse[5]
+        own = (half_rod + 0.5 * robot.crank_mass * gravity) * robot.crank_length * cosine
+        torque = np.abs(lever * rod_force + own)
+        # At a parallel singularity infinities of both signs meet in the sum: no torque holds.
+        torque[np.isnan(torque)] = np.inf
+        spare = torque_limit - torque
+        size = np.abs(lever)
+        moment, force = (
+            np.where(spare > 0.0, spare / (size * np.sqrt(_dot(part, part))), 0.0).min(axis=0)
+            for part in (inverse[:3], inverse[3:])
+        )
+    return torque.max(axis=0), force, moment
+
+
+def _largest_swing(now: np.ndarray | tuple[np.ndarray, ...], then: np.ndarray) -> np.ndarray:
+    """Largest angle (n,) [rad] over the legs between unit vectors, from the chord between their ends."""
+    chord = sum((one - other) ** 2 for one, other in zip(now, then, strict=True))
+    return 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(chord, axis=0)), 1.0))
+
+
+def _smallest_distance(robot: RobotParameters, cranks: _Cranks, crank: np.ndarray, e_l: np.ndarray) -> np.ndarray:
+    """Smallest distance (n,) [m] between centre lines of links of different legs.
+
+    `limits.segment_distance` with unit directions, so that a link's parameter is the length along it.
+    """
+    shaft = np.broadcast_to(robot.shaft_positions.T[:, :, None], cranks.span.shape)
+    links = ((shaft, crank, robot.crank_length), (shaft + robot.crank_length * crank, e_l, robot.rod_length))
+    of_one = [(start[:, _ONE], direction[:, _ONE], length) for start, direction, length in links]
+    of_other = [(start[:, _OTHER], direction[:, _OTHER], length) for start, direction, length in links]
+    smallest = np.full((len(_ONE), crank.shape[-1]), np.inf)
+    for (start, u, end), (other_start, v, other_end) in itertools.product(of_one, of_other):
+        r = start - other_start
+        uv, ur, vr = _dot(u, v), _dot(u, r), _dot(v, r)
+        determinant = 1.0 - uv * uv
+        skew = determinant > np.finfo(float).eps
+        s = np.clip((uv * vr - ur) / np.where(skew, determinant, 1.0), 0.0, end) * skew
+        t = np.clip(uv * s + vr, 0.0, other_end)
+        s = np.clip(uv * t - ur, 0.0, end)
+        r += s * u
+        r -= t * v
+        np.minimum(smallest, _dot(r, r), out=smallest)
+    return np.sqrt(smallest.min(axis=0))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar product over the first axis, of length three."""
+    product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product over the first axis."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,0 +1,1 @@
+"""The robot as Drake's MultibodyPlant, from a generated SDF."""

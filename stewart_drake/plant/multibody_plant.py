@@ -1,0 +1,268 @@
+"""The 14-body robot as a discrete SAP `MultibodyPlant`.
+
+Drake holds the loops closed by six ball constraints. Their gap grows with the square of the step, about 6e-7 m at 1 ms;
+the motion itself is first order in the step. Report `StewartPlant.loop_gap` with every run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    ContactModel,
+    DiscreteContactApproximation,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    LinearBushingRollPitchYaw,
+    PdControllerGains,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
+from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
+
+from stewart_drake.errors import ConfigurationError, drake_guard
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
+from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
+from stewart_drake.plant.state_map import StateIndices, StateMap
+from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.sampling import on_grid
+from stewart_drake.section import check_leg, is_finite
+
+
+class StewartPlant(StateMap):
+    """A finalised plant in a Diagram, its two ports, and the maps to and from its state; made by `add_plant`.
+
+    Ports: torque (6,) [N m], clipped to the effort limit; state (nq + nv,).
+
+    Attributes:
+        robot: Geometry and masses.
+        options: What else is modelled.
+        gravity: [m/s^2] along -z.
+        plant: The multibody plant: nq 25 and nv 24, or 31 and 30 with ball joints on the cranks.
+        scene_graph: Where the geometry is registered, or None.
+        torque_input_port: (6,) [N m] motor torques, however many actuators friction needs inside.
+        state_output_port: (nq + nv,) the state.
+        state_names: Drake's names of the state's entries, (nq + nv).
+        indices: Where things are in the state.
+    """
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        options: PlantOptions,
+        gravity: float,
+        plant: MultibodyPlant,
+        scene_graph: SceneGraph | None,
+        torque_input_port: InputPort,
+    ) -> None:
+        super().__init__(robot, options.rod_joint, _state_indices(plant, options.rod_joint))
+        self.options, self.gravity = options, gravity
+        self.plant, self.scene_graph = plant, scene_graph
+        self.torque_input_port = torque_input_port
+        # The SDF has them leg by leg, and no other constraints.
+        self._closures = tuple(plant.GetConstraintIds())
+        self.state_output_port: OutputPort = plant.get_state_output_port()
+        self.state_names: tuple[str, ...] = tuple(plant.GetStateNames(add_model_instance_prefix=False))
+
+    def break_rod(self, context: Context, leg: int) -> None:
+        """Takes a rod off the platform, from the next step on; between two advances of a Simulator, not inside one.
+
+        Args:
+            context: Context of the whole Diagram, not the plant's own in it.
+            leg: 0 to 5.
+
+        Raises:
+            ConfigurationError: Another leg.
+            DrakeCheckError: The Context is not that of the Diagram around this plant.
+        """
+        check_leg("leg", leg)
+        with drake_guard("breaking a rod"):
+            mine = self.plant.GetMyMutableContextFromRoot(context)
+            self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
+
+    def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
+        """Puts the plant into `assemble(pose, pose_rate)`.
+
+        Args:
+            context: Context of the whole Diagram, not the plant's own in it.
+            pose: (6,) [rad, m].
+            pose_rate: (6,) [rad/s, m/s]; None is rest.
+
+        Raises:
+            UnreachablePoseError, SingularPoseError, ConfigurationError: As in `assemble`.
+            DrakeCheckError: The Context is not that of the Diagram around this plant.
+        """
+        state = self.assemble(pose, pose_rate)
+        with drake_guard("setting the plant's state"):
+            self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
+
+
+def add_plant(
+    builder: DiagramBuilder,
+    robot: RobotParameters,
+    options: PlantOptions | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    *,
+    visuals: bool = False,
+) -> StewartPlant:
+    """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
+
+    Like Drake's `AddMultibodyPlantSceneGraph` it wires what belongs to the plant alone: the SceneGraph, and the two
+    sources that friction needs. Where neither pictures nor collision are asked for there is no SceneGraph.
+
+    Args:
+        builder: Receives the system `plant`, and as needed `scene_graph`, `friction_torque`, `friction_target`.
+        robot: Geometry and masses.
+        options: What else is modelled; None takes the defaults.
+        gravity: [m/s^2] magnitude, along -z.
+        visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
+
+    Returns:
+        The plant and its ports. The torque port must be connected or fixed.
+
+    Raises:
+        ConfigurationError: Gravity is negative or not finite, or the platform's joints are damped more than the time
+            step bears.
+        DrakeCheckError: Drake refuses the model.
+    """
+    options = PlantOptions() if options is None else options
+    if not is_finite(gravity) or gravity < 0.0:
+        raise ConfigurationError("gravity", gravity, "a finite number of m/s^2, zero or positive")
+    limit = platform_damping_limit(robot, options)
+    if options.platform_joint_damping > limit:
+        raise ConfigurationError(
+            "plant.platform_joint_damping",
+            options.platform_joint_damping,
+            f"at most {limit:.3g} N m s/rad for this robot at a time step of {options.time_step:g} s",
+        )
+    with drake_guard("building the plant"):
+        plant = MultibodyPlant(on_grid(options.time_step))
+        plant.set_name("plant")
+        # Sampled outputs would make the step an unrestricted update, which Drake takes before the discrete updates of
+        # the same instant: a discrete controller or sensor would then read the state after the step.
+        plant.SetUseSampledOutputPorts(False)
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        plant.set_contact_model(ContactModel.kPoint)
+        scene_graph: SceneGraph | None = None
+        if visuals or options.collision:
+            _, scene_graph = AddMultibodyPlantSceneGraph(builder, plant)
+        else:
+            builder.AddSystem(plant)
+        text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision)
+        Parser(plant).AddModelsFromString(text, "sdf")
+        plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
+        _add_damping(plant, robot, options)
+        if options.motor_friction > 0.0:
+            _add_friction_actuators(plant, options.motor_friction)
+        if options.payload_mass > 0.0:
+            _add_payload(plant, options)
+        plant.Finalize()
+        torque_input_port = plant.get_actuation_input_port()
+        if options.motor_friction > 0.0:
+            torque_input_port = _wire_friction(builder, plant)
+    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port)
+
+
+def build_plant(
+    robot: RobotParameters,
+    options: PlantOptions | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    *,
+    visuals: bool = False,
+) -> tuple[Diagram, StewartPlant]:
+    """A Diagram that holds the plant and nothing else, with its ports exported as `torque` and `state`.
+
+    Args:
+        robot: Geometry and masses.
+        options: As in `add_plant`.
+        gravity: As in `add_plant`.
+        visuals: As in `add_plant`.
+
+    Raises:
+        ConfigurationError, DrakeCheckError: As in `add_plant`.
+    """
+    builder = DiagramBuilder()
+    stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
+    with drake_guard("building the plant"):
+        builder.ExportInput(stewart.torque_input_port, "torque")
+        builder.ExportOutput(stewart.state_output_port, "state")
+        return builder.Build(), stewart
+
+
+def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions) -> None:
+    """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
+
+    There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
+    Drake takes its torque from the state before the step, and Euler rates are singular at a pitch of 90 deg.
+    Its energy is not implemented: `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
+    """
+    for leg in range(LEGS):
+        for name, damping in (("motor", options.motor_damping), (options.rod_joint, options.universal_damping)):
+            joint = plant.GetJointByName(f"{name}_{leg}")
+            joint.set_default_damping_vector(np.full(joint.num_velocities(), damping))
+    if options.platform_joint_damping == 0.0:
+        return
+    platform = plant.GetFrameByName("platform")
+    zero, resistance = np.zeros(3), np.full(3, options.platform_joint_damping)
+    for leg, (rotation, joint) in enumerate(zip(home_frames(robot).rod_rotation, robot.platform_joints, strict=True)):
+        at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_length])
+        rod = plant.GetFrameByName(f"rod_{leg}")
+        rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
+        seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))
+        plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
+
+
+def _add_payload(plant: MultibodyPlant, options: PlantOptions) -> None:
+    """A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF."""
+    point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+    body = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
+    at = RigidTransform(np.array(options.payload_position))
+    plant.WeldFrames(plant.GetFrameByName("platform"), body.body_frame(), at)
+
+
+def _add_friction_actuators(plant: MultibodyPlant, friction: float) -> None:
+    """Dry friction, which Drake's joints lack: a servo on each motor that asks for rest with limited effort."""
+    gains = PdControllerGains(p=0.0, d=friction / STICTION_SPEED)
+    for leg in range(LEGS):
+        actuator = plant.AddJointActuator(f"friction_{leg}", plant.GetJointByName(f"motor_{leg}"), friction)
+        actuator.set_controller_gains(gains)
+
+
+def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant) -> InputPort:
+    """Feeds the twelve actuators: motors from the port returned, friction from zeros."""
+    rows = [plant.GetJointActuatorByName(f"motor_{leg}").input_start() for leg in range(LEGS)]
+    selection = np.zeros((plant.num_actuators(), LEGS))
+    selection[rows, np.arange(LEGS)] = 1.0
+    spread = builder.AddNamedSystem("friction_torque", MatrixGain(selection))
+    # A desired state left unconnected would disarm the servos without a word.
+    target = builder.AddNamedSystem("friction_target", ConstantVectorSource(np.zeros(2 * plant.num_actuators())))
+    instance = plant.GetModelInstanceByName("stewart")
+    builder.Connect(spread.get_output_port(), plant.get_actuation_input_port())
+    builder.Connect(target.get_output_port(), plant.get_desired_state_input_port(instance))
+    port: InputPort = spread.get_input_port()
+    return port
+
+
+def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
+    nq = plant.num_positions()
+    motors = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
+    rods = [plant.GetJointByName(f"{rod_joint}_{leg}") for leg in range(LEGS)]
+    platform = plant.GetBodyByName("platform")
+    first_q, first_v = platform.floating_positions_start(), platform.floating_velocities_start_in_v()
+    return StateIndices(
+        crank=np.array([joint.position_start() for joint in motors]),
+        rod=np.array([joint.position_start() + np.arange(joint.num_positions()) for joint in rods]),
+        quaternion=first_q + np.arange(4),
+        position=first_q + np.arange(4, 7),
+        crank_rate=nq + np.array([joint.velocity_start() for joint in motors]),
+        rod_rate=nq + np.array([joint.velocity_start() + np.arange(joint.num_velocities()) for joint in rods]),
+        twist=nq + first_v + np.arange(6),
+    )

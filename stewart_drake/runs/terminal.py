@@ -1,0 +1,153 @@
+"""What the commands show on the terminal: progress bars and tables."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from stewart_drake.planning.feasibility import FeasibilityReport
+    from stewart_drake.logs.log import SimulationLog
+
+
+class ProgressBar:
+    """A progress bar of simulated seconds (or of runs, epochs) on the terminal."""
+
+    def __init__(self, title: str, total: float, quiet: bool, unit: str = "s") -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        digits = 2 if unit == "s" else 0
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn(f"{{task.completed:.{digits}f}} / {{task.total:.{digits}f}} {unit}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console(stderr=True),
+            disable=quiet,
+            # A refresh thread would take the interpreter from the simulation at every step.
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task(title, total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return self._advance
+
+    def _advance(self, completed: float, title: str | None = None) -> None:
+        self._bar.update(self._task, completed=completed, description=title, refresh=True)
+
+    def __exit__(self, *details: object) -> None:
+        self._bar.stop()
+
+
+def announce_compilation(controller: Any) -> None:
+    """Says why nothing moves for half a minute, where that lies ahead, given `Scenario.controller`."""
+    if controller.kind != "lqi" or not controller.compiled:
+        return
+    # numba takes half a second to import.
+    from stewart_drake.compiled.control import lqi_tick
+    from stewart_drake.compiled.jit import is_kept
+
+    if not is_kept(lqi_tick):
+        console(stderr=True).print("compiling: half a minute, once on this machine", highlight=False)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keeps numpy's and others' warnings about numbers that are not finite off the terminal: our checks find those.
+
+    Python's own option -W shows them all the same.
+    """
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")
+        yield
+
+
+def console(stderr: bool = False) -> Any:
+    """Terminal that wraps and colours; where nobody reads any more, what is written is lost and nothing else."""
+    from rich.console import Console
+
+    class Patient(Console):
+        def on_broken_pipe(self) -> None:
+            drop_output(self.file)
+
+    return Patient(stderr=stderr)
+
+
+def drop_output(stream: IO[str]) -> None:
+    """From here on a stream goes nowhere, so that its buffer does no harm at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    """A table of two columns on standard output."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(justify="right", overflow="fold")
+    for name, value in rows:
+        table.add_row(name, escape(value))
+    console().print(table)
+
+
+def print_margins(title: str, report: FeasibilityReport) -> None:
+    """The smallest margin of a motion to each of its limits, with its time and place, on standard output."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left")
+    for name in ("limit", "allowed", "smallest margin", "at", "where"):
+        table.add_column(name, justify="left" if name in ("limit", "where") else "right")
+    for name, worst in report.smallest.items():
+        allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
+        margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
+        table.add_row(*map(escape, (name, allowed, margin, f"{worst.time:.3f} s", worst.where)))
+    console().print(table)
+
+
+def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
+    """How a run went, as a table."""
+
+    def numbers(values: list[float | None] | None, unit: str, form: str = "{:.4g}") -> str:
+        shown = ["-" if v is None else form.format(v) for v in values or ()]
+        return f"{'  '.join(shown)} {unit}" if shown else "-"
+
+    def figures(form: str, *names: str, unit: str = "") -> str:
+        return ", ".join("-" if metrics[name] is None else form.format(metrics[name]) for name in names) + unit
+
+    rows = [
+        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
+        ("simulated time", f"{log.end_time:.3f} s"),
+        ("RMSE roll pitch yaw, second half", numbers(metrics["rmse_deg"], "deg")),
+        ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
+        ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
+        ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
+        (
+            "largest error, whole run",
+            f"{figures('{:.4g} deg', 'error_max_deg')}, {figures('{:.4g} mm', 'error_max_mm')}",
+        ),
+        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
+    ]
+    if len(log.time):
+        rows += [
+            ("torque RMS, peak", figures("{:.3f}", "torque_rms", "torque_peak", unit=" N m")),
+            ("share of torques at the limit", figures("{:.2%}", "saturated_fraction")),
+            ("largest loop gap", figures("{:.2e}", "loop_gap_max_m", unit=" m")),
+        ]
+    if "weights" in log.signals:
+        rows.append(("omega_Q, omega_R, mean", figures("{:.3g}", "omega_q", "omega_r")))
+    rows += [(f"warning: {w['name']}", f"{w['text']}, t = {w['time']:.3f} s") for w in metrics["warnings"]]
+    factor = metrics["real_time_factor"]
+    rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]
+    print_table(log.scenario.name, rows)

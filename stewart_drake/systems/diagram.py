@@ -1,0 +1,351 @@
+"""The closed loop of Fig. 6 as one Diagram; the only place that connects its systems (`plant` wires its own parts)."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Demultiplexer,
+    LogVectorOutput,
+    VectorLogSink,
+    ZeroOrderHold,
+)
+
+from stewart_drake.control.computed_torque import ComputedTorqueOptions
+from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.user_controller import PythonOptions
+from stewart_drake.errors import UnreachablePoseError, drake_guard
+from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
+from stewart_drake.sampling import on_grid, steps_per
+from stewart_drake.scenario import Scenario
+from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems.command_link import CommandLink
+from stewart_drake.systems.computed_torque import ComputedTorque
+from stewart_drake.systems.density_features import DensityFeatures
+from stewart_drake.systems.faulty_sensor import FaultySensor
+from stewart_drake.systems.finite_check import FiniteCheck
+from stewart_drake.systems.joint_pid import JointPid
+from stewart_drake.systems.lqi_controller import LqiController
+from stewart_drake.systems.motor_drive import MotorDrive
+from stewart_drake.systems.motor_encoders import MotorEncoders
+from stewart_drake.systems.platform_wrench import PlatformWrench
+from stewart_drake.systems.pose_estimator import PoseEstimator
+from stewart_drake.systems.reference_source import ReferenceSource
+from stewart_drake.systems.safety_layer import SafetyLayer
+from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.systems.tracking_error import TrackingError
+from stewart_drake.systems.user_controller import load_user_controller
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+
+_System = TypeVar("_System")
+
+
+class ClosedLoop(Diagram):
+    """Plant, sensor, reference, controller and, where that takes weights, density features and tuner; wired and logged.
+
+    Output ports: plant_state (nq + nv,) [rad, rad/s], measurement (12,) pose [rad, m] and pose rate [rad/s, m/s],
+    reference (18,) pose, pose rate and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m], error (6,) [rad, m],
+    integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,) [-]; where
+    something stands between controller and motors (delay, link, safety layer, imperfect motors) torque_applied (6,)
+    [N m], what the motors are given; with disturbances disturbance (6,) [N m, N] about P; with a safety layer safety
+    (3,): numbers of level and monitor, leg or -1.
+
+    Args:
+        scenario: The run to build.
+        meshcat: A Meshcat to show the run in while it happens, or None.
+        log_period: [s] between two rows of the sinks; None takes that of the scenario.
+
+    Raises:
+        ConfigurationError: The tuner's weights file is missing or corrupt; a user's controller that cannot be used.
+        TypeError: Something else than a Scenario.
+
+    Attributes:
+        scenario: What it was built from.
+        plant: The MultibodyPlant with its indices and `assemble`.
+        controller: The LqiController, or the System of another kind of controller.
+        safety: The SafetyLayer, or None.
+        sinks: Signal name -> VectorLogSink.
+    """
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None, log_period: float | None = None) -> None:
+        super().__init__()
+        require_scenario(scenario)
+        self.scenario = scenario
+        wiring = _Wiring(scenario, meshcat)
+        wiring.add_disturbances()
+        wiring.add_sensors()
+        wiring.add_reference()
+        wiring.add_controller()
+        wiring.add_tuner()
+        wiring.add_delay_and_link()
+        wiring.add_safety()
+        wiring.add_motors()
+        self.sinks = wiring.add_log(scenario.effective_log_period if log_period is None else log_period)
+        with drake_guard("building the diagram"):
+            wiring.builder.BuildInto(self)
+        self.set_name(scenario.name)
+        self.plant = wiring.plant
+        self.controller = wiring.controller
+        self.safety = wiring.safety
+        self._delays = wiring.delays
+
+    def create_start_context(self) -> Context:
+        """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
+
+        A default Context stands at the home pose, at rest.
+
+        Raises:
+            UnreachablePoseError: The start pose cannot be assembled.
+        """
+        context = self.CreateDefaultContext()
+        start, rate = self.scenario.start()
+        self.plant.set_state(context, start, rate)
+        if self._delays:
+            hold_still = _standing_torque(self.scenario)
+            for delay in self._delays:
+                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
+        return context
+
+    def graph(self) -> str:
+        """Graphviz text of the diagram, with plain class names."""
+        return re.sub(r"stewart_drake\.[a-z_.]+\.(?=[A-Z])", "", self.GetGraphvizString())
+
+
+class _Wiring:
+    """A closed loop under construction. The steps are taken in the order in which signals run.
+
+    Attributes:
+        signals: Exported and logged so far, by name.
+        command: Torques as far as they have come on their way to the motors.
+        health: What guarded systems say of their last tick, by name.
+    """
+
+    controller: Any
+    command: OutputPort
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
+        self.scenario, self.believed = scenario, scenario.believed_robot
+        self.options, self.period = scenario.controller, scenario.controller.period
+        self.builder = DiagramBuilder()
+        self.plant: StewartPlant = add_plant(
+            self.builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
+        )
+        if meshcat is not None:
+            # Half a second to import; only a live view pays it.
+            from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+
+            config = VisualizationConfig(publish_contacts=False, enable_alpha_sliders=False)
+            ApplyVisualizationConfig(config, builder=self.builder, meshcat=meshcat)
+        self.signals: dict[str, OutputPort] = {"plant_state": self.plant.state_output_port}
+        # Behind a safety layer a tick that fails says so in its result.
+        self.guarded = scenario.safety is not None and scenario.safety.failures
+        self.health: dict[str, OutputPort] = {}
+        self.angles: OutputPort | None = None
+        self.age: OutputPort | None = None
+        self.safety: SafetyLayer | None = None
+        self.delays: list[ZeroOrderHold] = []
+
+    def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
+        """Adds a system and connects its input ports, by name."""
+        added = cast(_System, self.builder.AddNamedSystem(name, system))
+        for port, source in inputs.items():
+            self.builder.Connect(source, cast(Any, added).GetInputPort(port))
+        return added
+
+    def parts(self, name: str, system: TickedSystem, *sizes: int) -> list[OutputPort]:
+        """First entries of a result as ports, split in C++: a port of the system's own is a call of Python."""
+        rest = system.result.size() - sum(sizes)
+        more = [size for size in ((rest - 3, 2, 1) if system.guarded else (rest,)) if size > 0]
+        split = self.add(name, Demultiplexer(output_ports_sizes=[*sizes, *more]), u0=system.result)
+        if system.guarded:
+            self.health[name] = split.get_output_port(len(sizes) + len(more) - 2)
+        return [split.get_output_port(k) for k in range(len(sizes))]
+
+    def add_disturbances(self) -> None:
+        """Wrenches on the platform."""
+        if self.scenario.disturbances:
+            push = self.add("push", PlatformWrench(self.plant, self.scenario.disturbances))
+            self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
+            self.signals["disturbance"] = push.wrench
+
+    def add_sensors(self) -> None:
+        """From the plant's state to what the controller sees of it."""
+        sensors, state = self.scenario.sensors, self.plant.state_output_port
+        if isinstance(sensors, EncoderOptions):
+            compiled = self.options.compiled
+            encoders = self.add(
+                "encoders", MotorEncoders(self.plant, sensors, self.period, compiled), plant_state=state
+            )
+            self.angles = self._with_faults(encoders.angles)
+            start, rates = self.scenario.start()[0], _starting_crank_rates(self.scenario)
+            estimator = PoseEstimator(self.believed, sensors, self.period, start, rates, compiled, self.guarded)
+            self.add("estimator", estimator, angles=self.angles)
+            (self.signals["measurement"],) = self.parts("estimate", estimator, 12)
+        else:
+            sensor = self.add("sensor", TaskSpaceSensor(self.plant), plant_state=state)
+            self.signals["measurement"] = self._with_faults(sensor.measurement)
+
+    def _with_faults(self, reading: OutputPort) -> OutputPort:
+        """A reading, by way of a sensor that fails where the scenario asks for one."""
+        if not self.scenario.sensors.faults:
+            return reading
+        faulty = FaultySensor(self.scenario.sensors.faults, reading.size(), self.period)
+        self.add("faulty_sensor", faulty, reading=reading)
+        return self.parts("reading", faulty, reading.size())[0]
+
+    def add_reference(self) -> None:
+        """Where the platform should be."""
+        source = self.add("reference", ReferenceSource(self.scenario.reference, self.scenario.plant.time_step))
+        self.signals["reference"] = source.reference
+
+    def add_controller(self) -> None:
+        """From measurement and reference to torques, and what else the controller tells of itself."""
+        options, gravity = self.options, self.scenario.gravity
+        seen = {name: self.signals[name] for name in ("measurement", "reference")}
+        sizes: tuple[int, ...] = (6, 6, 6)
+        if isinstance(options, LqiOptions):
+            weights = len(self.scenario.tuner.weights)
+            system: Any = LqiController(self.believed, options, gravity, weights, self.guarded)
+        elif isinstance(options, ComputedTorqueOptions):
+            system = ComputedTorque(self.believed, options, gravity, self.guarded)
+        elif isinstance(options, PidOptions):
+            system, sizes = JointPid(self.believed, options, gravity, self.guarded), (6,)
+        else:
+            system = load_user_controller(options, self.believed, gravity, weights=len(self.scenario.tuner.weights))
+            sizes = ()
+        self.controller = self.add("controller", system, **seen)
+        told = self.parts("command", system, *sizes) if sizes else [system.GetOutputPort("torque")]
+        self.command, *errors = told
+        if not errors:
+            if system.HasOutputPort("error"):
+                errors = [system.GetOutputPort(name) for name in ("error", "integral")]
+            else:
+                tracking = self.add("tracking_error", TrackingError(self.period), **seen)
+                errors = self.parts("errors", tracking, 6, 6)
+        self.signals["torque"] = self.command
+        self.signals["error"], self.signals["integral"] = errors
+
+    def add_tuner(self) -> None:
+        """Densities, and the weights that a controller takes; nothing for one that takes none."""
+        if not self.controller.HasInputPort("weights"):
+            return
+        section, compiled = self.scenario.tuner, self.options.compiled
+        network = self.scenario.load_tuner_network()
+        features = DensityFeatures(section.window, self.period, section.density, compiled)
+        self.add("density", features, error=self.signals["error"], torque=self.signals["torque"])
+        (density,) = self.parts("densities", features, 12)
+        if network is None:
+            weights = self.add("tuner", ConstantVectorSource(section.weights)).get_output_port()
+        else:
+            tuner = AnnTuner(network, self.period, section.weights, compiled)
+            weights = self.add("tuner", tuner, density=density).weights
+        self.builder.Connect(weights, self.controller.GetInputPort("weights"))
+        self.signals |= {"weights": weights, "density": density}
+
+    def add_delay_and_link(self) -> None:
+        """What lies between the controller's computer and the motors'."""
+        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
+        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
+        # ticks to the last bit need it taken clear of both.
+        sampled, time_step = on_grid(self.period), self.scenario.plant.time_step
+        step = on_grid(time_step)
+        taken = sampled - (step if round(sampled / step) * step == sampled else 0.5 * step)
+        for k in range(self.scenario.command_delay):
+            self.delays.append(self.add(f"delay_{k}", ZeroOrderHold(sampled, 6, taken), u=self.command))
+            self.command = self.delays[-1].get_output_port()
+        if not self.scenario.link.perfect:
+            steps = steps_per("controller.period", self.period, time_step)
+            link = CommandLink(self.scenario.link, time_step, steps, _standing_torque(self.scenario))
+            self.add("link", link, torque=self.command)
+            self.command, self.age = self.parts("arrived", link, 6, 1)
+
+    def add_safety(self) -> None:
+        """The layer that lets no command through unseen."""
+        scenario = self.scenario
+        if scenario.safety is None:
+            return
+        quantum = scenario.sensors.quantum if isinstance(scenario.sensors, EncoderOptions) else 0.0
+        still, compiled = _standing_torque(scenario), self.options.compiled
+        layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
+        seen = {name: self.signals[name] for name in ("measurement", "reference")}
+        self.safety = self.add("safety", layer, command=self.command, **seen)
+        for port, source in (
+            (layer.angles, self.angles),
+            (layer.age, self.age),
+            (layer.sensor_health, self.health.get("estimate")),
+            (layer.controller_health, self.health.get("command")),
+        ):
+            if source is not None:
+                self.builder.Connect(source, port)
+        self.command, self.signals["safety"] = self.parts("guarded", layer, 6, 3)
+
+    def add_motors(self) -> None:
+        """The last of the way: imperfect motors, where the scenario has them, and the plant."""
+        if not self.scenario.motors.perfect:
+            drive = MotorDrive(self.plant, self.scenario.motors)
+            self.add("drive", drive, torque=self.command, plant_state=self.plant.state_output_port)
+            self.command = drive.torque_applied
+        if self.command is not self.signals["torque"]:
+            self.signals["torque_applied"] = self.command
+        spoilt = isinstance(self.options, PythonOptions) or self.scenario.link.faults
+        if self.scenario.safety is None and spoilt:
+            # The plant would cut an infinite torque to one that looks sound; our own controllers see to theirs.
+            self.command = self.add("finite", FiniteCheck(), torque=self.command).checked
+        self.builder.Connect(self.command, self.plant.torque_input_port)
+
+    def add_log(self, period: float) -> dict[str, VectorLogSink]:
+        """Exports all signals, and logs them every so many seconds."""
+        log_period = on_grid(period)
+        sinks: dict[str, VectorLogSink] = {}
+        for name, port in self.signals.items():
+            self.builder.ExportOutput(port, name)
+            sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
+            sinks[name].set_name(f"log_{name}")
+        return sinks
+
+
+def require_scenario(value: object) -> None:
+    """Raises a `TypeError` for anything but a Scenario."""
+    if not isinstance(value, Scenario):
+        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
+
+
+def _standing_torque(scenario: Scenario) -> np.ndarray:
+    """Torques (6,) that hold the robot, as believed, at the start pose; zeros where it cannot stand there."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+        return static_torque(scenario.believed_robot, scenario.start()[0], scenario.gravity)
+    return np.zeros(6)
+
+
+def _starting_crank_rates(scenario: Scenario) -> np.ndarray:
+    """Crank rates (6,) [rad/s] of the robot, as believed, at the start; zeros where it cannot stand there."""
+    pose, pose_rate = scenario.start()
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(scenario.believed_robot, leg_geometry(scenario.believed_robot, pose), pose, pose_rate)
+        if np.isfinite(rates).all():
+            return rates
+    return np.zeros(6)
+
+
+def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
+    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`.
+
+    Raises:
+        ConfigurationError: The tuner's weights file is missing or corrupt.
+    """
+    return ClosedLoop(scenario, meshcat)

@@ -1,0 +1,316 @@
+import dataclasses
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from stewart_drake.campaigns import fault_rows as rows_module
+from stewart_drake.campaigns import fault_table as table_module
+from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, base
+from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, fault_row, measured_row, named_row
+from stewart_drake.campaigns.fault_table import holdable_lines, make_table, markdown_table, short_rows, terse_rows
+from stewart_drake.cli.app import cli
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.runs.simulation import run
+from stewart_drake.safety import MONITORS
+
+BY_NAME = {fault.name: fault for fault in FAULTS}
+SLOW = [pytest.param(fault, motion, marks=pytest.mark.slow) for fault in FAULTS for motion in ("breathing", "paper")]
+
+
+def bad_ending(fault, row):
+    """What of a row is not as the catalogue says; None where all is."""
+    if row.reaction not in fault.expected:
+        return f"{row.reaction}, not {fault.expected}: {row.message}"
+    if row.monitor is None:
+        return None
+    if row.monitor not in fault.monitors:
+        return f"{row.monitor}, not {fault.monitors}"
+    if not row.latency_ms >= -1e-6:
+        return f"tripped {row.latency_ms} ms before the fault"
+    late = fault.within is not None and row.latency_ms > 1e3 * fault.within + 1e-6
+    return f"{row.latency_ms} ms, not within {fault.within} s" if late else None
+
+
+@pytest.mark.parametrize(
+    ("fault", "motion"), [*((fault, "hold") for fault in FAULTS), *SLOW], ids=lambda v: getattr(v, "name", v)
+)
+def test_a_fault_ends_as_the_catalogue_says(fault, motion):
+    row = fault_row(fault, motion)
+    assert bad_ending(fault, row) is None
+    if row.reaction == "refused":
+        assert row.status is None
+        return
+    assert row.peak_torque <= base().robot.effort_limit
+    assert math.isfinite(row.peak_torque)
+    # A fault that trips in its own tick leaves no time to be in charge of.
+    assert row.peak_error_mm is not None or row.latency_ms == pytest.approx(0.0, abs=1e-6)
+    assert all(math.isfinite(x) for x in (row.peak_error_deg, row.peak_error_mm) if x is not None)
+    if row.reaction in ("ridden through", "held"):
+        assert (row.status, row.end_time, row.travel_mm) == ("completed", DURATION, None)
+    elif row.reaction == "unnoticed":
+        # Nobody was told, but the outcome is.
+        assert row.status in ("completed", "lost")
+        assert row.end_time == DURATION
+    else:
+        assert row.status == ("stopped" if row.reaction == "ramped" else "failed")
+        # A crank that has lost its rod may spin up until the solver gives up.
+        assert row.reason == row.monitor or (fault.name, row.reason) == ("broken_rod_2", "drake_check")
+    if row.reaction == "ridden through":
+        # It would have tripped otherwise.
+        assert row.peak_error_deg < np.degrees(0.1)
+        assert row.peak_error_mm < 20.0
+    assert (row.holds_weight is None) == ("dead_motor" not in fault.name)
+
+
+def test_the_catalogue_is_large_enough_and_its_names_are_stable_and_its_monitors_exist():
+    assert len(FAULTS) >= 25
+    assert len(BY_NAME) == len(FAULTS)
+    assert set(MOTIONS) == {"hold", "breathing", "paper"}
+    assert {monitor for fault in FAULTS for monitor in fault.monitors} <= set(MONITORS)
+    assert len(all_rows()) == 3 * len(FAULTS)
+    # What is stated of a latency is stated of a reaction, in every motion.
+    for fault in FAULTS:
+        if fault.within is not None:
+            assert set(fault.expected) <= {"held", "ramped", "ended"}
+    assert {"dead_motor_0", "broken_rod_2", "encoder_frozen", "encoder_nan", "payload_0.3kg"} <= set(BY_NAME)
+
+
+def test_without_a_fault_nothing_trips_and_the_error_is_that_of_the_controller():
+    for motion in MOTIONS:
+        none = dataclasses.replace(BY_NAME["push_5N"], name="none", changes={"duration": 1.0})
+        row = fault_row(none, motion)
+        assert (row.reaction, row.monitor) == ("ridden through", None)
+        assert row.peak_error_mm < 0.05
+
+
+# --- each monitor is needed -----------------------------------------------------------------------------------------
+
+NEEDED = {
+    "measurement_not_finite": ("pose_nan", {"finite": False, "failures": False}),
+    "sensor_failed": ("encoder_nan_20ms", {"failures": False}),
+    "controller_failed": ("controller_breaks", {"failures": False}),
+    "command_not_finite": ("command_nan", {"finite": False}),
+    "deadline": ("controller_hangs", {"deadline": None}),
+    "workspace": ("out_of_workspace", {"workspace": None}),
+    "serial_singularity": ("to_dead_centre", {"transmission": None}),
+    "parallel_singularity": ("to_parallel", {"conditioning": None}),
+    "crank_speed": ("too_fast", {"crank_speed": None}),
+    "following_error": ("dead_motor_0", {"following_error": None}),
+    "torque_limit": ("command_stays_full", {"torque_limit_time": 1e6}),
+    "torque_rate": ("command_chatter", {"torque_rate": None}),
+}
+# Two monitors that no row of the table needs alone.
+OTHERS = {
+    "controller_breaks": dataclasses.replace(
+        BY_NAME["to_dead_centre"],
+        name="controller_breaks",
+        changes={"controller.min_transmission": 0.6},
+        monitors=("controller_failed",),
+    ),
+    "command_stays_full": dataclasses.replace(
+        BY_NAME["command_full"],
+        name="command_stays_full",
+        changes={
+            **BY_NAME["command_full"].changes,
+            "safety.crank_speed": None,
+            "safety.following_error": None,
+            "safety.torque_rate": None,
+            "safety.workspace": None,
+            "safety.transmission": None,
+            "safety.conditioning": None,
+            "safety.runaway": 1e6,
+        },
+        monitors=("torque_limit",),
+    ),
+}
+
+
+def test_every_monitor_has_a_mutation():
+    assert set(NEEDED) == set(MONITORS) - {"none"}
+
+
+@pytest.mark.parametrize("monitor", NEEDED)
+def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
+    name, mutation = NEEDED[monitor]
+    fault = BY_NAME.get(name) or OTHERS[name]
+    row = fault_row(fault, "hold")
+    assert row.monitor == monitor
+    assert bad_ending(fault, row) is None
+    changes = {**fault.changes, **{f"safety.{key}": value for key, value in mutation.items()}}
+    mutant = dataclasses.replace(fault, changes=changes)
+    broken = fault_row(mutant, "hold")
+    assert broken.reaction != "refused"
+    assert broken.monitor != monitor
+    assert bad_ending(fault, broken) is not None
+
+
+# --- rows and files -------------------------------------------------------------------------------------------------
+
+
+def test_a_rows_figures_are_those_of_its_log():
+    fault = BY_NAME["command_nan"]
+    log = run(fault.scenario("paper"))
+    row = measured_row(fault, "paper", log)
+    after, taken = log.time >= ONSET - 1e-9, log["safety"][:, 0] >= 2
+    error = np.linalg.norm(log["pose"][:, 3:] - log["reference"][:, 3:], axis=1)
+    assert row.peak_error_mm == pytest.approx(1e3 * error[after & ~taken].max())
+    moved = np.linalg.norm(log["pose"][taken][:, 3:] - log["pose"][taken][0, 3:], axis=1)
+    assert row.travel_mm == pytest.approx(1e3 * moved.max())
+    assert row.peak_torque == np.abs(log["torque_applied"][after]).max()
+    assert row.latency_ms == pytest.approx(1e3 * (log.safety["time"] - ONSET))
+    assert (row.latency_ms, row.reaction, row.leg) == (pytest.approx(0.0, abs=1e-6), "ramped", 3)
+
+
+def test_a_run_that_breaks_without_the_layer_is_told_apart():
+    fault = BY_NAME["command_nan"]
+    log = run(dataclasses.replace(fault, changes={**fault.changes, "safety": None}).scenario("hold"))
+    assert measured_row(fault, "hold", log).reaction == "broke"
+
+
+def made_row(fault, motion):
+    return FaultRow(
+        fault, motion, "held", monitor="deadline", leg=2, latency_ms=3.0, peak_error_mm=1.25, peak_torque=0.5
+    )
+
+
+@pytest.fixture
+def instant(monkeypatch):
+    """Rows without runs, in this process."""
+
+    class Here:
+        def __init__(self, workers):
+            self.workers = workers
+
+        def open(self):
+            from stewart_drake.campaigns.executors import SerialExecutor
+
+            return SerialExecutor()
+
+        def close(self, executor, _):
+            executor.shutdown()
+
+    monkeypatch.setattr(table_module, "LocalProcesses", Here)
+    monkeypatch.setattr(table_module, "named_row", made_row)
+
+
+@pytest.mark.usefixtures("instant")
+def test_the_table_has_a_row_a_run_and_a_line_a_fault(tmp_path):
+    seen = []
+    table = make_table(tmp_path / "new", progress=seen.append)
+    assert [(row.fault, row.motion) for row in table.rows] == all_rows()
+    assert seen[-1] == len(all_rows())
+    read = pq.read_table(table.parquet)
+    assert read.num_rows == len(all_rows())
+    assert read.column_names == [field.name for field in dataclasses.fields(FaultRow)]
+    assert read.column("leg").to_pylist() == [2] * len(all_rows())
+    text = table.markdown.read_text()
+    for fault in FAULTS:
+        assert f"| {fault.name} | held (deadline" in text
+        assert fault.text in text
+    assert "1.25 mm" in text
+
+
+@pytest.mark.usefixtures("instant")
+def test_quick_is_the_held_platform_alone(tmp_path):
+    table = make_table(tmp_path, quick=True)
+    assert [(row.fault, row.motion) for row in table.rows] == [(fault.name, "hold") for fault in FAULTS]
+    assert all(line[2:4] == ("-", "-") for line in short_rows(table.rows))
+
+
+@pytest.mark.usefixtures("instant")
+def test_an_interrupted_table_goes_on_where_it_was(tmp_path, monkeypatch):
+    def stop(done):
+        if done == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_table(tmp_path, progress=stop)
+    assert not (tmp_path / "faults.md").exists()
+    ran = []
+    real = table_module.named_row
+    monkeypatch.setattr(table_module, "named_row", lambda *pair: ran.append(pair) or real(*pair))
+    table = make_table(tmp_path)
+    assert len(ran) == len(all_rows()) - 7
+    assert table.rows == make_table(tmp_path / "whole").rows
+    ran.clear()
+    seen = []
+    assert make_table(tmp_path, progress=seen.append).rows == table.rows
+    assert ran == []
+    assert seen == [len(all_rows())]
+    make_table(tmp_path, restart=True)
+    assert len(ran) == len(all_rows())
+
+
+@pytest.mark.usefixtures("instant")
+def test_rows_of_other_faults_are_not_mixed_in(tmp_path, monkeypatch):
+    make_table(tmp_path)
+    monkeypatch.setattr(table_module, "DURATION", 3.0)
+    with pytest.raises(ConfigurationError, match="differs in faults"):
+        make_table(tmp_path)
+
+
+@pytest.mark.usefixtures("instant")
+def test_the_command_prints_the_short_table(tmp_path):
+    done = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick"])
+    assert done.exit_code == 0, done.output
+    assert "push_5N" in done.output.replace("\n", "")
+    assert {path.name for path in tmp_path.iterdir()} == {"faults.parquet", "faults.md", "rows.jsonl", "sweep.json"}
+    quiet = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick", "--quiet"])
+    assert (quiet.exit_code, quiet.stdout) == (0, "")
+
+
+def test_a_folder_that_cannot_be_written_to_is_found_before_anything_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(rows_module, "fault_row", lambda *_: pytest.fail("ran"))
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(ConfigurationError, match="--out"):
+        make_table(file)
+
+
+def test_a_terse_line_sets_side_by_side_what_differs():
+    rows = [
+        FaultRow("dead_motor_0", "hold", "ended", monitor="following_error", latency_ms=81.0, peak_error_mm=9.0),
+        FaultRow("dead_motor_0", "paper", "ended", monitor="following_error", latency_ms=74.4, peak_error_mm=9.125),
+        FaultRow("encoder_frozen", "hold", "unnoticed", status="lost"),
+        FaultRow("encoder_frozen", "paper", "ended", monitor="sensor_failed", latency_ms=54.0, status="failed"),
+        # There from the start: a time of its trip is no latency.
+        FaultRow("dropped_10_percent", "hold", "held", monitor="deadline", latency_ms=1181.0, status="completed"),
+    ]
+    assert terse_rows(rows) == [
+        ("dead_motor_0", "ended", "-", "following_error", "74-81", "-", "9.12", "-"),
+        ("encoder_frozen", "unnoticed / ended", "lost / failed", "- / sensor_failed", "54", "-", "-", "-"),
+        ("dropped_10_percent", "held", "completed", "deadline", "-", "-", "-", "-"),
+    ]
+
+
+def test_what_five_motors_hold_is_told_in_words():
+    rows = [
+        FaultRow("dead_motor_0", "hold", "ended", holds_weight=False, support_newton=4.72),
+        FaultRow(
+            "dead_motor_0",
+            "paper",
+            "ended",
+            holds_weight=True,
+            support_newton=0.0,
+            force_newton=50.2,
+            moment_newton_metre=3.1,
+        ),
+        FaultRow("push_5N", "hold", "ridden through"),
+    ]
+    assert holdable_lines(rows) == [
+        "dead_motor_0, hold: none: not even the weight; smallest force from outside with which it would stand: 4.7 N",
+        "dead_motor_0, paper: 50 N or 3.1 N m",
+    ]
+    assert "4.7 N" in markdown_table(rows)
+
+
+@pytest.mark.slow
+def test_workers_give_what_this_process_gives(tmp_path, monkeypatch):
+    names = [("dropped_15", "hold"), ("encoder_nan", "hold")]
+    monkeypatch.setattr(table_module, "all_rows", lambda: names)
+    table = make_table(tmp_path, workers=2)
+    assert list(table.rows) == [named_row(*pair) for pair in names]

@@ -1,0 +1,408 @@
+import contextlib
+import dataclasses
+import io
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from conftest import make_network
+
+from stewart_drake.campaigns.run_store import RunStore, run_key
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, StewartDrakeError
+from stewart_drake.logs import versions
+from stewart_drake.runs import simulation
+from stewart_drake.scenario import Scenario
+
+ROOT = Path(__file__).parent.parent.parent
+SHORT = Scenario.from_dict(
+    {"duration": 0.02, "tuner": {"kind": "fixed"}, "controller": {"solver": "split"}, "limits": {"clearance": None}}
+)
+OUT_OF_REACH = SHORT.replace({"reference.center": [0, 0, 0, 0, 0, 0.6]})
+
+
+def several(count):
+    return [SHORT.replace({"name": f"run {k}", "tuner.omega_q": 1.0 + k}) for k in range(count)]
+
+
+@pytest.fixture(autouse=True)
+def _code_as_it_is(monkeypatch):
+    # What is tested here must not depend on whether someone edits the package meanwhile.
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Names of the scenarios that were run in this process, in order."""
+    names, real = [], simulation.run
+
+    def run(scenario, *args, **options):
+        names.append(scenario.name)
+        return real(scenario, *args, **options)
+
+    monkeypatch.setattr(simulation, "run", run)
+    return names
+
+
+def one_worker(folder):
+    return RunStore(folder / "runs", workers=1)
+
+
+def modified(folder):
+    return {path.name: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")}
+
+
+# --- what comes back -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_logs_come_in_the_order_asked_for_and_are_those_of_a_direct_run(tmp_path, workers):
+    scenarios = several(3)
+    asked = [scenarios[k] for k in (2, 0, 2, 1)]
+    logs = RunStore(tmp_path, workers).run_all(asked)
+    assert [log.scenario for log in logs] == asked
+    assert len(list(tmp_path.iterdir())) == 3
+    direct = simulation.run(scenarios[1])
+    assert set(logs[3].signals) == set(direct.signals) - {"plant_state"}
+    for name, values in logs[3].signals.items():
+        np.testing.assert_array_equal(values, direct[name])
+    assert np.abs(logs[0]["torque"] - logs[1]["torque"]).max() > 0.0
+
+
+def test_what_is_kept_is_read_and_only_the_rest_is_run(tmp_path, ran):
+    store, scenarios = one_worker(tmp_path), several(3)
+    first = store.run_all(scenarios[:2])
+    assert ran == ["run 0", "run 1"]
+    again = store.run_all([scenarios[1], scenarios[2], scenarios[0], scenarios[2]])
+    assert ran == ["run 0", "run 1", "run 2"]
+    np.testing.assert_array_equal(again[0]["pose"], first[1]["pose"])
+    np.testing.assert_array_equal(again[2]["pose"], first[0]["pose"])
+    assert again[0].wall_time == first[1].wall_time
+
+
+def test_a_run_under_another_name_is_the_same_run(tmp_path, ran):
+    store = one_worker(tmp_path)
+    logs = store.run_all([SHORT.replace({"name": "a"}), SHORT.replace({"name": "b"})])
+    assert ran == ["b"]
+    assert [log.scenario.name for log in logs] == ["a", "b"]
+
+
+def test_no_scenarios_give_no_logs(tmp_path):
+    assert one_worker(tmp_path).run_all([]) == []
+
+
+def test_progress_rises_to_one_and_counts_what_was_there(tmp_path):
+    store, shares = one_worker(tmp_path), []
+    store.run_all(several(2), shares.append)
+    assert shares == [0.5, 1.0, 1.0]
+    shares.clear()
+    store.run_all([*several(4), SHORT.replace({"tuner.omega_q": 1.0})], shares.append)
+    assert shares == [0.75, 1.0, 1.0]
+    shares.clear()
+    store.run_all(several(4), shares.append)
+    assert shares == [1.0]
+
+
+def test_a_run_that_breaks_is_kept_as_it_ended(tmp_path, ran):
+    # Gravity and nothing but (34): the platform sags until a crank is at its dead centre.
+    sagging = SHORT.replace(
+        {"duration": 1.0, "controller.feedforward": "none", "tuner.omega_q": 0.1, "tuner.omega_r": 10.0}
+    )
+    store = one_worker(tmp_path)
+    (first,), (again,) = store.run_all([sagging]), store.run_all([sagging])
+    assert len(ran) == 1
+    for log in (first, again):
+        assert (log.status, log.reason) == ("failed", "crank_dead_centre")
+        assert log.leg in range(6)
+        assert 0.1 < log.end_time < 0.3
+        assert log.time[-1] == pytest.approx(log.end_time, abs=0.006)
+
+
+# --- files that are not whole --------------------------------------------------------------------------------------
+
+
+def broken(content, how):
+    table = pq.read_table(io.BytesIO(content))
+    metadata = json.loads(table.schema.metadata[b"stewart_drake.run"])
+    if how == "torn":
+        return content[: len(content) // 2]
+    if how == "empty":
+        return b""
+    if how == "zeros":
+        return bytes(len(content))
+    if how == "no outcome":
+        del metadata["outcome"]
+    if how == "later version":
+        metadata["version"] += 1
+    if how == "unknown key":
+        metadata["scenario"]["durration"] = 1.0
+    text = json.dumps(metadata)[: 20 if how == "half a document" else None]
+    stream = io.BytesIO()
+    pq.write_table(table.replace_schema_metadata({"stewart_drake.run": text}), stream)
+    return stream.getvalue()
+
+
+BROKEN = ["torn", "empty", "zeros", "no outcome", "later version", "unknown key", "half a document"]
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_log_that_cannot_be_read_is_run_again(tmp_path, ran, how):
+    store = one_worker(tmp_path)
+    (whole,) = store.run_all([SHORT])
+    (path,) = (tmp_path / "runs").iterdir()
+    path.write_bytes(broken(path.read_bytes(), how))
+    (again,) = store.run_all([SHORT])
+    assert len(ran) == 2
+    np.testing.assert_array_equal(again["torque"], whole["torque"])
+    store.run_all([SHORT])
+    assert len(ran) == 2
+
+
+# --- keys ----------------------------------------------------------------------------------------------------------
+
+CHANGES = {
+    "duration": 0.03,
+    "gravity": 9.8,
+    "robot.rod_length": 0.41,
+    "model_robot": {"platform_mass": 1.1},
+    "plant.time_step": 0.0005,
+    "plant.motor_friction": 0.01,
+    "reference.amplitude": [0.1, 0, 0, 0, 0, 0],
+    "initial_offset": [0, 0, 0, 0, 0, 0.001],
+    "controller.period": 0.002,
+    "controller.force_map": "printed",
+    "controller.feedforward": "none",
+    "controller.min_transmission": 0.03,
+    "tuner.omega_q": 2.0,
+    "tuner.omega_r": 2.0,
+    "tuner.density": "signed",
+    "tuner.window": 9,
+    "limits.reach": 0.97,
+    "log_period": 0.01,
+    "sensors.kind": "encoders",
+    "command_delay": 1,
+    "disturbances": [{"kind": "constant", "wrench": [0, 0, 0, 1, 0, 0]}],
+    "motors.ripple": 0.01,
+    "link.drop_probability": 0.1,
+    "safety": {},
+    "bounds.position": 0.02,
+}
+
+
+def test_every_section_of_a_scenario_is_in_the_key():
+    assert {key.split(".")[0] for key in CHANGES} == set(Scenario.model_fields) - {"name"}
+    keys = [run_key(SHORT), *(run_key(SHORT.replace({key: value})) for key, value in CHANGES.items())]
+    assert len(set(keys)) == len(keys)
+    assert run_key(SHORT.replace({"name": "another"})) == run_key(SHORT)
+
+
+def test_the_content_of_the_weights_file_is_in_the_key(tmp_path):
+    path = tmp_path / "tuner.json"
+    make_network(seed=0).save(path)
+    scenario = SHORT.replace({"tuner": {"kind": "ann", "weights_file": str(path)}})
+    first = run_key(scenario)
+    make_network(seed=1).save(path)
+    second = run_key(scenario)
+    make_network(seed=0).save(path)
+    assert run_key(scenario) == first != second
+
+
+def test_the_package_s_own_weights_are_in_the_key(tmp_path, monkeypatch):
+    from stewart_drake.campaigns import run_store as runs
+
+    ann = SHORT.replace({"tuner": {"kind": "ann"}})
+    before, fixed = run_key(ann), run_key(SHORT)
+    make_network().save(tmp_path / "other.json")
+    monkeypatch.setattr(runs, "default_network_path", lambda: tmp_path / "other.json")
+    assert run_key(ann) != before
+    assert run_key(SHORT) == fixed
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe"])
+def test_a_weights_file_that_cannot_be_read_is_found_before_any_run(tmp_path, ran, content):
+    path = tmp_path / "tuner.json"
+    if content is not None:
+        path.write_bytes(content)
+    bad = SHORT.replace({"tuner": {"kind": "ann", "weights_file": str(path)}})
+    with pytest.raises(ConfigurationError, match=r"weights file .*tuner\.json"):
+        one_worker(tmp_path).run_all([SHORT, bad])
+    assert ran == []
+
+
+def test_other_code_or_another_drake_gives_another_key(monkeypatch):
+    keys, real = [run_key(SHORT)], versions.package_version
+    for package in ("drake", "numpy", "stewart-drake"):
+        with monkeypatch.context() as patch:
+            patch.setattr(versions, "package_version", lambda name, of=package: "9" if name == of else real(name))
+            keys.append(run_key(SHORT))
+    monkeypatch.setattr(versions, "source_digest", lambda: "changed")
+    keys.append(run_key(SHORT))
+    assert len(set(keys)) == 5
+
+
+# --- bad input -----------------------------------------------------------------------------------------------------
+
+
+def test_a_scenario_that_a_worker_refuses_comes_back_as_its_own_error(tmp_path):
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        RunStore(tmp_path, 2).run_all([*several(2), OUT_OF_REACH])
+    assert caught.value.limit == "reach"
+    assert caught.value.margin < 0.0
+    assert "reference: breaks the limit reach at t = 0.000 s" in str(caught.value)
+    # Nothing of it is kept, and what was done before is.
+    kept = modified(tmp_path)
+    assert f"{run_key(OUT_OF_REACH)}.parquet" not in kept
+    RunStore(tmp_path, 1).run_all(several(2))
+    assert kept.items() <= modified(tmp_path).items()
+
+
+def test_without_the_check_a_scenario_out_of_its_limits_runs(tmp_path):
+    wide = SHORT.replace({"limits.joint_swing": 0.01})
+    with pytest.raises(InfeasibleReferenceError):
+        one_worker(tmp_path).run_all([wide])
+    (log,) = one_worker(tmp_path).run_all([wide], check=False)
+    assert log.status == "completed"
+
+
+def test_a_folder_that_cannot_be_made_is_found_before_any_run(tmp_path, ran):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ConfigurationError, match="a folder that can be written to"):
+        RunStore(tmp_path / "file", 1).run_all([SHORT])
+    assert ran == []
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+# --- interruption --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_what_is_done_outlives_an_interruption_and_the_next_call_completes_it(tmp_path, workers):
+    store, scenarios = RunStore(tmp_path, workers), several(4)
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    others = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt):
+        store.run_all(scenarios, interrupt)
+    assert set(multiprocessing.active_children()) == others
+    kept = modified(tmp_path)
+    assert 1 <= len(kept) <= 3
+    shares = []
+    logs = store.run_all(scenarios, shares.append)
+    assert [log.scenario for log in logs] == scenarios
+    assert shares[0] == (len(kept) + 1) / 4
+    assert kept.items() <= modified(tmp_path).items()
+    assert len(modified(tmp_path)) == 4
+
+
+def test_a_run_that_was_stopped_midway_is_not_kept(tmp_path, monkeypatch):
+    real = simulation.run
+    monkeypatch.setattr(
+        simulation, "run", lambda *args, **kw: dataclasses.replace(real(*args, **kw), status="interrupted")
+    )
+    with pytest.raises(KeyboardInterrupt):
+        one_worker(tmp_path).run_all([SHORT])
+    assert modified(tmp_path) == {}
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.scenario import Scenario
+
+{guard}
+    base = Scenario.from_dict({{"duration": {duration}, "tuner": {{"kind": "fixed"}}}})
+    scenarios = [base.replace({{"tuner.omega_q": 1.0 + k}}) for k in range(4)]
+    RunStore(Path(sys.argv[1]), 2).run_all(scenarios, lambda share: print(share, flush=True), check=False)
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts the script in a session of its own, of which nothing outlives the test."""
+    started = []
+
+    def run(guard, duration):
+        (tmp_path / "script.py").write_text(SCRIPT.format(guard=guard, duration=duration))
+        command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "runs")]
+        env = os.environ | {"PYTHONPATH": str(ROOT)}
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen(command, env=env, stdout=pipe, stderr=pipe, text=True, start_new_session=True))
+        return started[-1]
+
+    yield run
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def alive(group):
+    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(of_group) == group and state != "Z":
+            found.append((stat.parent / "cmdline").read_text())
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_tracebacks(tmp_path, start):
+    # Each run lasts minutes, so nothing here can end by itself.
+    process = start('if __name__ == "__main__":', 2000.0)
+    runs = tmp_path / "runs"
+    deadline = time.monotonic() + 60.0
+    while not runs.is_dir() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(3.0)
+    begin = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)  # what a terminal sends: to every process of the group
+    _, err = process.communicate(timeout=60)
+    assert time.monotonic() - begin < 20.0
+    assert process.returncode != 0
+    assert err.count("Traceback") == 1, err
+    assert err.rstrip().endswith("KeyboardInterrupt")
+    while alive(process.pid) and time.monotonic() < begin + 20.0:  # a worker may be a moment behind its caller
+        time.sleep(0.1)
+    assert alive(process.pid) == []
+    assert list(runs.glob("*.parquet")) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_workers_do_not_outlive_a_caller_that_is_killed(start):
+    process = start('if __name__ == "__main__":', 2000.0)
+    deadline = time.monotonic() + 60.0
+    while len(alive(process.pid)) < 4 and time.monotonic() < deadline:  # the caller, a tracker, two workers
+        time.sleep(0.1)
+    assert len(alive(process.pid)) == 4
+    time.sleep(3.0)
+    process.kill()
+    process.communicate(timeout=60)
+    while alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert alive(process.pid) == []
+
+
+@pytest.mark.slow
+def test_a_script_without_its_guard_is_told_of_it(start):
+    process = start("if True:", 0.02)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode != 0
+    name = f"{StewartDrakeError.__module__}.{StewartDrakeError.__name__}"
+    (line,) = (line for line in err.splitlines() if line.startswith(name))
+    assert "a worker process ended by itself" in line
+    assert '`if __name__ == "__main__":`' in line

@@ -1,0 +1,546 @@
+import dataclasses
+import json
+import logging
+import multiprocessing
+import os
+import re
+import signal
+import socket
+import threading
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sweep_functions import deadly, faulty, killed_once, number, slow
+
+from stewart_drake.campaigns import one_run
+from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.one_run import simulate
+from stewart_drake.campaigns.sweep import run_sweep
+from stewart_drake.campaigns.sweep_file import Sweep
+from stewart_drake.campaigns.sweep_table import FORMAT_KEY, INCIDENTAL, summary, to_parquet
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.logs import versions
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.runs.simulation import run
+
+ROOT = Path(__file__).parent.parent.parent
+TINY = {"duration": 0.05, "tuner": {"kind": "fixed"}, "log_period": 0.01}
+SPEC = {
+    "name": "tiny",
+    "scenario": "paper_fig7",
+    "runs": 6,
+    "seed": 5,
+    "set": TINY,
+    "mismatch": True,
+    "distributions": {
+        "initial_offset[0]": {"kind": "uniform", "low": -0.05, "high": 0.05},
+        "robot.platform_mass": {"kind": "uniform", "low": 0.8, "high": 1.2, "factor": True},
+        "robot.platform_inertia": {"kind": "uniform", "low": 0.8, "high": 1.2, "factor": True},
+        "tuner.omega_q": {"kind": "loguniform", "low": 0.1, "high": 10.0},
+        "tuner.window": {"kind": "integers", "low": 1, "high": 49},
+        "controller.solver": {"kind": "grid", "values": ["split", "drake"]},
+        "limits.clearance": {"kind": "choice", "values": [None, 0.0001]},
+    },
+}
+
+
+def sweep(**changes):
+    return Sweep.from_dict({**SPEC, **changes})
+
+
+def same(result):
+    """The part of a table that must not depend on where it was made."""
+    return result.table.drop(list(INCIDENTAL))
+
+
+def assert_same(one, other):
+    assert same(one).equals(same(other), check_metadata=True)
+
+
+def pq_bytes(result):
+    return to_parquet(result.table)
+
+
+def outcomes(result):
+    return {row["index"]: (row["status"], row["reason"]) for row in result.rows}
+
+
+@pytest.fixture
+def _code_as_it_is(monkeypatch):
+    # What is tested in this process must not depend on whether someone edits the package meanwhile.
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    one_run._own_source.cache_clear()
+    yield
+    one_run._own_source.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The tiny sweep in this process, one run after the other."""
+    return run_sweep(sweep(), tmp_path_factory.mktemp("reference"), SerialExecutor())
+
+
+# --- the table -----------------------------------------------------------------------------------------------------
+
+
+def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
+    assert outcomes(reference) == dict.fromkeys(range(6), ("completed", None))
+    s = sweep()
+    for index in (0, 3):
+        row = {name: reference.table.column(name)[index].as_py() for name in reference.table.column_names}
+        # The log of every tick, whatever log_period says.
+        log = run(s.scenario(index).replace({"log_period": None}))
+        metrics, drawn = run_metrics(log), s.draw(index)
+        assert (row["index"], row["seed"], row["status"]) == (index, s.run_seed(index), "completed")
+        assert row["initial_offset[0]"] == log.scenario.initial_offset[0] == drawn["initial_offset[0]"]
+        assert row["robot.platform_mass"] == log.scenario.robot.platform_mass
+        assert row["robot.platform_mass.factor"] == drawn["robot.platform_mass"]
+        assert tuple(json.loads(row["robot.platform_inertia"])) == log.scenario.robot.platform_inertia
+        assert (row["tuner.window"], row["controller.solver"]) == (
+            drawn["tuner.window"],
+            log.scenario.controller.solver,
+        )
+        assert json.loads(row["limits.clearance"]) == log.scenario.limits.clearance
+        assert [row[f"rmse_{a}_deg"] for a in ("roll", "pitch", "yaw")] == metrics["rmse_deg"]
+        assert [row[f"peak_{a}_mm"] for a in "xyz"] == metrics["peak_mm"]
+        assert row["rmse_mm"] == pytest.approx(np.linalg.norm(metrics["rmse_mm"]))
+        assert max(metrics["peak_deg"]) <= row["peak_deg"] <= np.linalg.norm(metrics["peak_deg"]) * (1.0 + 1e-12)
+        for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "end_time", "leg"):
+            assert row[name] == metrics[name]
+        assert row["finite"] is True
+        assert row["wall_s"] > row["simulation_s"] > 0.0
+        assert (row["host"], row["worker"]) == (os.uname().nodename, os.getpid())
+    assert len(set(reference.table.column("rmse_deg").to_pylist())) == 6
+
+
+def test_the_file_is_the_table_and_says_what_it_is(reference):
+    table = pq.read_table(reference.path)
+    assert table.equals(reference.table, check_metadata=True)
+    about = json.loads(table.schema.metadata[FORMAT_KEY])
+    assert about["sweep"] == sweep().to_dict()
+    assert about["versions"]["drake"] == "1.51.1"
+    assert all(field.metadata[b"text"] for field in table.schema)
+    assert table.schema.field("rmse_mm").metadata[b"unit"] == b"mm"
+
+
+def test_the_summary_counts_and_ranks(reference):
+    lines = dict(summary(reference.rows))
+    assert (lines["runs"], lines["completed"]) == ("6", "6")
+    values = sorted(reference.table.column("rmse_deg").to_pylist())
+    shown = lines["RMSE of rotation, percentiles 50 95 99, largest"].split()
+    assert float(shown[0]) == pytest.approx((values[2] + values[3]) / 2, rel=1e-3)
+    assert float(shown[3]) == pytest.approx(values[-1], rel=1e-3)
+    assert summary([{**reference.rows[0], "rmse_deg": None, "rmse_mm": None}])[-1] == ("completed", "1")
+
+
+# --- the same table from any executor ------------------------------------------------------------------------------
+
+
+def test_threads_and_processes_give_the_same_table(reference, tmp_path):
+    with ThreadPoolExecutor(2) as pool:
+        assert_same(run_sweep(sweep(), tmp_path / "threads", pool), reference)
+        assert pool.submit(int, "3").result() == 3  # it stays open
+    others = set(multiprocessing.active_children())
+    two = run_sweep(sweep(), tmp_path / "processes", LocalProcesses(2))
+    assert_same(two, reference)
+    assert os.getpid() not in two.table.column("worker").to_pylist()
+    assert set(multiprocessing.active_children()) == others
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+def test_more_runs_go_on_where_fewer_ended_and_keep_their_rows(tmp_path):
+    ran = []
+
+    def spy(scenario):
+        ran.append(number(scenario))
+        return simulate(scenario)
+
+    few = run_sweep(sweep(runs=2), tmp_path, SerialExecutor(), function=spy)
+    many = run_sweep(sweep(runs=4), tmp_path, SerialExecutor(), function=spy)
+    assert ran == [0, 1, 2, 3]
+    assert many.table.slice(0, 2).to_pylist() == few.table.to_pylist()
+    fewer = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=spy)
+    assert ran == [0, 1, 2, 3]
+    assert fewer.table.to_pylist() == many.table.slice(0, 3).to_pylist()
+
+
+# --- what goes wrong is a row --------------------------------------------------------------------------------------
+
+FAULTS = {
+    0: ("completed", None),
+    1: ("raised", "ZeroDivisionError"),
+    2: ("raised", "SystemExit"),
+    3: ("raised", "RecursionError"),
+    4: ("raised", "MemoryError"),
+    5: ("completed", None),
+}
+
+
+def test_what_a_run_raises_is_its_row(reference, tmp_path):
+    serial = run_sweep(sweep(), tmp_path / "serial", SerialExecutor(), function=faulty)
+    assert outcomes(serial) == FAULTS
+    messages = [serial.rows[index]["message"] for index in (1, 2, 4)]
+    assert re.fullmatch(r"mine \(sweep_functions\.py, line \d+\)", messages[0])
+    assert re.fullmatch(r"7 \(sweep_functions\.py, line \d+\)", messages[1])
+    assert messages[2] == "MemoryError"
+    assert serial.table.column("rmse_deg").to_pylist()[1:5] == [None] * 4
+    assert (
+        serial.table.column("initial_offset[0]").to_pylist() == reference.table.column("initial_offset[0]").to_pylist()
+    )
+    two = run_sweep(sweep(), tmp_path / "two", LocalProcesses(2), function=faulty)
+    assert_same(two, serial)
+
+
+def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
+    spec = {
+        "scenario": "paper_fig7_uncompensated",
+        "set": {**TINY, "duration": 0.4},
+        "distributions": {
+            "duration": {"kind": "grid", "values": [0.4, -1.0]},
+            "initial_offset[5]": {"kind": "grid", "values": [0.3]},
+        },
+    }
+    result = run_sweep(Sweep.from_dict(spec), tmp_path / "a", SerialExecutor())
+    assert [row["status"] for row in result.rows] == ["rejected"] * 2
+    assert {row["reason"] for row in result.rows} == {"configuration"}
+    assert "initial_offset" in result.rows[0]["message"]
+    assert "duration: got -1" in result.rows[1]["message"]
+    # Gravity and nothing but (34): after 0.26 s a crank is at its dead centre.
+    spec["distributions"] = {
+        "duration": {"kind": "grid", "values": [0.4, 0.05]},
+        "reference.center[5]": {"kind": "grid", "values": [0.3, 0.6]},
+    }
+    result = run_sweep(Sweep.from_dict(spec), tmp_path / "b", SerialExecutor())
+    assert outcomes(result) == {
+        0: ("failed", "crank_dead_centre"),
+        1: ("completed", None),
+        2: ("rejected", "infeasible_reference"),
+        3: ("rejected", "infeasible_reference"),
+    }
+    sagged = result.rows[0]
+    assert 0.1 < sagged["end_time"] < 0.4
+    assert sagged["leg"] in range(6)
+    assert sagged["torque_peak"] > 0.0
+    assert "dead centre" in sagged["message"]
+    assert dict(summary(result.rows))["rejected: infeasible_reference"] == "2"
+
+
+@pytest.mark.slow
+def test_a_run_that_kills_its_worker_is_a_row_and_the_runs_beside_it_are_whole(reference, tmp_path):
+    result = run_sweep(sweep(), tmp_path, LocalProcesses(2), function=deadly)
+    died = ("crashed", "worker_died")
+    assert outcomes(result) == {i: died if i in (1, 4) else ("completed", None) for i in range(6)}
+    assert "alone too" in result.rows[1]["message"]
+    for index in (0, 2, 3, 5):
+        assert same(result).slice(index, 1).equals(same(reference).slice(index, 1))
+    assert result.table.column("initial_offset[0]").equals(reference.table.column("initial_offset[0]"))
+    assert result.table.column("worker").to_pylist()[1] is None
+
+
+@pytest.mark.slow
+def test_a_worker_that_somebody_kills_costs_nothing(reference, tmp_path, monkeypatch):
+    monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
+    result = run_sweep(sweep(), tmp_path / "out", LocalProcesses(2), function=killed_once)
+    assert (tmp_path / "mark").exists()
+    assert_same(result, reference)
+
+
+class Broken(Executor):
+    """Every task of it meets the same end."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def submit(self, function, /, *_args, **_kwargs):
+        future = Future()
+        if function is one_run.warm_up:
+            future.set_result(None)
+        else:
+            future.set_exception(self.error)
+        return future
+
+
+def test_an_executor_that_fails_by_itself_is_said_so_and_is_no_row(tmp_path):
+    with pytest.raises(StewartDrakeError, match="the executor failed: OSError: no network"):
+        run_sweep(sweep(), tmp_path, Broken(OSError("no network")))
+    broken = Broken(BrokenProcessPool("gone"))
+    broken._broken = "gone"
+    with pytest.raises(StewartDrakeError, match="died, and an executor that is handed over"):
+        run_sweep(sweep(), tmp_path, broken)
+    assert (tmp_path / "rows.jsonl").read_bytes() == b""
+
+
+def test_a_function_that_does_not_travel_is_said_so(tmp_path):
+    with pytest.raises(StewartDrakeError, match=r"the executor failed: .*<lambda>"):
+        run_sweep(sweep(), tmp_path, LocalProcesses(1), function=lambda s: simulate(s))
+
+
+def test_a_worker_with_another_version_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(versions, "source_digest", lambda: "another")
+    with pytest.raises(StewartDrakeError, match="another version of stewart-drake"):
+        run_sweep(sweep(), tmp_path, LocalProcesses(1))
+
+
+def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_path):
+    def broken(scenario):
+        log = simulate(scenario)
+        what = number(scenario)
+        pose = log["pose"].copy()
+        pose[-1, 0] = (np.nan, 1e200)[what] if what < 2 else 0.0
+        return dataclasses.replace(log, signals={**log.signals, "pose": pose}, figures=None)
+
+    result = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=broken)
+    assert result.table.column("finite").to_pylist() == [False, True, True]
+    rmse = result.table.column("rmse_deg").to_pylist()
+    assert rmse[:2] == [None, None]
+    assert np.isfinite(rmse[2])
+    first, second, third = result.table.column("not_finite").to_pylist()
+    assert third is None
+    assert {"rmse_deg nan", "peak_roll_deg nan"} <= set(first.split(", "))
+    assert {"rmse_deg inf", "rmse_roll_deg inf"} <= set(second.split(", "))
+    # Nothing that the table says depends on whether its rows come from the workers or from the disk.
+    again = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    assert again.path.read_bytes() == pq_bytes(result)
+    for line in (tmp_path / "rows.jsonl").read_text().splitlines():
+        json.loads(line, parse_constant=lambda name: pytest.fail(name))
+
+
+# --- interruption and what is on disk ------------------------------------------------------------------------------
+
+
+def interrupt_at(count):
+    def progress(done):
+        if done >= count:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+def test_what_is_done_outlives_an_interruption_and_only_the_rest_is_run(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(sweep(), tmp_path, SerialExecutor(), interrupt_at(3))
+    assert len((tmp_path / "rows.jsonl").read_bytes().splitlines()) == 3
+    assert not (tmp_path / "sweep.parquet").exists()
+    ran, counts = [], []
+
+    def spy(scenario):
+        ran.append(number(scenario))
+        return simulate(scenario)
+
+    result = run_sweep(sweep(), tmp_path, SerialExecutor(), counts.append, function=spy)
+    assert ran == [3, 4, 5]
+    assert counts == [3.0, 4.0, 5.0, 6.0]
+    whole = run_sweep(sweep(), tmp_path / "whole", SerialExecutor())
+    assert_same(result, whole)
+
+
+def test_an_interruption_ends_the_processes_at_once_and_keeps_what_they_did(tmp_path):
+    others = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(sweep(), tmp_path, LocalProcesses(2), interrupt_at(2))
+    assert set(multiprocessing.active_children()) == others
+    assert 2 <= len((tmp_path / "rows.jsonl").read_bytes().splitlines()) < 6
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+def test_a_run_that_was_interrupted_is_no_row(tmp_path):
+    def interrupted(scenario):
+        return dataclasses.replace(simulate(scenario), status="interrupted")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(sweep(), tmp_path, SerialExecutor(), function=interrupted)
+    assert (tmp_path / "rows.jsonl").read_bytes() == b""
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+@pytest.mark.parametrize(
+    "tear",
+    [
+        lambda _: b'{"index": 5, "se',
+        lambda _: b"\0" * 40,
+        lambda _: b"[]\n{}\nnull\n",
+        lambda _: b"\xff\xfe{}\n",
+        lambda _: b"[" * 100_000 + b"\n",
+        lambda _: b'{"index": [5]}\n{"index": -1}\n{"index": 1' + b"0" * 5000 + b"}\n",
+        lambda line: line[:-9],
+        lambda line: line.replace(b'"completed"', b'"Completed"'),
+        lambda line: line.replace(b"0.0", b"0.1", 1),
+        lambda line: line.replace(b'"index": 5', b'"index": 4'),
+    ],
+)
+def test_a_line_that_is_not_whole_is_run_again(tmp_path, tear):
+    first = run_sweep(sweep(), tmp_path, SerialExecutor())
+    rows = tmp_path / "rows.jsonl"
+    lines = rows.read_bytes().splitlines(keepends=True)
+    assert tear(lines[5]) != lines[5]
+    rows.write_bytes(b"".join(lines[:5]) + tear(lines[5]))
+    again = run_sweep(sweep(), tmp_path, SerialExecutor())
+    assert_same(again, first)
+    assert again.table.slice(0, 5).equals(first.table.slice(0, 5))
+    assert again.rows[5]["wall_s"] != first.rows[5]["wall_s"]
+    third = run_sweep(sweep(), tmp_path, SerialExecutor())
+    assert third.table.equals(again.table)
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
+    run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
+    before = (tmp_path / "rows.jsonl").read_bytes()
+
+    def refused(words, **changes):
+        with pytest.raises(ConfigurationError) as caught:
+            run_sweep(sweep(runs=1, **changes), tmp_path, SerialExecutor())
+        assert [word for word in ("--out", "--restart", words) if word not in str(caught.value)] == []
+        assert (tmp_path / "sweep.parquet").exists()
+        assert (tmp_path / "rows.jsonl").read_bytes() == before
+
+    refused("seed", seed=6)
+    refused("scenario.duration", set={**TINY, "duration": 0.06})
+    refused("sampler", sampler="sobol")
+    other = {**SPEC["distributions"], "initial_offset[0]": {"kind": "uniform", "low": -0.05, "high": 0.06}}
+    refused("distributions.initial_offset[0].high", distributions=other)
+    with monkeypatch.context() as patch:
+        patch.setattr(versions, "source_digest", lambda: "changed")
+        refused("versions.source")
+    header = (tmp_path / "sweep.json").read_bytes()
+    for broken in (b"{", header.replace(b'"seed": 5', b'"seed": 6'), None):
+        (tmp_path / "sweep.json").unlink()
+        if broken is not None:
+            (tmp_path / "sweep.json").write_bytes(broken)
+        # Its rows tell whose they are.
+        refused("sweep.json that can be read", seed=6)
+    run_sweep(sweep(runs=1), tmp_path, SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    assert (tmp_path / "sweep.json").read_bytes() == header
+    # A table without its rows is nobody's, so it is not written over unasked.
+    for name in ("sweep.json", "rows.jsonl"):
+        (tmp_path / name).unlink()
+    before = b""
+    refused("sweep.parquet is there")
+    # Another name is no other sweep; a restart makes room.
+    result = run_sweep(sweep(runs=1, seed=6), tmp_path, SerialExecutor(), restart=True)
+    assert result.rows[0]["seed"] == sweep(seed=6).run_seed(0)
+    assert run_sweep(sweep(runs=1, seed=6, name="other"), tmp_path, SerialExecutor()).rows == result.rows
+
+
+@pytest.mark.usefixtures("_code_as_it_is")
+def test_the_content_of_a_weights_file_is_part_of_the_sweep(tmp_path):
+    from conftest import make_network
+
+    path = tmp_path / "w.json"
+    make_network(seed=0).save(path)
+    ann = sweep(runs=1, set={"duration": 0.05, "tuner": {"kind": "ann", "weights_file": str(path)}})
+    run_sweep(ann, tmp_path / "out", SerialExecutor())
+    run_sweep(ann, tmp_path / "out", SerialExecutor())
+    make_network(seed=1).save(path)
+    with pytest.raises(ConfigurationError, match="weights"):
+        run_sweep(ann, tmp_path / "out", SerialExecutor())
+
+
+def test_two_sweeps_cannot_share_a_folder(tmp_path):
+    def nested(scenario):
+        with pytest.raises(ConfigurationError, match="no other process is using"):
+            run_sweep(sweep(), tmp_path, SerialExecutor())
+        return simulate(scenario)
+
+    assert run_sweep(sweep(runs=1), tmp_path, SerialExecutor(), function=nested).rows[0]["status"] == "completed"
+
+
+def test_a_folder_that_is_a_file_is_found_before_any_run(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ConfigurationError, match="a folder that can be written to"):
+        run_sweep(sweep(), tmp_path / "file", SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+# --- Dask ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cluster():
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
+    # Dask itself tries a task again that lost its worker, three times if left alone; once makes the tests shorter. And
+    # on a busy machine a worker may take its time to come back.
+    patient = {"distributed.scheduler.allowed-failures": 1, "distributed.deploy.lost-worker-timeout": "120s"}
+    with (
+        dask.config.set(patient),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+    ):
+        yield cluster
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(cluster, reference, tmp_path):
+    killed = []
+
+    def progress(done):
+        if done >= 2 and not killed:
+            # What Dask has to say about it is not for the terminal.
+            assert logging.getLogger("distributed.client").disabled
+            victim = result_worker(tmp_path)
+            killed.append(victim)
+            os.kill(victim, signal.SIGKILL)
+
+    def result_worker(folder):
+        rows = (folder / "rows.jsonl").read_bytes().splitlines()
+        return json.loads(rows[-1])["worker"]
+
+    result = run_sweep(sweep(), tmp_path, DaskCluster(cluster.scheduler_address), progress, function=slow)
+    assert_same(result, reference)
+    assert len(killed) == 1
+    assert os.getpid() not in result.table.column("worker").to_pylist()
+
+
+@pytest.mark.slow
+def test_on_dask_a_run_that_kills_its_worker_is_the_same_row(cluster, reference, tmp_path):
+    result = run_sweep(sweep(), tmp_path, DaskCluster(cluster.scheduler_address), function=deadly)
+    died = ("crashed", "worker_died")
+    assert outcomes(result) == {i: died if i in (1, 4) else ("completed", None) for i in range(6)}
+    for index in (0, 2, 3, 5):
+        assert same(result).slice(index, 1).equals(same(reference).slice(index, 1))
+
+
+def test_a_scheduler_that_does_not_answer_is_bad_input(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    from stewart_drake.campaigns import executors
+
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
+    for address in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://127.0.0.1:notaport"):
+        with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
+            run_sweep(sweep(), tmp_path, DaskCluster(address))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"", None])
+def test_a_port_that_is_not_dask_is_bad_input(monkeypatch, answer):
+    """It talks of something else, hangs up, or takes what it is told and says nothing."""
+    pytest.importorskip("distributed")
+    from stewart_drake.campaigns import executors
+
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as calls:
+
+        def serve():
+            with suppress(OSError):
+                while True:
+                    call = calls.enter_context(server.accept()[0])
+                    if answer is not None:
+                        call.sendall(answer)
+                        call.close()
+
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigurationError, match=r"--scheduler: got .*allowed: the address of a Dask scheduler"):
+            DaskCluster(address).connect()
+        server.shutdown(socket.SHUT_RDWR)
+    assert not logging.getLogger("distributed.client").disabled
+
+
+def test_without_dask_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(ConfigurationError, match=r"stewart-drake\[dask\]"):
+        DaskCluster("tcp://127.0.0.1:8786")

@@ -1,0 +1,585 @@
+import functools
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import resealed
+
+from stewart_drake import scenario as scenario_module
+from stewart_drake.cli.app import cli, main
+from stewart_drake.control.network import default_network_path
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.logs.log import load_log
+from stewart_drake.runs import simulation
+from stewart_drake.scenario import load_scenario, scenario_schema
+
+ROOT = Path(__file__).parents[2]
+QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
+
+
+WITHOUT_PICTURES = """
+import functools
+from stewart_drake import outputs
+from stewart_drake.cli.app import main
+outputs.ResultsFolder.finish = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
+main()
+"""
+"""Pictures take seconds; one test looks at them."""
+
+
+def start(*args, cwd, code="from stewart_drake.cli.app import main; main()", **options):
+    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    command = [sys.executable, "-c", code, *map(str, args)]
+    return subprocess.Popen(
+        command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+    )
+
+
+def shell(*args, cwd, **options):
+    """The command as a process: status, stdout, stderr."""
+    process = start(*args, cwd=cwd, **options)
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out, err
+
+
+@pytest.fixture
+def call(monkeypatch, capsys, tmp_path):
+    """The command within this process, in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["stewart-drake", *map(str, args)])
+        status = 0
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def without_pictures(monkeypatch):
+    from stewart_drake.runs import outputs
+
+    plain = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
+    monkeypatch.setattr(outputs.ResultsFolder, "finish", plain)
+
+
+# --- good input ---------------------------------------------------------------------------------------------------
+
+
+def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(tmp_path):
+    status, out, err = shell("run", "paper_fig7", *QUICK, cwd=tmp_path)
+    assert status == 0, err
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+    folder = tmp_path / "runs" / "paper_fig7"
+    files = {"diagram.dot", "log.parquet", "metrics.json", "replay.html", "scenario.yaml", "states.png", "torques.png"}
+    assert {path.name for path in folder.iterdir()} - {"diagram.svg"} == files
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["status"] == "completed"
+    for words in ("completed", "0.050 s", "RMSE", "torque", "loop gap", "runs/paper_fig7"):
+        assert words in out
+    assert f"{metrics['loop_gap_max_m']:.2e}" in out
+    assert "0.05 / 0.05 s" in err
+    assert "Traceback" not in err
+    assert load_log(folder).scenario == load_scenario("paper_fig7", ["duration=0.05", "tuner.kind=fixed"])
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_scenario_as_run_runs_again_the_same(call, tmp_path):
+    status, _, _ = call("run", "paper_fig7", *QUICK, "--out", "first", "--quiet")
+    assert status == 0
+    status, _, _ = call("run", "first/scenario.yaml", "--out", "second", "--quiet")
+    assert status == 0
+    first, second = load_log("first"), load_log(tmp_path / "second")
+    assert (first["torque"] == second["torque"]).all()
+    assert first.scenario == second.scenario
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_quiet_says_nothing(call):
+    assert call("run", "paper_fig7", *QUICK, "--quiet") == (0, "", "")
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_folder_with_brackets_is_printed_as_it_is(call):
+    status, out, _ = call("run", "paper_fig7", *QUICK, "--out", "deep/[a] b")
+    assert status == 0
+    assert "deep/[a] b" in out
+    assert Path("deep/[a] b/metrics.json").is_file()
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_set_changes_what_runs(call):
+    status, _, _ = call(
+        "run", "paper_fig7", *QUICK, "--set", "controller.solver=split", "--set", "name=mine", "--quiet"
+    )
+    assert status == 0
+    scenario = load_log("runs/mine").scenario
+    assert (scenario.controller.solver, scenario.tuner.kind, scenario.duration) == ("split", "fixed", 0.05)
+
+
+def test_the_help_of_every_command_tells_its_arguments(call):
+    status, out, _ = call("--help")
+    assert status == 0
+    assert {"run", "collect", "train", "schema", "write-sdf"} <= set(cli.commands)
+    for command in cli.commands:
+        assert command in out
+        status, text, err = call(command, "--help")
+        assert (status, err) == (0, "")
+        assert text.startswith("Usage: ")
+    assert "Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed" in " ".join(call("run", "-h")[1].split())
+
+
+def test_the_bare_command_shows_its_help(call):
+    assert call() == call("--help")
+
+
+def test_the_version_is_one_line(call):
+    status, out, err = call("--version")
+    assert (status, err) == (0, "")
+    assert re.fullmatch(r"stewart-drake (\d+\.\d+\.\d+\S*|not installed)\n", out)
+
+
+def test_the_package_runs_as_a_module(tmp_path):
+    code = "import runpy; runpy.run_module('stewart_drake', run_name='__main__')"
+    status, out, err = shell("--help", cwd=tmp_path, code=code)
+    assert (status, err) == (0, "")
+    assert "Usage: " in out
+
+
+def test_the_schema_command_writes_what_the_checkout_holds(call):
+    status, out, err = call("schema")
+    assert (status, err) == (0, "")
+    assert json.loads(out) == scenario_schema()
+    shipped = shipped_folder("scenarios") / "schema.json"
+    assert shipped.read_text() == out, "made with `stewart-drake schema --out diagrams/scenarios/schema.json`"
+    assert call("schema", "--out", "own.json") == (0, "", "")
+    assert Path("own.json").read_text() == out
+
+
+def test_the_sdf_command_writes_the_robot_of_the_scenario(call):
+    assert call("write-sdf", "papers.sdf") == (0, "", "")
+    assert call("write-sdf", "other.sdf", "--set", "robot.platform_mass=2.5", "--set", "plant.rod_joint=ball")[0] == 0
+    papers, other = Path("papers.sdf").read_text(), Path("other.sdf").read_text()
+    assert papers != other
+    assert re.search(r"<mass>\s*2\.5\s*</mass>", other)
+    assert 'type="universal"' in papers
+    assert 'type="universal"' not in other
+
+
+# --- bad input ----------------------------------------------------------------------------------------------------
+
+BAD = [
+    # arguments, words that the line must have
+    (["rum"], ["rum", "Did you mean 'run'?"]),
+    (["run"], ["SCENARIO"]),
+    (["run", "a", "b"], ["b"]),
+    (["run", "paper_fig7", "--ot", "x"], ["--ot", "--out"]),
+    (["run", "paper_fig7", "--set"], ["--set"]),
+    (["run", "paper_fig8"], ["'paper_fig8'", "paper_fig7"]),
+    (["run", "folder"], ["'folder'", "an existing file"]),
+    (["run", "a" * 300], ["scenario file", "aaaa"]),
+    (["run", "empty.yaml"], ["empty.yaml", "an empty file"]),
+    (["run", "binary.yaml"], ["binary.yaml", "UTF-8"]),
+    (["run", "twice.yaml"], ["twice.yaml", "line 2", 'duplicate key "duration"']),
+    (["run", "typo.yaml"], ["plant.time_stp", "did you mean time_step?"]),
+    (["run", "paper_fig7", "--set", "duration"], ["--set", "'duration'", "key=value"]),
+    (["run", "paper_fig7", "--set", "=2"], ["--set", "'=2'", "key=value"]),
+    (["run", "paper_fig7", "--set", "duration.x=3"], ["duration", "10.0", "a section"]),
+    (["run", "paper_fig7", "--set", "duration=[1"], ["--set duration", "line 1"]),
+    (["run", "paper_fig7", "--set", "duration=ten"], ["duration", "'ten'", "a number"]),
+    (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "(without quotes)"]),
+    (["run", "paper_fig7", "--set", "duration=true"], ["duration", "True", "a number"]),
+    (["run", "paper_fig7", "--set", "duration=.nan"], ["duration", "nan", "a finite number"]),
+    (["run", "paper_fig7", "--set", "duration=-1"], ["duration", "-1", "a number above 0"]),
+    (["run", "paper_fig7", "--set", "plant.time_step=0"], ["plant.time_step", "0.0", "1e-06 to 0.1 s"]),
+    (["run", "paper_fig7", "--set", "plant.time_step=0.003"], ["controller.period", "0.005", "multiple", "0.003"]),
+    (["run", "paper_fig7", "--set", "log_period=0.0005"], ["log_period", "0.0005", "multiple"]),
+    (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine, sine_bursts"]),
+    (["run", "paper_fig7", "--set", "reference.center=[0, 0, 0.3]"], ["reference.center", "a list of 6 numbers"]),
+    (["run", "paper_fig7", "--set", "name=../../etc"], ["name", "'../../etc'", "letters"]),
+    (["run", "paper_fig7", "--set", "reference.center=[0,0,0,0,0,0.6]"], ["reach", "t = 0.000 s", "leg 0", "0.98"]),
+    (["run", "paper_fig7", "--set", "reference.amplitude=[2,0,0,0,0,0]"], ["joint_swing", "t = 0.282 s", "leg 5"]),
+    (["run", "paper_fig7", "--set", "reference.angular_frequency=[1e200,0,0,0,0,0]"], ["reference", "finite"]),
+    (["run", "paper_fig7", "--set", "initial_offset=[0,0,0,0,0,0.3]"], ["initial_offset", "out of reach of leg 0"]),
+    (["run", "paper_fig7", "--set", "gravity=1e300"], ["gravity", "at most 1e+06"]),
+    (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "a regular file"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=typo.yaml"], ["typo.yaml", "JSON"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=nan.json"], ["nan.json", "JSON"]),
+    (["run", "paper_fig7", "--set", "tuner.weights_file=short.json"], ["short.json", "hidden_weights", "(10, 12)"]),
+    (["run", "paper_fig7", "--set", "tuner.density=signed"], ["tuner.density", "'signed'", "magnitude"]),
+    (["run", "paper_fig7", "--out", "empty.yaml"], ["--out", "'empty.yaml'", "this is a file"]),
+    (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "this is a file"]),
+    (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
+    (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
+    (["run", "scenario.yaml", "--out", "folder/.."], ["--out", "a folder of its own"]),
+    (["run", "paper_fig7", "--out", "."], ["--out", "a folder of its own"]),
+    (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
+    (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
+    (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
+    (["run", "exact_breathing", "--set", "sensors.noise=1.7e308"], ["sensors.noise", "1e+06"]),
+    (
+        [
+            "run",
+            "paper_fig7",
+            "--set",
+            "plant.time_step=1e-6",
+            "--set",
+            "controller.period=1e-6",
+            "--set",
+            "duration=200",
+        ],
+        ["log_period", "1e8 rows"],
+    ),
+    (["collect", "--out", "a" * 300], ["--out", "too long"]),
+    (["collect", "--out", "folder"], ["--out", "directory"]),
+    (["train", "data.parquet", "--out", ""], ["--out", "empty text"]),
+    (["schema", "--out", "no/schema.json"], ["no/schema.json", "writable folder"]),
+    (["schema", "--out", "folder"], ["folder", "is a directory"]),
+    (["write-sdf", "no/robot.sdf"], ["no/robot.sdf", "writable folder"]),
+    (["write-sdf", "x.sdf", "--set", "robot.rod_lenght=1"], ["robot.rod_lenght", "did you mean rod_length?"]),
+    (["train", "none.parquet"], ["none.parquet", "collect"]),
+    (["train", "empty.yaml"], ["empty.yaml", "a Parquet file"]),
+    (["train", "--epochs", "0"], ["--epochs", "0"]),
+]
+
+
+@pytest.fixture
+def bad_files(tmp_path):
+    (tmp_path / "folder").mkdir()
+    weights = json.loads(default_network_path().read_text())
+    contents = {
+        "empty.yaml": b"",
+        "scenario.yaml": b"duration: 0.1\n",
+        "binary.yaml": b"\x89PNG\xff\x00",
+        "twice.yaml": b"duration: 1\nduration: 2\n",
+        "typo.yaml": b"plant: {time_stp: 0.001}\n",
+        "nan.json": json.dumps(weights | {"hidden_bias": [float("nan")] * 10}).encode(),
+        "short.json": resealed(weights | {"hidden_weights": weights["hidden_weights"][:9]}),
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    return {path: path.read_bytes() if path.is_file() else None for path in tmp_path.rglob("*")}
+
+
+def assert_refused(status, out, err, words):
+    assert status == 2, err
+    assert out == ""
+    assert err.startswith("stewart-drake: ")
+    assert err.endswith("\n")
+    assert err.count("\n") == 1, err
+    assert len(err) < 800
+    assert [word for word in words if word not in err] == [], err
+
+
+def contents(folder):
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(("args", "words"), BAD, ids=[" ".join(args)[:60] for args, _ in BAD])
+def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_files, tmp_path, args, words):
+    assert_refused(*call(*args), words)
+    assert contents(tmp_path) == bad_files
+
+
+@pytest.mark.parametrize("which", [8, 11, 22, 28, 30, 33, 39])
+def test_bad_input_from_a_shell_too(bad_files, tmp_path, which):
+    args, words = BAD[which]
+    assert_refused(*shell(*args, cwd=tmp_path), words)
+    assert contents(tmp_path) == bad_files
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write to")
+def test_a_folder_that_cannot_be_written_to_is_found_before_the_run(call, monkeypatch):
+    monkeypatch.setattr(simulation, "run", lambda *_, **__: pytest.fail("ran"))
+    assert_refused(*call("run", "paper_fig7", "--out", "/proc/x"), ["--out", "'/proc/x'"])
+
+
+def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
+    for args in ([b"run", b"\xff"], [b"run", b"paper_fig7", b"--set", b"name=\xff"]):
+        command = [sys.executable, "-c", "from stewart_drake.cli.app import main; main()", *args]
+        env = os.environ | {"PYTHONPATH": str(ROOT)}
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, check=False)
+        assert done.returncode == 2
+        assert done.stderr.count(b"\n") == 1
+        assert b"Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("args", [["schema"], ["run", "paper_fig7", "--set", "duration=0.02", "--out", "out"]])
+def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            [sys.executable, "-c", WITHOUT_PICTURES, *args],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert process.returncode == 2
+    assert "Traceback" not in process.stderr
+    assert "standard output" in process.stderr
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
+    assert call("run", "paper_fig7", "--set", "duration=0.02")[0] == 0
+    own = "runs/paper_fig7/scenario.yaml"
+    assert call("run", own)[0] == 0
+    assert call("run", own, "--set", "duration=0.01")[0] == 2
+    assert call("run", own, "--set", "duration=0.01", "--force")[0] == 0
+    assert load_scenario(own).duration == 0.01
+
+
+@pytest.mark.parametrize("args", [["--version"], ["schema"]])
+def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
+    code = "from stewart_drake.cli.app import main; main()"
+    command = shlex.join([sys.executable, "-c", code, *args])
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["sh", "-c", f"{command} >&-"], cwd=tmp_path, env=env, capture_output=True, check=False)
+    assert b"Traceback" not in done.stderr
+
+
+def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
+    process = start("run", "paper_fig7", "--set", "duration=0.3", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
+    process.stderr.close()
+    with process.stdout as stream:
+        out = stream.read()
+    assert process.wait(timeout=120) == 0
+    assert "real-time factor" in out
+
+
+def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
+    args = ["run", "paper_fig7_uncompensated", "--set", "controller.feedforward=none", "--out", "out"]
+    process = start(*args, cwd=tmp_path, code=WITHOUT_PICTURES)
+    process.stdout.close()
+    with process.stderr as stream:
+        assert "Traceback" not in stream.read()
+    assert process.wait(timeout=120) == 3
+    assert load_log(tmp_path / "out").reason == "crank_dead_centre"
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_run_without_figures_is_told_all_the_same(call):
+    status, out, err = call("run", "exact_fig7", *QUICK, "--set", "link.faults=[{kind: nan, time: 0.02}]")
+    assert status == 3
+    assert "failed: not_finite" in out
+    assert err.splitlines()[-1].startswith("stewart-drake: failed, not_finite at t = 0.020 s: ")
+
+
+# --- runs that break ----------------------------------------------------------------------------------------------
+
+
+def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
+    status, out, err = shell("run", "paper_fig7_uncompensated", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
+    assert status == 3
+    log = load_log(tmp_path / "out")
+    assert (log.status, log.reason) == ("failed", "crank_dead_centre")
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", log.leg)
+    assert metrics["rmse_deg"] is None
+    assert "failed: crank_dead_centre" in out
+    last = err.splitlines()[-1]
+    assert last.startswith(f"stewart-drake: failed, crank_dead_centre at t = {log.end_time:.3f} s: ")
+    assert f"leg {log.leg}" in last
+    assert "Traceback" not in err
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_quiet_run_that_breaks_still_says_why(call):
+    status, out, err = call("run", "paper_fig7_uncompensated", "--quiet")
+    assert (status, out) == (3, "")
+    assert err.count("\n") == 1
+    assert "crank_dead_centre" in err
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
+    mismatch = ("--set", "model_robot.home_height=0.2", "--set", "model_robot.rod_length=0.2")
+    status, out, err = call("run", "paper_fig7", *mismatch)
+    assert status == 3
+    assert "unreachable_pose" in out
+    assert "unreachable_pose at t = 0.000 s" in err
+    assert json.loads(Path("runs/paper_fig7/metrics.json").read_text())["torque_rms"] is None
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
+    code = (
+        "from stewart_drake import cli\n"
+        "real = cli.ProgressBar._advance\n"
+        "def advance(self, completed, title=None):\n"
+        "    open('ticking', 'w').close()\n"
+        "    real(self, completed, title)\n"
+        "cli.ProgressBar._advance = advance\n"
+    )
+    args = ("run", "paper_fig7", "--set", "duration=100", "--out", "out")
+    process = start(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "ticking").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(how)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    log = load_log(tmp_path / "out")
+    assert log.status == "interrupted"
+    assert 0.0 < log.time[-1] <= log.end_time < 100.0
+    assert len({len(values) for values in log.signals.values()}) == 1
+    assert "interrupted" in out
+    assert f"interrupted at t = {log.end_time:.3f} s: stopped by the user" in err.splitlines()[-1]
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "interrupted"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs SIGHUP")
+def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
+    code = (
+        "import os, signal\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from stewart_drake import cli\n"
+        "real = cli.ProgressBar._advance\n"
+        "cli.ProgressBar._advance = lambda *args: (os.kill(os.getpid(), signal.SIGHUP), real(*args))\n"
+    )
+    args = ("run", "paper_fig7", "--set", "duration=0.1", "--out", "out")
+    status, _, err = shell(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
+    assert status == 0, err
+    assert load_log(tmp_path / "out").status == "completed"
+
+
+def test_ctrl_c_while_results_are_written_leaves_the_log_and_says_where(call, monkeypatch):
+    from stewart_drake.runs import outputs
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outputs.ResultsFolder, "finish", interrupt)
+    status, _, err = call("run", "paper_fig7", "--set", "duration=0.02", "--quiet", "--out", "out")
+    assert status == 130
+    kept = Path(".out.unfinished").absolute()
+    assert err == f"stewart-drake: interrupted while writing the results; the log is in {kept}\n"
+    assert len(load_log(kept).time) == 5
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.usefixtures("without_pictures")
+def test_compilation_ahead_is_announced(call, monkeypatch, kept):
+    from stewart_drake.compiled import jit
+
+    monkeypatch.setattr(jit, "is_kept", lambda _: kept)
+    for scenario, compiled in (("exact_fig7", True), ("paper_fig7", False)):
+        status, _, err = call("run", scenario, "--set", "duration=0.02", "--out", "out", "--force")
+        assert status == 0
+        assert ("once on this machine" in err) == (compiled and not kept)
+
+
+@pytest.mark.parametrize("where", ["load_scenario", "import"])
+def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, monkeypatch, tmp_path, where):
+    def interrupt(*_args):
+        raise KeyboardInterrupt
+
+    def interrupted_import(*_args):
+        # What pybind11 makes of Ctrl-C while a compiled module loads.
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(scenario_module, "load_scenario", interrupt if where == "load_scenario" else interrupted_import)
+    status, out, err = call("run", "paper_fig7")
+    assert (status, out) == (130, "")
+    assert err.strip() == "stewart-drake: interrupted"
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- what a start loads -------------------------------------------------------------------------------------------
+
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy")
+
+
+@pytest.mark.parametrize(
+    ("code", "args"),
+    [
+        ("import stewart_drake", []),
+        ("from stewart_drake.cli.app import main; main()", ["--help"]),
+        ("from stewart_drake.cli.app import main; main()", ["run", "--help"]),
+        ("from stewart_drake.cli.app import main; main()", ["run", "paper_fig7", "--set", "durration=3"]),
+        ("from stewart_drake import Scenario, inverse_kinematics, ControlLaw; Scenario().control_law()", []),
+    ],
+    ids=["import", "help", "run help", "typing mistake", "pure parts"],
+)
+def test_nothing_heavy_loads_before_it_is_needed(tmp_path, code, args):
+    spy = f"import atexit, sys; atexit.register(lambda: print('LOADED', [m for m in {HEAVY} if m in sys.modules]))"
+    code = f"{spy}\n{code}"
+    _, out, _ = shell(*args, cwd=tmp_path, code=code)
+    assert out.splitlines()[-1] == "LOADED []"
+
+
+def test_a_run_without_training_needs_no_torch(tmp_path):
+    spy = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from stewart_drake import Scenario, run\n"
+        "print(run(Scenario(duration=0.01)).status)"
+    )
+    status, out, err = shell(cwd=tmp_path, code=spy)
+    assert (status, out) == (0, "completed\n"), err
+
+
+@pytest.mark.parametrize("command", ["collect", "train"])
+def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, command):
+    (tmp_path / "made").mkdir()
+    status, _, err = shell(command, "--out", "made", cwd=tmp_path)
+    assert status == 2
+    assert "made" in err
+    assert list((tmp_path / "made").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (MemoryError(), 3, "out of memory"),
+        (ZeroDivisionError("mine"), 4, r"internal error: ZeroDivisionError: mine \(test_cli\.py, line"),
+        (np.linalg.LinAlgError("Singular"), 4, r"internal error: LinAlgError: Singular \(test_cli\.py, line"),
+        (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
+        (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
+        (SystemExit("Failure at plant.cc:1"), 4, "internal error: SystemExit: Failure at plant.cc:1"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("shown", [False, True])
+def test_what_nobody_expected_is_one_line_and_on_request_a_traceback(call, monkeypatch, error, status, words, shown):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(scenario_module, "load_scenario", fail)
+    if shown:
+        monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "1")
+    found, out, err = call("run", "paper_fig7")
+    assert (found, out) == (status, "")
+    assert re.match(f"stewart-drake: {words}", err.splitlines()[-1])
+    assert ("Traceback" in err) is (shown and status == 4)
+    assert shown or len(err.splitlines()) == 1
+
+
+def test_no_library_warns_of_a_blow_up_on_the_terminal(call, monkeypatch):
+    def noisy(*_):
+        np.float64(1e200) ** 2
+        np.mean([])
+        raise ConfigurationError("key", 1, "2")
+
+    monkeypatch.setattr(scenario_module, "load_scenario", noisy)
+    assert call("run", "paper_fig7") == (2, "", "stewart-drake: key: got 1; allowed: 2\n")

@@ -1,0 +1,118 @@
+import sys
+
+import pytest
+
+from stewart_drake.cli.app import main
+from stewart_drake.planning.limits import RULES
+from stewart_drake.runs.motion_fit import motion_report
+from stewart_drake.scenario import load_scenario
+
+FAST = ("--set", "reference.angular_frequency=[14,14,14,14,14,14]", "--set", "duration=1")
+
+
+@pytest.fixture
+def check(monkeypatch, capsys, tmp_path):
+    """The command within this process, in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["stewart-drake", "check", *map(str, args)])
+        try:
+            main()
+        except SystemExit as end:
+            return end.code, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return call
+
+
+@pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "paper_fig7"])
+def test_the_shipped_motions_can_be_done_and_every_margin_is_shown(check, tmp_path, name):
+    status, out, err = check(name)
+    assert (status, err) == (0, "")
+    assert "broken" not in out
+    smallest = motion_report(load_scenario(name)).smallest
+    assert list(smallest) == list(RULES)
+    for limit, worst in smallest.items():
+        (row,) = [line for line in out.splitlines() if f" {limit} " in line]
+        for words in (f"{worst.margin:.4g}", f"{worst.time:.3f} s", worst.where, f"{worst.bound:.4g} {worst.unit}"):
+            assert words in row
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_done_is_one_line_and_status_2(check):
+    status, out, err = check("paper_fig7", *FAST)
+    assert status == 2
+    assert "broken -" in next(line for line in out.splitlines() if " crank_speed " in line)
+    assert err.count("\n") == 1
+    assert "crank_speed at t = 0.000 s" in err
+    assert "feasible" not in out
+
+
+def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes(check, tmp_path):
+    folder = tmp_path / "given"
+    folder.mkdir()
+    (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
+    text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
+    (folder / "mine.yaml").write_text(text)
+    status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
+    assert f"runs code: {folder / 'mine.py'}\n" in out
+    assert load_scenario("fit.yaml").controller.file == tmp_path / "mine.py"
+    assert (tmp_path / "mine.py").read_bytes() == (folder / "mine.py").read_bytes()
+    (tmp_path / "mine.py").write_text("own = 1\n")
+    status, _, err = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
+    assert (status, (tmp_path / "mine.py").read_text()) == (2, "own = 1\n")
+    assert "without another mine.py" in err
+    _, out, _ = check("given/mine.yaml", "--set", "controller.system=numpy.linalg:Mine")
+    assert "runs code: numpy.linalg (installed with numpy)\n" in out
+    status, out, err = check("given/mine.yaml", "--set", "controller.system=subprocess:Popen")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.parametrize("how", ["--scale", "--retime"])
+def test_the_scenario_written_can_be_done(check, how):
+    status, out, _ = check("paper_fig7", *FAST, how, "--out", "fit.yaml")
+    assert status == 2
+    fitted = load_scenario("fit.yaml")
+    adjusted = fitted.reference
+    assert motion_report(fitted).feasible
+    if how == "--scale":
+        assert f"feasible at {adjusted.scale:.4f} of its size" in out
+        assert (adjusted.slowdown, fitted.duration) == (1.0, 1.0)
+        assert 0.8 < adjusted.scale < 1.0
+    else:
+        assert f"feasible {adjusted.slowdown:.4f} times slower, over {fitted.duration:.4g} s" in out
+        assert fitted.duration == adjusted.slowdown
+        assert 1.0 < adjusted.slowdown < 1.2
+    assert check("fit.yaml")[0] == 0
+
+
+def test_what_no_size_or_speed_can_mend_is_said(check, tmp_path):
+    away = ("--set", "reference.center=[0,0,0,0,0,0.6]", "--set", "duration=1")
+    status, out, err = check("paper_fig7", *away, "--scale", "--retime")
+    assert status == 2
+    assert "feasible at no size; resting in its centre, reference: breaks the limit reach" in out
+    assert "feasible at no speed; standing still, reference: breaks the limit reach" in out
+    assert "reach" in err
+    assert check("paper_fig7", *away, "--scale", "--out", "fit.yaml")[0] == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("flags", [(), ("--scale", "--retime")])
+def test_out_needs_one_way_to_mend_the_motion(check, flags):
+    status, out, err = check("paper_fig7", *flags, "--out", "fit.yaml")
+    assert (status, out) == (2, "")
+    assert "--out needs one of --scale and --retime" in err
+
+
+def test_a_start_where_the_robot_cannot_stand_is_found_too(check):
+    status, _, err = check("breathing", "--set", "initial_offset=[0,0,0,0,0,0.3]")
+    assert status == 2
+    assert "initial_offset" in err
+
+
+def test_a_part_of_a_sum_is_set_with_the_whole_list(check):
+    parts = "reference.parts=[{kind: heartbeat, excursion: [0, 0, 0, 0, 0, 0.2], rate: 3}]"
+    assert check("heart", "--set", parts)[0] == 2
+    assert check("heart", "--set", "reference.parts=[{kind: breathing}]")[0] == 0

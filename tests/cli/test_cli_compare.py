@@ -1,0 +1,57 @@
+import sys
+
+import pytest
+
+from stewart_drake.cli.app import main
+
+TEXT = """
+scenario: paper_fig7
+set: {duration: 0.05, controller: {kind: pid}}
+controllers: {weak: {controller.kp: 20.0}, strong: {controller.kp: 40.0}}
+references: {hold: {reference: {kind: hold}}}
+"""
+
+
+@pytest.fixture
+def compare(monkeypatch, capsys, tmp_path):
+    """The command within this process, in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["stewart-drake", "compare", *map(str, args)])
+        try:
+            main()
+        except SystemExit as end:
+            return end.code, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return call
+
+
+@pytest.mark.slow
+def test_a_file_is_run_and_its_tables_are_shown_and_kept(compare, tmp_path, monkeypatch):
+    (tmp_path / "mine.yaml").write_text(TEXT)
+    status, out, _ = compare("mine.yaml", "--workers", 1)
+    assert status == 0
+    assert all(word in out for word in ("weak", "strong", "change per tick", "runs/mine"))
+    names = {path.name for path in (tmp_path / "runs" / "mine").iterdir()}
+    assert {"comparison.parquet", "comparison.csv", "comparison.md", "rmse.png", "error.png"} <= names
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = compare("mine.yaml", "--workers", 1)
+    assert "change per tick" not in out
+    status, out, _ = compare("mine.yaml", "--quiet", "--quick", "--workers", 1)
+    assert (status, out) == (0, "")
+    assert (tmp_path / "runs" / "mine-quick").is_dir()
+
+
+def test_bad_input_ends_in_one_line(compare, tmp_path):
+    status, out, err = compare("none_of_this_name")
+    assert (status, out) == (2, "")
+    assert "controllers, tracking" in err
+    (tmp_path / "mine.yaml").write_text(TEXT.replace("kp: 20.0", "kpp: 20.0"))
+    status, out, err = compare("mine.yaml")
+    assert (status, out) == (2, "")
+    assert "weak, hold, nominal: controller.kpp" in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,120 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from strategies import ROBOT, poses, vectors
+
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.joint_pid import PidMemory, PidOptions, pid_tick
+from stewart_drake.control.lqi import lqi_gain
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.errors import ConfigurationError, NotFiniteError, SingularPoseError, UnreachablePoseError
+from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque, task_inertia
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+
+GRAVITY = 9.81
+HOME = np.array(ROBOT.home_pose)
+START = PidMemory(np.zeros(6), np.zeros(6))
+WIDE = {"saturation": "none"}
+
+
+STILL = np.zeros(6)
+
+
+def setpoint(pose=HOME, rate=STILL):
+    return Setpoint(np.asarray(pose), np.asarray(rate), np.zeros(6))
+
+
+@settings(max_examples=40)
+@given(poses(0.6), vectors(6, 0.3), vectors(6, 0.02), vectors(6, 0.05))
+def test_the_torque_is_that_of_the_hand_formula(pose, rate, away, integral):
+    options = PidOptions(kp=20.0, ki=7.0, kd=0.5, **WIDE)
+    wanted = pose + away
+    memory = PidMemory(np.zeros(6), integral)
+    got = pid_tick(ROBOT, options, GRAVITY, Measurement(pose, rate), setpoint(wanted, 2.0 * rate), memory)
+    error = inverse_kinematics(ROBOT, pose) - inverse_kinematics(ROBOT, wanted)
+    rates = pose_jacobian(ROBOT, pose) @ rate - pose_jacobian(ROBOT, wanted) @ (2.0 * rate)
+    expected = static_torque(ROBOT, pose, GRAVITY) - 20.0 * error - 0.5 * rates - 7.0 * integral
+    np.testing.assert_allclose(got.torque, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got.integral, integral + 0.001 * error, rtol=1e-9, atol=1e-12)
+
+
+def test_without_gravity_feedforward_a_robot_at_its_reference_gets_no_torque():
+    measurement = Measurement(HOME, np.zeros(6))
+    none = pid_tick(ROBOT, PidOptions(feedforward="none"), GRAVITY, measurement, setpoint(), START)
+    np.testing.assert_array_equal(none.torque, np.zeros(6))
+    gravity = pid_tick(ROBOT, PidOptions(), GRAVITY, measurement, setpoint(), START)
+    np.testing.assert_allclose(gravity.torque, static_torque(ROBOT, HOME, GRAVITY))
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(None, ROBOT.effort_limit), (2.0, 2.0), (9.0, ROBOT.effort_limit)])
+def test_clamped_torque_and_integral(limit, expected):
+    options = PidOptions(kp=1e4, ki=1.0, feedforward="none", torque_limit=limit)
+    away = HOME + [0, 0, 0, 0, 0, -0.005]
+    got = pid_tick(ROBOT, options, GRAVITY, Measurement(away, np.zeros(6)), setpoint(), START)
+    np.testing.assert_array_equal(np.abs(got.torque), np.full(6, expected))
+    np.testing.assert_array_equal(got.integral, np.zeros(6))
+
+
+def test_only_the_motor_at_its_limit_stops_integrating():
+    options = PidOptions(kp=0.0, kd=0.0, ki=1.0, feedforward="none", torque_limit=1.0)
+    memory = PidMemory(np.zeros(6), np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    away = HOME + [0, 0, 0, 0, 0, -0.005]
+    got = pid_tick(ROBOT, options, GRAVITY, Measurement(away, np.zeros(6)), setpoint(), memory)
+    grown = got.integral - memory.integral
+    assert grown[0] == 0.0
+    assert (grown[1:] != 0.0).all()
+    assert got.torque[0] == -1.0
+
+
+def test_back_calculation_gives_back_what_was_cut():
+    options = PidOptions(
+        kp=0.0, kd=0.0, ki=2.0, feedforward="none", torque_limit=1.0, saturation="back_calculation", reset_time=0.01
+    )
+    memory = PidMemory(np.zeros(6), np.full(6, 3.0))
+    got = pid_tick(ROBOT, options, GRAVITY, Measurement(HOME, np.zeros(6)), setpoint(), memory)
+    # Asked for -6, given -1: a tenth of the 5 that were cut comes off, divided by ki.
+    np.testing.assert_allclose(got.integral, 3.0 - 0.1 * 5.0 / 2.0)
+
+
+def test_the_default_gains_are_those_of_the_exact_lqi_on_heave_at_home():
+    options = LqiOptions(period=0.001, model="exact", solver="split", weight_length=0.11)
+    gain_map = pose_acceleration_map(ROBOT, HOME)
+    feedback = gain_map @ lqi_gain(gain_map, options, np.array([4e5, 30.0, 4e7, 1.0]))
+    heave, cranks = task_inertia(ROBOT, HOME)[5, 5], np.sum(pose_jacobian(ROBOT, HOME)[:, 5] ** 2)
+    pid = PidOptions()
+    wanted = [feedback[5, part][5] * heave / cranks for part in (POSITION, INTEGRAL, RATE)]
+    np.testing.assert_allclose([pid.kp, pid.ki, pid.kd], wanted, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("pose", "rate", "error"),
+    [
+        (HOME, np.full(6, np.nan), NotFiniteError),
+        (np.full(6, np.inf), np.zeros(6), NotFiniteError),
+        (HOME + [0, 0, 0, 0, 0, 0.5], np.zeros(6), UnreachablePoseError),
+    ],
+)
+def test_measurements_that_cannot_be_end_the_run(pose, rate, error):
+    with pytest.raises(error):
+        pid_tick(ROBOT, PidOptions(), GRAVITY, Measurement(pose, rate), setpoint(), START)
+
+
+def test_near_a_dead_centre_the_limit_of_the_options_counts():
+    with pytest.raises(SingularPoseError):
+        pid_tick(ROBOT, PidOptions(min_transmission=0.999), GRAVITY, Measurement(HOME, np.zeros(6)), setpoint(), START)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("period", 0.0), ("kp", -1.0), ("ki", float("nan")), ("kd", True), ("torque_limit", 0.0), ("reset_time", -1.0),
+        ("saturation", "yes"), ("feedforward", "full"), ("min_transmission", 1.0), ("min_conditioning", 0.0),
+    ],
+)  # fmt: skip
+def test_bad_options_name_the_key(key, value):
+    with pytest.raises(ConfigurationError) as caught:
+        dataclasses.replace(PidOptions(), **{key: value})
+    assert caught.value.key == f"controller.{key}"

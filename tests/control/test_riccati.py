@@ -1,0 +1,417 @@
+import sys
+
+import mpmath
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from strategies import ROBOT, poses
+
+from stewart_drake.compiled import control
+from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
+from stewart_drake.compiled.riccati import chain_gain
+from stewart_drake.control.riccati import chain_gains, riccati_gain, solve_drake, split_gain
+from stewart_drake.control.state_space import (
+    INTEGRAL,
+    POSITION,
+    RATE,
+    discretize,
+    input_matrix,
+    mass_diagonal,
+    state_matrix,
+)
+from stewart_drake.errors import ConfigurationError, RiccatiError
+from stewart_drake.mechanics.dynamics import pose_acceleration_map
+from stewart_drake.mechanics.force_map import force_map
+
+PERIOD = 0.005
+METHODS = ("exact", "euler")
+HOME_MAP = force_map(ROBOT, ROBOT.home_pose) / mass_diagonal(ROBOT)[:, None]
+weights = st.floats(-1.0, 1.0).map(lambda exponent: 10.0**exponent)
+"""omega_Q and omega_R of the paper, from 0.1 to 10."""
+maps = st.builds(
+    lambda pose, kind: force_map(ROBOT, pose, kind) / mass_diagonal(ROBOT)[:, None],
+    poses(0.7),
+    st.sampled_from(["statics", "printed"]),
+)
+
+
+def system(acceleration_map, method="exact"):
+    return discretize(state_matrix(), input_matrix(acceleration_map), PERIOD, method)
+
+
+def state_cost(q_e, q_v, q_z):
+    diagonal = np.empty(18)
+    diagonal[POSITION], diagonal[RATE], diagonal[INTEGRAL] = q_e, q_v, q_z
+    return np.diag(diagonal)
+
+
+def drake_gain(acceleration_map, q_e, q_v, q_z, r, method="exact"):
+    a, b = system(acceleration_map, method)
+    cost = r * np.eye(6)
+    return riccati_gain(a, b, cost, solve_drake(a, b, state_cost(q_e, q_v, q_z), cost))
+
+
+def assert_same(gain, expected, rtol):
+    np.testing.assert_allclose(gain, expected, rtol=0.0, atol=rtol * np.abs(expected).max())
+
+
+def spectral_radius(matrix):
+    return np.abs(np.linalg.eigvals(matrix)).max()
+
+
+@settings(max_examples=40)
+@given(acceleration_map=maps, omega_q=weights, omega_r=weights, method=st.sampled_from(METHODS))
+def test_drakes_solution_satisfies_the_equation_and_stabilises(acceleration_map, omega_q, omega_r, method):
+    a, b = system(acceleration_map, method)
+    q, r = omega_q * np.eye(18), omega_r * np.eye(6)
+    p = solve_drake(a, b, q, r)
+    gain = riccati_gain(a, b, r, p)
+    residual = a.T @ p @ a - a.T @ p @ b @ gain + q - p
+    assert np.abs(residual).max() < 1e-9 * np.abs(p).max()
+    np.testing.assert_allclose(p, p.T, atol=1e-10 * np.abs(p).max())
+    assert np.linalg.eigvalsh(p).min() > 0.0
+    assert spectral_radius(a - b @ gain) < 1.0
+
+
+@settings(max_examples=40)
+@given(acceleration_map=maps, omega_q=weights, omega_r=weights, method=st.sampled_from(METHODS))
+def test_split_is_drakes_gain_at_the_papers_weights(acceleration_map, omega_q, omega_r, method):
+    split = split_gain(acceleration_map, PERIOD, (omega_q, omega_q, omega_q, omega_r), method)
+    assert_same(split, drake_gain(acceleration_map, omega_q, omega_q, omega_q, omega_r, method), 1e-10)
+
+
+@settings(max_examples=40)
+@given(acceleration_map=maps, q_e=weights, q_v=weights, q_z=weights, r=weights, method=st.sampled_from(METHODS))
+def test_split_is_drakes_gain_at_a_weight_for_each_block(acceleration_map, q_e, q_v, q_z, r, method):
+    split = split_gain(acceleration_map, PERIOD, (q_e, q_v, q_z, r), method)
+    assert_same(split, drake_gain(acceleration_map, q_e, q_v, q_z, r, method), 1e-10)
+
+
+@settings(max_examples=40)
+@given(acceleration_map=maps, exponents=st.tuples(*[st.floats(-4.0, 4.0)] * 4), method=st.sampled_from(METHODS))
+def test_split_gain_is_optimal_by_one_policy_iteration_without_drake(acceleration_map, exponents, method):
+    q_e, q_v, q_z, r = 10.0 ** np.array(exponents)
+    a, b = system(acceleration_map, method)
+    gain = split_gain(acceleration_map, PERIOD, (q_e, q_v, q_z, r), method)
+    closed = a - b @ gain
+    assert spectral_radius(closed) < 1.0
+    # The cost of this very controller; the gain that is greedy for it is the gain itself.
+    cost = state_cost(q_e, q_v, q_z) + r * gain.T @ gain
+    p = scipy.linalg.solve_discrete_lyapunov(closed.T, cost)
+    assert_same(riccati_gain(a, b, r * np.eye(6), p), gain, 1e-6)
+
+
+@settings(max_examples=40)
+@given(acceleration_map=maps, omega_q=weights, omega_r=weights, factor=st.floats(1e-3, 1e3))
+def test_only_the_ratio_of_the_weights_matters(acceleration_map, omega_q, omega_r, factor):
+    one = split_gain(acceleration_map, PERIOD, (omega_q, omega_q, omega_q, omega_r))
+    other = split_gain(acceleration_map, PERIOD, (*(factor * omega_q,) * 3, factor * omega_r))
+    assert_same(other, one, 1e-10)
+    assert_same(drake_gain(acceleration_map, *(factor * omega_q,) * 3, factor * omega_r), one, 1e-10)
+
+
+def test_the_papers_nine_pairs_are_five_controllers():
+    levels = (0.1, 1.0, 10.0)
+    gains = [split_gain(HOME_MAP, PERIOD, (q, q, q, r)) for q in levels for r in levels]
+    different = []
+    for gain in gains:
+        if not any(np.allclose(gain, known, rtol=1e-9, atol=1e-9) for known in different):
+            different.append(gain)
+    assert len(different) == 5
+
+
+@given(acceleration_map=maps, seed=st.integers(0, 2**32 - 1))
+def test_turning_the_motors_coordinates_turns_the_gain_with_them(acceleration_map, seed):
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(6, 6)))
+    gain = split_gain(acceleration_map, PERIOD, (1.0, 2.0, 3.0, 0.5))
+    assert_same(split_gain(acceleration_map @ turn, PERIOD, (1.0, 2.0, 3.0, 0.5)), turn.T @ gain, 1e-10)
+
+
+def test_split_survives_equal_and_widely_spread_singular_values():
+    for singular in (np.ones(6), np.logspace(0, -6, 6)):
+        turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
+        acceleration_map = turn * singular @ turn.T
+        gain = split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))
+        a, b = system(acceleration_map)
+        assert spectral_radius(a - b @ gain) < 1.0
+
+
+def test_the_position_error_decays_no_faster_than_the_printed_weighting_allows():
+    for ratio in (0.01, 1.0, 100.0):
+        a, b = system(HOME_MAP)
+        gain = split_gain(HOME_MAP, PERIOD, (ratio, ratio, ratio, 1.0))
+        slowest = -np.log(spectral_radius(a - b @ gain)) / PERIOD
+        assert slowest < 0.87
+
+
+UNUSABLE = {
+    "not stabilisable": {"b": np.zeros((18, 6))},
+    "not detectable": {"q": np.zeros((18, 18))},
+    "A infinite": {"a": np.full((18, 18), np.inf)},
+    "Q not a number": {"q": np.full((18, 18), np.nan)},
+    "Q not symmetric": {"q": np.triu(np.ones((18, 18)))},
+    "Q of the wrong shape": {"q": np.eye(17)},
+    "Q not a matrix": {"q": np.ones(18)},
+    "B of the wrong shape": {"b": np.zeros((17, 6))},
+    "R zero": {"r": np.zeros((6, 6))},
+    "R negative": {"r": -np.eye(6)},
+}
+
+
+@pytest.mark.parametrize("change", UNUSABLE.values(), ids=UNUSABLE.keys())
+def test_unusable_matrices_raise_our_error_and_never_leave_the_process(change):
+    a, b = system(HOME_MAP)
+    matrices = {"a": a, "b": b, "q": np.eye(18), "r": np.eye(6)} | change
+    with pytest.raises(RiccatiError) as caught:
+        solve_drake(**matrices)
+    assert caught.value.reason == "riccati"
+    assert str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("acceleration_map", "weights"),
+    [
+        (np.full((6, 6), np.nan), (1.0, 1.0, 1.0, 1.0)),
+        (HOME_MAP * [1, 1, np.inf, 1, 1, 1], (1.0, 1.0, 1.0, 1.0)),
+        (HOME_MAP * [1, 1, 0, 1, 1, 1], (1.0, 1.0, 1.0, 1.0)),
+        (np.zeros((6, 6)), (1.0, 1.0, 1.0, 1.0)),
+        (HOME_MAP[:5], (1.0, 1.0, 1.0, 1.0)),
+        (HOME_MAP, (1.0, 1.0, 1.0, 0.0)),
+        (HOME_MAP, (0.0, 1.0, 1.0, 1.0)),
+        (HOME_MAP, (1.0, -1.0, 1.0, 1.0)),
+        (HOME_MAP, (1.0, 1.0, np.nan, 1.0)),
+        (HOME_MAP, (np.nan, 1.0, 1.0, 1.0)),
+        (HOME_MAP, (1.0, 1.0, np.inf, 1.0)),
+    ],
+)
+@pytest.mark.parametrize("method", METHODS)
+def test_split_refuses_what_has_no_gain(acceleration_map, weights, method):
+    with pytest.raises(RiccatiError):
+        split_gain(acceleration_map, PERIOD, weights, method)
+
+
+# --- beyond the paper's weights ------------------------------------------------------------------------------------
+
+
+def logs(low, high):
+    """10^low .. 10^high, evenly in the exponent, both ends likely."""
+    return st.floats(low, high).map(lambda exponent: 10.0**exponent)
+
+
+def compiled_gain(acceleration_map, period, blocks, method, length):
+    gain = np.empty((6, 18))
+    done = control.split_gain(
+        np.ascontiguousarray(acceleration_map.T), length, period, np.array(blocks, float), method == "exact", gain
+    )
+    return gain if done else None
+
+
+def made_map(seed, condition, largest):
+    """M^-1 tau with known singular values, turned at random."""
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
+    spread = np.sort(np.concatenate([[0.0, 1.0], rng.uniform(0.0, 1.0, 4)]))
+    return largest * (left * condition**-spread) @ right.T
+
+
+wide_maps = st.one_of(
+    st.builds(made_map, st.integers(0, 2**32 - 1), logs(0.0, 3.0), logs(-1.0, 2.7)),
+    st.builds(pose_acceleration_map, st.just(ROBOT), poses(0.8)),
+)
+
+
+def assert_split_is_drakes(acceleration_map, blocks, method, length, period, rtol):
+    """With rotations weighed by the square of a length, in Drake's Q, and by scaling in the split solution."""
+    q_e, q_v, q_z, r = blocks
+    scale = np.array([length**2] * 3 + [1.0] * 3)
+    a, b = discretize(state_matrix(), input_matrix(acceleration_map), period, method)
+    cost = r * np.eye(6)
+    expected = riccati_gain(a, b, cost, solve_drake(a, b, state_cost(q_e * scale, q_v * scale, q_z * scale), cost))
+    assert_same(split_gain(acceleration_map, period, blocks, method, length), expected, rtol)
+    assert_same(compiled_gain(acceleration_map, period, blocks, method, length), expected, rtol)
+
+
+@settings(max_examples=150)
+@given(
+    acceleration_map=wide_maps,
+    q_e=logs(-2.0, 6.0),
+    q_v=logs(-2.0, 4.0),
+    q_z=logs(-2.0, 6.0),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+    period=st.sampled_from([0.001, 0.005]),
+)
+def test_split_is_drakes_gain_over_eight_decades_of_weights(acceleration_map, q_e, q_v, q_z, method, length, period):
+    assert_split_is_drakes(acceleration_map, (q_e, q_v, q_z, 1.0), method, length, period, 1e-9)
+
+
+@settings(max_examples=50)
+@given(
+    acceleration_map=wide_maps,
+    exponents=st.tuples(st.floats(-2.0, 6.0), st.floats(4.0, 6.0), st.floats(-2.0, 6.0)),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+)
+def test_split_is_drakes_gain_as_far_as_drakes_digits_reach(acceleration_map, exponents, method, length):
+    # At great weights on the rate the digits of Drake's P run out, not ours: see the test at sixty digits.
+    blocks = (*(10.0 ** np.array(exponents)).tolist(), 1.0)
+    assert_split_is_drakes(acceleration_map, blocks, method, length, 0.005, 1e-7)
+
+
+DIGITS = 60
+
+
+def gain_at_many_digits(s, period, blocks, method):
+    """k_e, k_v, k_z of the 3-state equation by structured doubling, which shares nothing with the polynomial.
+
+    E. K.-W. Chu et al., Int. J. Control 77 (2004) 767.
+    """
+    with mpmath.workdps(DIGITS):
+        s, t, r = (mpmath.mpf(float(value)) for value in (s, period, blocks[3]))
+        if method == "exact":
+            a = mpmath.matrix([[1, t, 0], [0, 1, 0], [t, t**2 / 2, 1]])
+            b = mpmath.matrix([s * t**2 / 2, s * t, s * t**3 / 6])
+        else:
+            a, b = mpmath.matrix([[1, t, 0], [0, 1, 0], [t, 0, 1]]), mpmath.matrix([0, s * t, 0])
+        step, g, p = a, b * b.T / r, mpmath.diag([mpmath.mpf(float(q)) for q in blocks[:3]])
+        for _ in range(100):
+            inner = (mpmath.eye(3) + g * p) ** -1
+            step, g, new = step * inner * step, g + step * inner * g * step.T, p + step.T * p * inner * step
+            moved, p = mpmath.norm(new - p, 1), new
+            if moved <= mpmath.mpf(10) ** (10 - DIGITS) * mpmath.norm(p, 1):
+                break
+        else:
+            raise AssertionError("doubling has not converged")
+        # It is a solution, by residual.
+        gain = (b.T * p * a) / (r + (b.T * p * b)[0])
+        residual = a.T * p * (a - b * gain) + mpmath.diag([mpmath.mpf(float(q)) for q in blocks[:3]]) - p
+        assert mpmath.norm(residual, 1) < mpmath.mpf(10) ** -25 * mpmath.norm(p, 1)
+        return [gain[0], gain[1], gain[2]]
+
+
+def worst_digit(gains, expected):
+    return max(float(abs(mpmath.mpf(float(k)) / exact - 1)) for k, exact in zip(gains, expected, strict=True))
+
+
+def both_chain_gains(s, period, blocks, method):
+    compiled = np.empty(3)
+    assert chain_gain(s, period, *blocks, method == "exact", compiled)
+    return chain_gains(np.array([s]), period, blocks, method)[0], compiled
+
+
+@settings(max_examples=80)
+@example(1.0, 0.1, 1.0, 0.01, 1e6, 1.0, "exact")  # Long periods: what a hold adds to Euler's terms is felt.
+@example(1.0, 0.1, 1e6, 0.01, 1.0, 1.0, "exact")
+@example(1e3, 0.02, 1e4, 1.0, 1e6, 1.0, "euler")
+@given(
+    s=logs(-2.0, 4.0),
+    period=logs(-4.0, -1.0),
+    q_e=logs(-2.0, 6.0),
+    q_v=logs(-2.0, 6.0),
+    q_z=logs(-2.0, 6.0),
+    r=logs(-2.0, 6.0),
+    method=st.sampled_from(METHODS),
+)
+def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, method):
+    blocks = (q_e, q_v, q_z, r)
+    expected = gain_at_many_digits(s, period, blocks, method)
+    for gains in both_chain_gains(s, period, blocks, method):
+        assert worst_digit(gains, expected) < 1e-9
+
+
+@settings(max_examples=80)
+@given(
+    s=logs(-6.0, 6.0),
+    period=logs(-4.0, -1.0),
+    exponents=st.tuples(*[st.floats(-12.0, 12.0)] * 4),
+    method=st.sampled_from(METHODS),
+)
+def test_no_weights_give_silent_garbage(s, period, exponents, method):
+    """A gain of a digit or more, or an error: between 1e-12 and 1e12 both, and numpy and numba agree which."""
+    blocks = tuple((10.0 ** np.array(exponents)).tolist())
+    gains = chain_gains(np.array([s]), period, blocks, method)[0]
+    compiled = np.empty(3)
+    done = chain_gain(s, period, *blocks, method == "exact", compiled)
+    assert done == bool(np.isfinite(gains).all())
+    if done:
+        expected = gain_at_many_digits(s, period, blocks, method)
+        assert worst_digit(gains, expected) < 1e-5
+        assert worst_digit(compiled, expected) < 1e-5
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("root", [1e-6, 0.01, 1.0, 30.0])
+@pytest.mark.parametrize("other", [1.0, 1e-3, 1e3])
+def test_poles_that_coincide_keep_half_of_their_digits(method, root, other):
+    t, third = 0.001, root * other
+    a2, a1, a0 = 2.0 * root + third, root * root + 2.0 * root * third, root * root * third
+    q_z = a0 / t**6
+    q_e = (a1 + (q_z * t**6 / 3.0 if method == "exact" else 0.0)) / t**4
+    q_v = (a2 + (0.25 * q_e * t**4 - q_z * t**6 / 36.0 if method == "exact" else 0.0)) / t**2
+    blocks = (q_e, q_v, q_z, 1.0)
+    assert min(blocks) > 0.0
+    expected = gain_at_many_digits(1.0, t, blocks, method)
+    for gains in both_chain_gains(1.0, t, blocks, method):
+        assert worst_digit(gains, expected) < 1e-5
+
+
+@settings(max_examples=100)
+@given(
+    acceleration_map=st.builds(made_map, st.integers(0, 2**32 - 1), logs(0.0, 6.0), logs(-3.0, 4.0)),
+    exponents=st.tuples(*[st.floats(-4.0, 6.0)] * 4),
+    method=st.sampled_from(METHODS),
+    length=st.sampled_from([1.0, 0.11]),
+    period=logs(-4.0, -1.0),
+)
+def test_compiled_is_numpy(acceleration_map, exponents, method, length, period):
+    blocks = tuple((10.0 ** np.array(exponents)).tolist())
+    expected = split_gain(acceleration_map, period, blocks, method, length)
+    compiled = compiled_gain(acceleration_map, period, blocks, method, length)
+    for states in (POSITION, RATE, INTEGRAL):
+        assert_same(compiled[:, states], expected[:, states], 1e-9)
+
+
+def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
+    for factor, usable in ((0.0, False), (1e-3, False), (1e3, True)):
+        singular = np.array([1.0, 1.0, 1.0, 1.0, 1.0, factor * SMALLEST_SINGULAR_VALUE])
+        acceleration_map = singular[:, None] * turn
+        assert (compiled_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0), "exact", 1.0) is not None) == usable
+        if usable:
+            assert np.isfinite(split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))).all()
+        else:
+            with pytest.raises(RiccatiError, match="singular"):
+                split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("value", [0.0, -0.11, np.nan, np.inf])
+@pytest.mark.parametrize("name", ["period", "length"])
+def test_split_refuses_periods_and_lengths_that_are_none(name, value):
+    with pytest.raises(RiccatiError, match=name):
+        split_gain(HOME_MAP, **{"period": PERIOD, "weights": (1.0, 1.0, 1.0, 1.0), name: value})
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 1.0, 1e4, 1e10])
+def test_what_drake_gives_stabilises(ratio):
+    a, b = discretize(state_matrix(), input_matrix(HOME_MAP), PERIOD)
+    gain = riccati_gain(a, b, np.eye(6), solve_drake(a, b, ratio * np.eye(18), np.eye(6)))
+    assert np.abs(np.linalg.eigvals(a - b @ gain)).max() < 1.0
+
+
+def test_what_drake_gives_and_does_not_stabilise_is_refused():
+    a, b = discretize(state_matrix(), input_matrix(HOME_MAP), PERIOD)
+    with pytest.raises(RiccatiError, match=r"does not stabilise.*solver: split"):
+        solve_drake(a, b, 1e20 * np.eye(18), np.eye(6))
+
+
+def test_a_singular_problem_is_named():
+    with pytest.raises(RiccatiError, match="masses or weights lie too far apart"):
+        riccati_gain(np.eye(2), np.ones((2, 2)), np.zeros((2, 2)), np.eye(2))
+
+
+def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pydrake.math", None)
+    with pytest.raises(ConfigurationError, match=r"controller\.solver.*split"):
+        solve_drake(np.eye(1), np.eye(1), np.eye(1), np.eye(1))

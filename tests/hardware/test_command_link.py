@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.command_link import MEMORY_SIZE, CommandFault, LinkOptions, link_step
+
+STEPS = 4
+
+
+def arrivals(options, ticks=8, steps=STEPS):
+    """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
+    memory, told = np.zeros(MEMORY_SIZE), []
+    for step in range(ticks * steps):
+        command = np.full(6, step // steps + 1.0)
+        memory = link_step(options, steps, step, 0.001 * step, command, memory)
+        told.append((memory[0], memory[6]))
+        assert (memory[:6] == memory[0]).all()
+    return np.array(told).reshape(ticks, steps, 2)
+
+
+def test_every_command_arrives_at_once():
+    assert LinkOptions().perfect
+    told = arrivals(LinkOptions())
+    np.testing.assert_array_equal(told[..., 0], np.arange(1.0, 9.0)[:, None] * np.ones(STEPS))
+    np.testing.assert_array_equal(told[..., 1], 0.0)
+
+
+def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
+    told = arrivals(LinkOptions(dropped=(2, 3, 6)))
+    np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 2, 2, 5, 6, 6, 8])
+    np.testing.assert_array_equal(told[:, 0, 1], [0, 0, 1, 2, 0, 0, 1, 0])
+
+
+@pytest.mark.parametrize("late_steps", [1, 3])
+def test_a_late_command_acts_so_many_steps_later(late_steps):
+    told = arrivals(LinkOptions(late=(2,), late_steps=late_steps))
+    np.testing.assert_array_equal(told[2, :, 0], [2.0] * late_steps + [3.0] * (STEPS - late_steps))
+    np.testing.assert_array_equal(told[2, :, 1], [1.0] * late_steps + [0.0] * (STEPS - late_steps))
+    np.testing.assert_array_equal(told[3, :, 0], 4.0)
+
+
+def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
+    np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
+    all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
+    np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
+
+
+def test_a_tick_that_is_both_is_dropped():
+    np.testing.assert_array_equal(arrivals(LinkOptions(dropped=(2,), late=(2,)))[2, :, 0], 2.0)
+
+
+def test_from_its_stop_time_nothing_arrives():
+    told = arrivals(LinkOptions(stop_time=0.012))
+    np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 3, 3, 3, 3, 3, 3])
+    np.testing.assert_array_equal(told[:, 0, 1], [0, 0, 0, 1, 2, 3, 4, 5])
+
+
+def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
+    options = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=4)
+    fates = [options.fate(tick, 0.0) for tick in range(20_000)]
+    assert abs(fates.count("dropped") / 20_000 - 0.2) < 0.01
+    assert abs(fates.count("late") / 20_000 - 0.8 * 0.3) < 0.01
+    again = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=4)
+    assert [again.fate(tick, 0.0) for tick in (19_999, 3, 1024)] == [fates[19_999], fates[3], fates[1024]]
+    other = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=5)
+    assert [other.fate(tick, 0.0) for tick in range(100)] != fates[:100]
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (CommandFault(kind="nan", leg=2), [0, 1, np.nan, 3, 4, 5]),
+        (CommandFault(kind="inf"), [np.inf] * 6),
+        (CommandFault(kind="offset", leg=0, size=-3.0), [-3, 1, 2, 3, 4, 5]),
+        (CommandFault(kind="chatter", leg=1, size=2.0), [0, -1, 2, 3, 4, 5]),
+        (CommandFault(kind="nan", time=0.2), [0, 1, 2, 3, 4, 5]),
+        (CommandFault(kind="nan", duration=0.1), [0, 1, 2, 3, 4, 5]),
+    ],
+)
+def test_commands_are_spoilt_as_told(fault, expected):
+    command = np.arange(6.0)
+    fault.spoil(command, tick=7, time=0.1)
+    np.testing.assert_array_equal(command, expected)
+
+
+def test_a_spoilt_command_leaves_the_controllers_own_alone():
+    command = np.ones(6)
+    link_step(LinkOptions(faults=(CommandFault(kind="nan"),)), 1, 0, 0.0, command, np.zeros(MEMORY_SIZE))
+    np.testing.assert_array_equal(command, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: LinkOptions(drop_probability=1.1), "link.drop_probability"),
+        (lambda: LinkOptions(late_probability=np.nan), "link.late_probability"),
+        (lambda: LinkOptions(dropped=(-1,)), "link.dropped"),
+        (lambda: LinkOptions(late=(1.5,)), "link.late"),
+        (lambda: LinkOptions(late_steps=0), "link.late_steps"),
+        (lambda: LinkOptions(stop_time=-1.0), "link.stop_time"),
+        (lambda: LinkOptions(seed=-1), "link.seed"),
+        (lambda: CommandFault(kind="x"), "link.faults.kind"),
+        (lambda: CommandFault(kind="nan", leg=7), "link.faults.leg"),
+        (lambda: CommandFault(kind="nan", duration=0.0), "link.faults.duration"),
+        (lambda: CommandFault(kind="offset", size=np.inf), "link.faults.size"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert caught.value.key == key

@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.disturbances import (
+    ConstantWrench,
+    ImpulseWrench,
+    NoiseWrench,
+    SineWrench,
+    StepWrench,
+    total_wrench,
+)
+from stewart_drake.sampling import on_grid
+
+WRENCH = (0.1, -0.2, 0.3, 4.0, -5.0, 6.0)
+ALL = [
+    ConstantWrench(wrench=WRENCH),
+    StepWrench(wrench=WRENCH, time=0.3, until=0.7),
+    ImpulseWrench(impulse=WRENCH, time=0.3),
+    SineWrench(wrench=WRENCH, frequency=5.0, phase=0.4),
+    NoiseWrench(rms=tuple(map(abs, WRENCH)), seed=3),
+]
+
+
+@pytest.mark.parametrize("one", ALL, ids=lambda d: d.kind)
+def test_a_whole_array_of_times_gives_what_single_times_give(one):
+    times = np.linspace(0.0, 1.0, 12).reshape(3, 4)
+    values = one.evaluate(times)
+    assert values.shape == (3, 4, 6)
+    for index in np.ndindex(times.shape):
+        np.testing.assert_allclose(values[index], one.evaluate(float(times[index])), rtol=1e-12, atol=1e-12)
+
+
+def test_disturbances_add_up_and_none_is_zero():
+    times = np.linspace(0.0, 1.0, 50)
+    np.testing.assert_allclose(total_wrench(ALL, times), sum(one.evaluate(times) for one in ALL), atol=1e-12)
+    np.testing.assert_array_equal(total_wrench((), times), np.zeros((50, 6)))
+
+
+def test_a_step_begins_and_ends_when_it_says():
+    step = StepWrench(wrench=WRENCH, time=0.3, until=0.7)
+    for time, on in ((0.2999, False), (0.3, True), (0.6999, True), (0.7, False)):
+        np.testing.assert_array_equal(step.evaluate(time), np.array(WRENCH) * on)
+    np.testing.assert_array_equal(StepWrench(wrench=WRENCH, time=0.3).evaluate(1e6), WRENCH)
+
+
+@pytest.mark.parametrize("step", [0.001, 0.0005, 0.005])
+@pytest.mark.parametrize("time", [0.0, 0.3, 0.625, 7.1])
+def test_the_plants_steps_take_an_impulse_in_full(step, time):
+    blow = ImpulseWrench(impulse=WRENCH, time=time, duration=0.01)
+    samples = np.arange(round(10.0 / step)) * on_grid(step)
+    np.testing.assert_allclose(blow.evaluate(samples).sum(axis=0) * step, WRENCH, rtol=1e-9)
+
+
+def test_a_sine_is_one():
+    sine = SineWrench(wrench=WRENCH, frequency=5.0, phase=0.4)
+    times = np.linspace(0.0, 1.0, 101)
+    expected = np.sin(2.0 * np.pi * 5.0 * times + 0.4)[:, None] * WRENCH
+    np.testing.assert_allclose(sine.evaluate(times), expected, atol=1e-12)
+
+
+def test_noise_has_its_size_and_its_band_and_independent_axes():
+    rms = (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
+    noise = NoiseWrench(rms=rms, low=5.0, high=20.0, seed=1)
+    step = 0.002
+    values = noise.evaluate(np.arange(0.0, 400.0, step))
+    np.testing.assert_allclose(values.std(axis=0), rms, rtol=0.05)
+    power = np.abs(np.fft.rfft(values[:, 3])) ** 2
+    frequency = np.fft.rfftfreq(len(values), step)
+    inside = (frequency > 4.9) & (frequency < 20.1)
+    assert power[inside].sum() > 0.999 * power.sum()
+    # Flat: no quarter of the band has more than its share.
+    quarters = [power[(frequency >= f) & (frequency < f + 3.75)].sum() for f in (5.0, 8.75, 12.5, 16.25)]
+    np.testing.assert_allclose(np.array(quarters) / power.sum(), 0.25, atol=0.02)
+    assert np.abs(np.corrcoef(values.T) - np.eye(6)).max() < 0.1
+
+
+def test_noise_repeats_by_its_seed_alone():
+    times = np.linspace(0.0, 3.0, 40)
+    one, same, other = (NoiseWrench(rms=(1.0,) * 6, seed=seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(one.evaluate(times), same.evaluate(times))
+    assert np.abs(one.evaluate(times) - other.evaluate(times)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: ConstantWrench(wrench=(1.0,) * 5), "wrench"),
+        (lambda: ConstantWrench(wrench=(np.nan,) * 6), "wrench"),
+        (lambda: StepWrench(wrench=WRENCH, time=-1.0), "time"),
+        (lambda: StepWrench(wrench=WRENCH, time=1.0, until=1.0), "until"),
+        (lambda: ImpulseWrench(impulse=WRENCH, time=0.0, duration=0.0), "duration"),
+        (lambda: ImpulseWrench(impulse=(np.inf,) * 6, time=0.0), "impulse"),
+        (lambda: SineWrench(wrench=WRENCH, frequency=0.0), "frequency"),
+        (lambda: SineWrench(wrench=WRENCH, frequency=1.0, phase=np.nan), "phase"),
+        (lambda: NoiseWrench(rms=(-1.0,) * 6), "rms"),
+        (lambda: NoiseWrench(rms=(1.0,) * 6, low=-1.0), "low"),
+        (lambda: NoiseWrench(rms=(1.0,) * 6, low=10.0, high=10.0), "high"),
+        (lambda: NoiseWrench(rms=(1.0,) * 6, seed=-1), "seed"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert caught.value.key == f"disturbances.{key}"

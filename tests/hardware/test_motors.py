@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from strategies import ROBOT, poses
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.motors import DeadMotor, MotorFault, MotorOptions, holdable_load
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import twist_jacobian
+
+WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
+ANGLES = np.linspace(-1.0, 1.0, 6)
+
+
+def test_by_default_a_motor_gives_what_is_asked_for():
+    assert MotorOptions().perfect
+    np.testing.assert_array_equal(MotorOptions().torque(WANTED, ANGLES, 1.0), WANTED)
+
+
+def test_an_amplifier_gives_whole_steps():
+    torque = MotorOptions(resolution=0.05).torque(WANTED, ANGLES, 0.0)
+    np.testing.assert_allclose(torque / 0.05, np.rint(torque / 0.05), atol=1e-9)
+    assert np.abs(torque - WANTED).max() <= 0.025
+
+
+def test_ripple_is_a_sine_of_the_angle_that_returns_after_a_turn():
+    motor = MotorOptions(ripple=0.02, ripple_periods=12)
+    extra = motor.torque(WANTED, ANGLES, 0.0) - WANTED
+    np.testing.assert_allclose(extra, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
+    np.testing.assert_allclose(motor.torque(WANTED, ANGLES + 2.0 * np.pi, 0.0) - WANTED, extra, atol=1e-12)
+    np.testing.assert_allclose(motor.torque(WANTED, ANGLES + np.pi / 12.0, 0.0) - WANTED, -extra, atol=1e-12)
+
+
+def test_a_motor_dies_at_its_time_and_alone():
+    motor = MotorOptions(dead=DeadMotor(leg=3, time=0.5), ripple=0.02)
+    alive, dead = motor.torque(WANTED, ANGLES, 0.4999), motor.torque(WANTED, ANGLES, 0.5)
+    assert alive[3] != 0.0
+    assert dead[3] == 0.0
+    np.testing.assert_array_equal(np.delete(alive, 3), np.delete(dead, 3))
+
+
+def test_motors_wired_wrong_give_the_torques_asked_for_elsewhere_or_with_the_other_sign():
+    faults = (MotorFault(kind="reversed", leg=3, time=0.5), MotorFault(kind="swapped", leg=3, other=1, time=0.6))
+    motor = MotorOptions(faults=faults)
+    assert not motor.perfect
+    signs = np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.4999), WANTED)
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.5), signs * WANTED)
+    np.testing.assert_array_equal(motor.torque(WANTED, ANGLES, 0.6), (signs * WANTED)[[0, 3, 2, 1, 4, 5]])
+    # Ripple is the motor's own, whatever torque it is sent.
+    ripple = MotorOptions(faults=faults, ripple=0.02).torque(WANTED, ANGLES, 0.6) - motor.torque(WANTED, ANGLES, 0.6)
+    np.testing.assert_allclose(ripple, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: MotorOptions(ripple=-0.1), "motors.ripple"),
+        (lambda: MotorOptions(ripple_periods=0), "motors.ripple_periods"),
+        (lambda: MotorOptions(ripple_periods=1.5), "motors.ripple_periods"),
+        (lambda: MotorOptions(resolution=np.inf), "motors.resolution"),
+        (lambda: MotorOptions(resolution=5e-324), "motors.resolution"),
+        (lambda: DeadMotor(leg=6), "motors.dead.leg"),
+        (lambda: DeadMotor(leg=0, time=-1.0), "motors.dead.time"),
+        (lambda: MotorFault(kind="loud", leg=0), "motors.faults.kind"),
+        (lambda: MotorFault(kind="reversed", leg=None), "motors.faults.leg"),
+        (lambda: MotorFault(kind="reversed", leg=0, other=1), "motors.faults.other"),
+        (lambda: MotorFault(kind="swapped", leg=0, other=0), "motors.faults.other"),
+        (lambda: MotorFault(kind="reversed", leg=0, time=-1.0), "motors.faults.time"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert caught.value.key == key
+
+
+# --- what five motors hold ----------------------------------------------------------------------------------------
+
+
+def largest_along(weight, per_load, limit, dead, direction):
+    """Largest force along a direction of a given plane, by linear programming: an independent way."""
+    bounds_row = np.concatenate([per_load, -per_load])
+    room = np.concatenate([limit - weight, limit + weight])
+    equal, wanted = per_load[[dead]], [-weight[dead]]
+    done = linprog(-direction, A_ub=bounds_row, b_ub=room, A_eq=equal, b_eq=wanted, bounds=[(None, None)] * 3)
+    return done.x if done.status == 0 else None
+
+
+@given(poses(0.7), st.integers(0, 5))
+def test_with_gravity_no_five_motors_hold_even_the_weight_but_for_chance(pose, dead):
+    weight, jacobian = static_torque(ROBOT, pose), twist_jacobian(ROBOT, pose)
+    load = holdable_load(weight, jacobian, ROBOT.effort_limit, dead)
+    assert not load.weight
+    assert (load.force, load.moment) == (None, None)
+    # The support makes it possible and nothing smaller does: it is the distance of the plane of T_dead = 0.
+    per_force = -np.linalg.inv(jacobian.T)[:, 3:]
+    normal = per_force[dead]
+    distance = abs(weight[dead]) / np.linalg.norm(normal)
+    assert load.support >= distance * (1.0 - 1e-9)
+    nearest = -weight[dead] * normal / (normal @ normal)
+    if np.abs(weight + per_force @ nearest).max() <= ROBOT.effort_limit:
+        assert load.support == pytest.approx(distance)
+
+
+@given(poses(0.5), st.integers(0, 5), st.integers(0, 1000))
+def test_without_weight_the_largest_force_is_a_corner_that_no_direction_surpasses(pose, dead, seed):
+    jacobian = twist_jacobian(ROBOT, pose)
+    load = holdable_load(np.zeros(6), jacobian, ROBOT.effort_limit, dead)
+    assert load.weight
+    assert load.support == 0.0
+    for columns, largest in ((slice(3, 6), load.force), (slice(0, 3), load.moment)):
+        per_load = -np.linalg.inv(jacobian.T)[:, columns]
+        direction = np.random.default_rng(seed).normal(size=3)
+        corner = largest_along(np.zeros(6), per_load, ROBOT.effort_limit, dead, direction)
+        assert np.linalg.norm(corner) <= largest * (1.0 + 1e-6)
+
+
+def test_the_largest_force_is_reached():
+    jacobian = twist_jacobian(ROBOT, ROBOT.home_pose)
+    load = holdable_load(np.zeros(6), jacobian, ROBOT.effort_limit, 0)
+    per_load = -np.linalg.inv(jacobian.T)[:, 3:]
+    rng = np.random.default_rng(0)
+    found = [largest_along(np.zeros(6), per_load, ROBOT.effort_limit, 0, rng.normal(size=3)) for _ in range(200)]
+    assert max(map(np.linalg.norm, found)) == pytest.approx(load.force, rel=1e-6)

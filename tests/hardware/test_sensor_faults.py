@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.sensor_faults import EncoderFault, PoseFault, faulty_reading, kept_readings
+
+READINGS = np.arange(60.0).reshape(10, 6)
+PERIOD = 0.001
+
+
+def says(*faults, readings=READINGS):
+    """What a sensor says over ten ticks of 1 ms."""
+    memory, told = np.tile(readings[0], (kept_readings(faults, PERIOD), 1)), []
+    for tick, reading in enumerate(readings):
+        spoilt, memory = faulty_reading(faults, reading, PERIOD * tick, PERIOD, memory)
+        told.append(spoilt)
+    return np.array(told)
+
+
+def test_a_sensor_that_is_well_says_what_is():
+    np.testing.assert_array_equal(says(), READINGS)
+
+
+def test_a_frozen_encoder_repeats_its_last_good_reading_until_it_is_well():
+    told = says(EncoderFault(kind="freeze", leg=2, time=0.003, duration=0.004))
+    expected = READINGS.copy()
+    expected[3:7, 2] = READINGS[2, 2]
+    np.testing.assert_array_equal(told, expected)
+
+
+def test_one_that_is_frozen_from_the_start_shows_the_start():
+    np.testing.assert_array_equal(says(EncoderFault(kind="freeze", leg=0))[:, 0], READINGS[0, 0])
+
+
+def test_nan_and_jump_last_as_long_as_they_say():
+    told = says(
+        EncoderFault(kind="nan", leg=1, time=0.002, duration=0.001),
+        EncoderFault(kind="jump", leg=4, time=0.005, size=0.3),
+    )
+    assert np.isnan(told[2, 1])
+    told[2, 1] = READINGS[2, 1]
+    expected = READINGS.copy()
+    expected[5:, 4] += 0.3
+    np.testing.assert_array_equal(told, expected)
+
+
+def test_a_pose_sensor_fails_as_a_whole():
+    told = says(PoseFault(kind="freeze", time=0.002, duration=0.002), PoseFault(kind="nan", time=0.006))
+    np.testing.assert_array_equal(told[:2], READINGS[:2])
+    np.testing.assert_array_equal(told[2:4], READINGS[[1, 1]])
+    np.testing.assert_array_equal(told[4:6], READINGS[4:6])
+    assert np.isnan(told[6:]).all()
+
+
+@pytest.mark.parametrize("leg", [2, None])
+@given(delay=st.integers(1, 12), first=st.integers(0, 9))
+def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
+    told = says(EncoderFault(kind="late", leg=leg, delay=PERIOD * delay, time=PERIOD * first))
+    before = np.maximum(np.arange(10) - delay, 0)
+    expected, legs = READINGS.copy(), slice(None) if leg is None else leg
+    expected[first:, legs] = READINGS[before[first:]][:, legs]
+    np.testing.assert_array_equal(told, expected)
+
+
+def test_a_part_of_a_tick_late_is_a_tick_late_and_a_pose_is_late_as_a_whole():
+    told = says(PoseFault(kind="late", delay=0.4 * PERIOD, time=0.003, duration=0.002))
+    expected = READINGS.copy()
+    expected[3:5] = READINGS[2:4]
+    np.testing.assert_array_equal(told, expected)
+
+
+def test_drift_grows_from_when_it_began():
+    error = says(EncoderFault(kind="drift", leg=3, size=2.0, time=0.004)) - READINGS
+    np.testing.assert_allclose(error[:, 3], 2.0 * np.maximum(PERIOD * np.arange(10) - 0.004, 0.0), atol=1e-12)
+    assert not np.delete(error, 3, axis=1).any()
+
+
+def test_an_encoder_that_counts_backwards_begins_where_it_was_and_comes_back_where_it_would_be():
+    told = says(EncoderFault(kind="reversed", leg=5, time=0.003, duration=0.004))
+    steps, true = np.diff(told[:, 5]), np.diff(READINGS[:, 5])
+    np.testing.assert_array_equal(steps[2:6], -true[2:6])
+    np.testing.assert_array_equal(told[7:], READINGS[7:])
+    np.testing.assert_array_equal(told[:3], READINGS[:3])
+    # From the start it begins there.
+    wrong = says(EncoderFault(kind="reversed", leg=5))[:, 5]
+    np.testing.assert_array_equal(wrong + READINGS[:, 5], 2.0 * READINGS[0, 5])
+
+
+def test_inverted_and_swapped_readings():
+    told = says(EncoderFault(kind="inverted", leg=0, time=0.002), EncoderFault(kind="swapped", leg=1, other=4))
+    expected = READINGS[:, [0, 4, 2, 3, 1, 5]]
+    expected[2:, 0] *= -1.0
+    np.testing.assert_array_equal(told, expected)
+
+
+@given(st.lists(st.sampled_from(["freeze", "late", "drift", "reversed", "inverted", "swapped", "jump"]), max_size=5))
+def test_whatever_faults_come_together_a_sensor_that_is_well_again_says_what_is(kinds):
+    more = {"late": {"delay": 0.002}, "swapped": {"other": 5}, "drift": {"size": 1.0}, "jump": {"size": 0.1}}
+    told = says(
+        *(EncoderFault(kind=k, leg=i, time=0.002, duration=0.003, **more.get(k, {})) for i, k in enumerate(kinds))
+    )
+    assert np.isfinite(told).all()
+    np.testing.assert_array_equal(told[[0, 1, *range(5, 10)]], READINGS[[0, 1, *range(5, 10)]])
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: EncoderFault(kind="melt", leg=0), "kind"),
+        (lambda: PoseFault(kind="jump"), "kind"),
+        (lambda: EncoderFault(kind="nan", leg=6), "leg"),
+        (lambda: EncoderFault(kind="nan", leg=0, time=-1.0), "time"),
+        (lambda: PoseFault(kind="nan", duration=0.0), "duration"),
+        (lambda: EncoderFault(kind="jump", leg=0, size=np.inf), "size"),
+        (lambda: EncoderFault(kind="late", leg=0), "delay"),
+        (lambda: EncoderFault(kind="late", leg=0, delay=1.1), "delay"),
+        (lambda: EncoderFault(kind="drift", leg=0, delay=0.1), "delay"),
+        (lambda: PoseFault(kind="late", delay=0.0), "delay"),
+        (lambda: EncoderFault(kind="swapped", leg=0), "other"),
+        (lambda: EncoderFault(kind="swapped", leg=3, other=3), "other"),
+        (lambda: EncoderFault(kind="swapped", leg=None, other=3), "leg"),
+        (lambda: EncoderFault(kind="freeze", leg=0, other=3), "other"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert caught.value.key == f"sensors.faults.{key}"

@@ -1,0 +1,210 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.logs import log_rows
+from stewart_drake.logs.log import load_log
+from stewart_drake.logs.log_rows import OutOfSpaceError, RowsInFile
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario
+
+ROOT = Path(__file__).parents[2]
+
+
+def scenario(**changes):
+    base = {"name": "rows", "duration": 0.3, "tuner": {"kind": "fixed"}, "log_period": 0.001, "gravity": 0.0}
+    return Scenario.from_dict(base | changes)
+
+
+def same(one, other):
+    assert list(one.signals) == list(other.signals)
+    for name in one.signals:
+        np.testing.assert_array_equal(one[name], other[name])
+    for field in fields(one):
+        if field.name not in ("signals", "wall_time"):
+            assert getattr(one, field.name) == getattr(other, field.name), field.name
+
+
+def in_small_parts(monkeypatch, rows=64):
+    """Some rows to a part, so that a short run has many."""
+    monkeypatch.setattr("stewart_drake.runs.simulation.ROWS_AT_ONCE", 1)
+    monkeypatch.setattr("stewart_drake.runs.simulation.CHUNK", 0.02)
+    monkeypatch.setattr(log_rows, "ROW_GROUP", rows)
+
+
+def test_rows_that_went_to_a_file_are_those_that_stayed_in_memory(tmp_path, monkeypatch):
+    in_small_parts(monkeypatch)
+    kept = run(scenario())
+    written = run(scenario(), rows=RowsInFile(tmp_path))
+    same(written, kept)
+    same(load_log(tmp_path), kept)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.parquet"]
+
+
+def test_of_a_long_log_only_some_rows_come_back_but_the_file_has_all(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_rows, "PICTURE_ROWS", 100)
+    log = run(scenario(), rows=RowsInFile(tmp_path))
+    assert len(log.time) == 76
+    assert len(load_log(tmp_path).time) == 301
+    assert run_metrics(log)["rmse_mm"] == run_metrics(load_log(tmp_path))["rmse_mm"]
+
+
+@pytest.mark.parametrize("when", [0, 2])
+def test_a_full_disk_ends_the_run_and_what_was_written_is_readable(tmp_path, monkeypatch, when):
+    in_small_parts(monkeypatch)
+    real, calls = log_rows.write_log, []
+
+    def full(log, tables, stream):
+        calls.append(stream)
+        if len(calls) > when:
+            stream.write(b"half")
+            raise OSError(28, "No space left on device")
+        real(log, tables, stream)
+
+    monkeypatch.setattr(log_rows, "write_log", full)
+    with pytest.raises(OutOfSpaceError, match=r"No space left on device.*those before are in"):
+        run(scenario(), rows=RowsInFile(tmp_path))
+    if when:
+        log = load_log(tmp_path)
+        assert len(log.time) >= 64 * when
+        assert (log.status, log.reason) == ("interrupted", "killed")
+
+
+@pytest.mark.parametrize("name", ["log.part", "rows/000007.part"])
+def test_what_a_kill_left_half_written_does_not_hide_the_rows_before_it(tmp_path, monkeypatch, name):
+    in_small_parts(monkeypatch)
+    rows = RowsInFile(tmp_path)
+    monkeypatch.setattr(rows, "end", lambda log: log)
+    run(scenario(), rows=rows)
+    (tmp_path / name).write_bytes(b"PAR1 half")
+    assert len(load_log(tmp_path).time) > 200
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [(MemoryError(), "out_of_memory"), (np.linalg.LinAlgError("Singular matrix"), "singular_matrix")],
+)
+def test_what_stops_a_tick_ends_the_run_with_its_log(monkeypatch, error, reason):
+    from stewart_drake.systems.lqi_controller import LqiController
+
+    tick, calls = LqiController.tick, []
+
+    def hungry(self, context, previous):
+        calls.append(1)
+        if len(calls) > 20:
+            raise error
+        return tick(self, context, previous)
+
+    monkeypatch.setattr(LqiController, "tick", hungry)
+    log = run(scenario(controller={"compiled": False}))
+    assert (log.status, log.reason) == ("failed", reason)
+    assert len(log.time) > 10
+
+
+def test_a_log_that_cannot_fit_into_memory_is_refused_before_the_run(monkeypatch):
+    free = psutil.virtual_memory()._replace(available=int(1e9))
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
+    long = scenario(duration=3000.0, log_period=0.001)
+    with pytest.raises(ConfigurationError, match=r"log_period: got 0.001; .* it takes 7.02 GB, and 1 are free"):
+        run(long)
+    RowsInFile(Path()).check(long)
+
+
+MEMORY = """
+import sys
+from pathlib import Path
+from stewart_drake.logs.log_rows import RowsInFile
+from stewart_drake.scenario import Scenario
+from stewart_drake.runs.simulation import run
+import stewart_drake.runs.simulation as simulation
+import stewart_drake.logs.log as log_module
+import stewart_drake.logs.log_rows as log_rows
+log_module.ROW_GROUP = log_rows.ROW_GROUP = 2000
+duration, folder = float(sys.argv[1]), Path(sys.argv[2])
+scenario = Scenario.from_dict({"duration": duration, "tuner": {"kind": "fixed"}, "log_period": 0.001,
+    "reference": {"kind": "hold"}, "plant": {"time_step": 0.001}})
+log_rows.PICTURE_ROWS = 1000
+log = run(scenario, check=False, rows=RowsInFile(folder))
+# Not ru_maxrss: a new process inherits it from the one that started it.
+peak = Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]
+print(log.status, peak)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from Linux")
+def test_memory_does_not_grow_with_the_length_of_a_run(tmp_path):
+    peaks = []
+    for duration in (5.0, 50.0):
+        folder = tmp_path / f"{duration}"
+        folder.mkdir()
+        command = [sys.executable, "-c", MEMORY, str(duration), str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+        assert done.returncode == 0, done.stderr
+        status, peak = done.stdout.split()
+        assert status == "completed"
+        peaks.append(int(peak) * 1024)
+    # 45,000 rows more are 38 MB; in memory they would be there twice.
+    assert peaks[1] - peaks[0] < 20e6
+    assert peaks[1] < 600e6
+
+
+DRIVER = "import stewart_drake.logs.log_rows as r; r._FLUSH_TIME = 0.05; from stewart_drake.cli.app import main; main()"
+
+
+def command(duration):
+    changes = ["tuner={kind: fixed}", "log_period=0.001", "reference={kind: hold}", f"duration={duration}"]
+    sets = [word for change in changes for word in ("--set", change)]
+    return [sys.executable, "-c", DRIVER, "run", "paper_fig7", "--out", "out", "--quiet", *sets]
+
+
+def started(folder):
+    """A long run that has written its first rows."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": path}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command(600), cwd=folder, env=environment, **quiet)
+    deadline = time.monotonic() + 60.0
+    while process.poll() is None and not list(folder.glob(".out.unfinished/rows/*.parquet")):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return process, environment
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_keeps_its_rows_and_the_next_one_clears_them(tmp_path):
+    for delay in np.random.default_rng(0).uniform(0.0, 0.8, 3):
+        process, environment = started(tmp_path)
+        time.sleep(delay)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert not (tmp_path / "out").exists()
+        rows = load_log(tmp_path / ".out.unfinished")
+        assert (rows.status, rows.reason) == ("interrupted", "killed")
+        np.testing.assert_allclose(rows.time, 0.001 * np.arange(len(rows.time)), atol=1e-12)
+    subprocess.run(command(0.5), cwd=tmp_path, env=environment, check=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    same(load_log(tmp_path / "out"), run(load_log(tmp_path / "out").scenario))
+
+
+@pytest.mark.slow
+def test_the_second_of_two_runs_into_one_folder_is_refused_and_the_first_goes_on(tmp_path):
+    process, environment = started(tmp_path)
+    second = subprocess.run(command(0.5), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert second.returncode == 2
+    assert second.stderr == "stewart-drake: --out: got 'out'; allowed: a folder that no other process is writing\n"
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    assert process.wait() == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert load_log(tmp_path / "out").status == "interrupted"

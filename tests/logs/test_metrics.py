@@ -1,0 +1,218 @@
+import json
+
+import numpy as np
+import pytest
+from made_logs import made_log
+
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metrics import (
+    error_norms,
+    integral_at,
+    rms,
+    run_metrics,
+    second_half,
+    settling_time,
+    sine_response,
+    torque_change_rms,
+    tracking_error,
+    worst_half_rms,
+)
+from stewart_drake.scenario import Scenario
+
+PROMISED = {
+    "rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m",
+    "integral_at_5s", "real_time_factor", "git_revision", "versions", "status", "reason", "message", "end_time", "leg",
+}  # fmt: skip
+
+
+def test_rmse_and_peak_are_of_the_second_half_alone():
+    pose = np.zeros((101, 6))
+    pose[:50] = 100.0  # rows before 5 s do not count
+    pose[50:, 0] = 0.01
+    pose[50:, 5] = 0.002 * (-1.0) ** np.arange(51)
+    pose[70, 1] = -0.5
+    metrics = run_metrics(made_log(pose=pose, error=np.full((101, 6), 7.0)))
+    np.testing.assert_allclose(metrics["rmse_deg"], np.degrees([0.01, 0.5 / np.sqrt(51), 0.0]))
+    np.testing.assert_allclose(metrics["rmse_mm"], [0.0, 0.0, 2.0])
+    np.testing.assert_allclose(metrics["peak_deg"], np.degrees([0.01, 0.5, 0.0]))
+    np.testing.assert_allclose(metrics["peak_mm"], [0.0, 0.0, 2.0])
+
+
+def test_the_error_is_true_pose_minus_reference_not_what_the_controller_saw_last():
+    pose, reference = np.full((101, 6), 0.3), np.full((101, 6), 0.1)
+    log = made_log(pose=pose, reference=reference, error=np.full((101, 6), 9.0))
+    np.testing.assert_allclose(tracking_error(log), 0.2)
+    np.testing.assert_allclose(run_metrics(log)["rmse_mm"], 200.0)
+
+
+@pytest.mark.parametrize(("rows", "first"), [(101, 50), (52, 50), (51, 50)])
+def test_the_second_half_is_that_of_the_planned_duration_its_first_row_included(rows, first):
+    mask = second_half(made_log(rows=rows))
+    assert np.flatnonzero(mask).tolist() == list(range(first, rows))
+
+
+def test_the_second_half_begins_at_its_row_in_spite_of_rounding():
+    # In binary 3 * 0.1 is a little more than half of 0.6, and 17 * 0.0003 a little less than half of 0.0102.
+    for step, duration, rows in ((0.1, 0.6, 7), (0.0003, 0.0102, 35), (0.005, 0.35, 71)):
+        log = made_log(rows=rows, step=step, duration=duration)
+        assert second_half(log).sum() == rows - (rows - 1) // 2
+
+
+def test_a_run_that_broke_before_the_second_half_has_no_rmse():
+    metrics = run_metrics(made_log(rows=50, status="failed", reason="crank_dead_centre", leg=3, message="m"))
+    assert [metrics[name] for name in ("rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "integral_at_5s")] == [None] * 5
+    assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", 3)
+    assert metrics["torque_rms"] == 0.0
+
+
+def test_torque_figures_are_over_the_whole_run_and_within_the_limit():
+    torque = np.zeros((101, 6))
+    torque[10, 2] = -7.0  # beyond the limit of 5
+    torque[20, :] = 5.0  # at the limit: nothing was cut off
+    log = made_log(torque=torque, torque_applied=np.clip(torque, -5.0, 5.0))
+    metrics = run_metrics(log)
+    assert metrics["torque_peak"] == 5.0
+    assert metrics["torque_rms"] == pytest.approx(5.0 * np.sqrt(7 / 606))
+    assert metrics["saturated_fraction"] == pytest.approx(1 / 606)
+
+
+def test_saturation_follows_the_limit_of_the_robot():
+    torque = np.full((101, 6), 0.4)
+    for limit, fraction in ((0.3, 1.0), (0.4, 0.0)):
+        log = made_log(scenario={"robot": {"effort_limit": limit}}, torque=torque)
+        assert run_metrics(log)["saturated_fraction"] == fraction
+
+
+def test_the_loop_gap_is_the_largest_of_all_legs_at_all_times():
+    gap = np.full((101, 6), 1e-9)
+    gap[3, 4] = 2e-7
+    assert run_metrics(made_log(loop_gap=gap))["loop_gap_max_m"] == 2e-7
+
+
+def test_weights_are_means_over_the_run():
+    weights = np.column_stack([np.linspace(1.0, 3.0, 101), np.full(101, 0.5)])
+    metrics = run_metrics(made_log(weights=weights))
+    assert (metrics["omega_q"], metrics["omega_r"]) == (pytest.approx(2.0), 0.5)
+
+
+def test_the_integral_is_that_of_the_row_at_five_seconds():
+    integral = np.arange(101.0)[:, None] + np.arange(6.0) / 10
+    log = made_log(integral=integral)
+    np.testing.assert_array_equal(run_metrics(log)["integral_at_5s"], integral[50])
+    np.testing.assert_array_equal(integral_at(log, 5.04), integral[50])
+    np.testing.assert_array_equal(integral_at(log, 0.0), integral[0])
+    np.testing.assert_array_equal(integral_at(log, 10.0), integral[100])
+
+
+def test_rounding_of_times_does_not_move_the_row():
+    rows = 1001
+    log = made_log(rows=rows, step=0.007, duration=7.0, integral=np.arange(float(rows))[:, None] * np.ones(6))
+    for row in range(0, rows, 13):
+        for nudge in (-1e-12, 1e-12):
+            assert integral_at(log, log.time[row] + nudge)[0] == row
+
+
+def test_a_run_that_ended_sooner_has_no_integral_then():
+    assert integral_at(made_log(rows=50), 5.0) is None
+    assert integral_at(made_log(rows=51), 5.0) is not None
+    assert integral_at(made_log(rows=0), 0.0) is None
+
+
+def test_the_real_time_factor_is_simulated_over_wall_time():
+    assert run_metrics(made_log(wall_time=4.0))["real_time_factor"] == 2.5
+    assert run_metrics(made_log(wall_time=0.0))["real_time_factor"] is None
+
+
+def test_the_revision_stands_apart_from_the_versions():
+    metrics = run_metrics(made_log())
+    assert metrics["git_revision"] == "abc"
+    assert metrics["versions"] == {"python": "3"}
+    assert run_metrics(made_log(versions={}))["git_revision"] is None
+
+
+@pytest.mark.parametrize("rows", [0, 1, 50, 101])
+def test_every_promised_key_is_there_however_short_the_run_and_json_can_hold_it(rows):
+    log = made_log(rows=rows)
+    metrics = run_metrics(log)
+    assert set(metrics) >= PROMISED
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+
+
+def test_a_log_without_a_row_has_no_figures():
+    metrics = run_metrics(made_log(rows=0))
+    assert {metrics[name] for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m")} == {None}
+
+
+def test_metrics_change_nothing_in_the_log():
+    log = made_log()
+    before = {name: values.copy() for name, values in log.signals.items()}
+    run_metrics(log)
+    for name, values in before.items():
+        np.testing.assert_array_equal(log[name], values)
+    assert log.versions == {"python": "3", "git_revision": "abc"}
+    assert isinstance(log, SimulationLog)
+    assert isinstance(log.scenario, Scenario)
+
+
+def test_norms_of_the_error_are_lengths_in_degrees_and_millimetres():
+    pose = np.zeros((101, 6))
+    pose[:, 0], pose[:, 1], pose[:, 3], pose[:, 5] = 0.03, 0.04, 0.001, 0.002
+    rotation, position = error_norms(made_log(pose=pose))
+    np.testing.assert_allclose(rotation, np.degrees(0.05))
+    np.testing.assert_allclose(position, np.sqrt(5.0))
+
+
+def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reached():
+    time, values = 0.1 * np.arange(101), np.ones(101)
+    values[:50] = 3.0
+    assert worst_half_rms(time, values, 10.0) == pytest.approx(3.0)
+    assert worst_half_rms(time, values[::-1], 10.0) == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
+    assert worst_half_rms(time[:50], values[:50], 10.0) is None
+    assert rms(np.empty(0)) is None
+
+
+@pytest.mark.parametrize("rate", [0.5, 2.0])
+@pytest.mark.parametrize("start", [0.0, 3.0])
+def test_settling_of_an_exponential_decay_is_known(rate, start):
+    time = 0.001 * np.arange(12001)
+    size = np.where(time < start, 9.0, np.exp(-rate * (time - start)))
+    assert settling_time(time, size, 0.05, start) == pytest.approx(np.log(20.0) / rate, abs=2e-3)
+
+
+def test_settling_counts_the_last_time_outside_the_band():
+    time = np.arange(6.0)
+    assert settling_time(time, np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0]), 1.0) == 3.0
+    assert settling_time(time, np.zeros(6), 1.0) == 0.0
+    assert settling_time(time, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]), 1.0) is None
+    assert settling_time(time, np.full(6, np.nan), 1.0) is None
+    assert settling_time(time, np.zeros(6), 1.0, start=9.0) is None
+
+
+def test_torque_change_is_taken_from_tick_to_tick_within_the_limit():
+    torque = np.zeros((101, 6))
+    torque[::2] = 0.5
+    scenario = {"controller": {"period": 0.1}, "plant": {"time_step": 0.1}}
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(0.5)
+    torque[::2] = 1e9
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(5.0)
+    # Two rows a tick: the torque stands still between them, and that is no tick.
+    scenario = {"controller": {"period": 0.2}, "plant": {"time_step": 0.1}, "log_period": 0.1}
+    torque = np.repeat(np.arange(51.0) % 2.0, 2)[:101, None] * np.ones(6)
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(1.0)
+    # Every second tick is not every tick.
+    scenario = {"controller": {"period": 0.05}, "plant": {"time_step": 0.05}, "log_period": 0.1}
+    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) is None
+    rows = np.zeros(101, dtype=bool)
+    assert torque_change_rms(made_log(torque=torque), rows) is None
+
+
+@pytest.mark.parametrize(("ratio", "lag"), [(1.0, 0.0), (0.25, 2.0), (1.3, -0.4)])
+def test_the_response_to_a_sine_is_found_in_spite_of_offset_and_harmonics(ratio, lag):
+    time = 0.001 * np.arange(2000)
+    angle = 2.0 * np.pi * 5.0 * time
+    reference = 0.3 + 0.01 * np.sin(angle + 0.7)
+    response = 0.31 + 0.01 * ratio * (np.sin(angle + 0.7 - lag) + 0.1 * np.sin(3.0 * angle))
+    got, rest = sine_response(time, reference, response, 5.0)
+    assert abs(got) == pytest.approx(ratio, rel=1e-9)
+    assert np.angle(got) == pytest.approx(-lag, abs=1e-9)
+    assert rest == pytest.approx(0.1, rel=1e-9)

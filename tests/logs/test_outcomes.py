@@ -1,0 +1,259 @@
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_logs import made_log
+
+from stewart_drake.errors import NotFiniteError, SafetyStop
+from stewart_drake.logs.log import load_log
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.outcomes import find_warnings, judge
+from stewart_drake.logs.tally import Tally
+from stewart_drake.runs.simulation import run
+from stewart_drake.safety import LEVELS, MONITORS
+from stewart_drake.scenario import Scenario, load_scenario
+
+STILL = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.3]}
+TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
+TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
+
+
+def trip(last, worst="safe_hold"):
+    """What the safety layer tells: a deadline missed at first, and if it has the robot, a crank that was too fast."""
+    return {**TRIP, "last": last, "worst": worst, "stopped": None if last in ("none", "hold") else TAKEN}
+
+
+def tallied(parts=1, scenario=None, **signals):
+    """Figures of a log made by hand, taken in so many parts."""
+    log = made_log(scenario=scenario, **signals)
+    tally = Tally(log.scenario)
+    for rows in np.array_split(np.arange(len(log.time)), parts):
+        tally.add({name: values[rows] for name, values in log.signals.items()})
+    return log.scenario, tally.figures()
+
+
+def verdict(trip=None, ended_by=None, **changes):
+    scenario, figures = tallied(**changes)
+    return judge(scenario.bounds, figures, trip, 10.0, ended_by)
+
+
+def level(values):
+    rows = np.zeros((101, 3))
+    rows[:, 0], rows[:, 2] = values, -1.0
+    return rows
+
+
+def moving(share):
+    """A reference that swings by 10 mm, and a pose that follows with a share of it."""
+    swing = np.zeros((101, 6))
+    swing[:, 5] = 0.01 * np.sin(np.linspace(0.0, 12.0, 101))
+    return {"reference": 0.3 + swing, "pose": 0.3 + share * swing}
+
+
+# --- the rules, on logs made by hand ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("signal", "column", "bound", "reason"),
+    [("pose", 1, math.radians(10.0), "rotation_bound"), ("pose", 4, 0.03, "position_bound")]
+    + [("loop_gap", 3, 0.001, "loop_gap_bound")],
+)
+def test_an_error_that_leaves_its_bound_in_a_single_step_is_a_run_lost(signal, column, bound, reason):
+    values = np.zeros((101, 6))
+    values[37, column] = 0.999 * bound
+    assert verdict(**{signal: values}).status == "completed"
+    values[37, column] = 1.001 * bound
+    outcome = verdict(**{signal: values})
+    assert (outcome.status, outcome.reason) == ("lost", reason)
+    assert outcome.time == pytest.approx(3.7)
+    assert outcome.leg == (3 if signal == "loop_gap" else None)
+    off = {"bounds": {reason.removesuffix("_bound"): None}}
+    assert verdict(scenario=off, **{signal: values}).status == "completed"
+
+
+def test_the_bound_that_was_left_first_gives_the_reason_and_the_message_has_the_largest_error():
+    pose, gap = np.zeros((101, 6)), np.zeros((101, 6))
+    pose[50:, 4], pose[70, 4], gap[40:, 1] = 0.04, 0.2, 0.002
+    outcome = verdict(pose=pose, loop_gap=gap)
+    assert (outcome.reason, outcome.time, outcome.leg) == ("loop_gap_bound", pytest.approx(4.0), 1)
+    assert "the largest was 200 mm" in verdict(pose=pose).message
+
+
+def test_a_start_that_is_off_has_to_come_back():
+    pose = np.zeros((101, 6))
+    pose[:20, 3] = 0.05
+    assert verdict(pose=pose).status == "completed"
+    pose[60, 3] = 0.05
+    assert verdict(pose=pose).time == pytest.approx(6.0)
+    never = verdict(pose=np.full((101, 6), 0.05))
+    assert (never.status, never.reason, never.time) == ("lost", "position_bound", 0.0)
+
+
+@pytest.mark.parametrize(("share", "status"), [(1.0, "completed"), (0.26, "completed"), (0.24, "lost"), (0.0, "lost")])
+def test_a_motion_that_is_not_in_the_pose_was_not_followed(share, status):
+    outcome = verdict(**moving(share))
+    assert outcome.status == status
+    assert outcome.reason == (None if status == "completed" else "not_followed")
+    assert verdict(scenario={"bounds": {"motion_ratio": None}}, **moving(share)).status == "completed"
+
+
+def test_a_start_that_swings_in_is_not_a_motion_followed_and_a_small_error_is_one():
+    signals = moving(0.0)
+    signals["pose"][:40, 5] += 0.02 * np.sin(np.arange(40))
+    assert verdict(**signals).reason == "not_followed"
+    swing = 1e-3 * (signals["reference"] - 0.3)
+    assert verdict(reference=0.3 + 5.0 * swing, pose=np.full((101, 6), 0.3)).status == "lost"
+    assert verdict(reference=0.3 + 2.0 * swing, pose=np.full((101, 6), 0.3)).status == "completed"
+
+
+def test_a_reference_that_stands_still_asks_for_no_motion():
+    rng = np.random.default_rng(0)
+    assert verdict(pose=1e-3 * rng.normal(size=(101, 6))).status == "completed"
+    assert tallied()[1]["motion_ratio"] is None
+
+
+def test_nan_poses_are_not_inside_of_any_bound():
+    assert verdict(pose=np.full((101, 6), np.nan)).status == "lost"
+    pose = np.zeros((101, 6))
+    pose[30:, 0] = np.nan
+    assert verdict(pose=pose).time == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("last", ["none", "hold", "ramp", "safe_hold"])
+def test_what_the_safety_layer_holds_at_the_end_is_stopped_however_small_the_error(last):
+    # Held for a while, given back, and held again from 8 s on by the monitor of that time.
+    rows = level([0.0] * 20 + [1.0] * 10 + [0.0] * 50 + [float(LEVELS.index(last))] * 21)
+    rows[80:, 1:] = MONITORS.index("crank_speed"), 1.0
+    outcome = verdict(trip=trip(last), safety=rows)
+    if last == "none":
+        assert outcome.status == "completed"
+    else:
+        assert dataclasses.astuple(outcome)[:2] == ("stopped", "crank_speed")
+        # A hold is not for good; it counts from its first tick.
+        assert (outcome.time, outcome.leg) == (pytest.approx(8.0 if last == "hold" else 0.5), 1)
+
+
+def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_loss():
+    pose = np.zeros((101, 6))
+    pose[60:, 3] = 0.5
+    held = level([0.0] * 50 + [2.0] * 51)
+    assert verdict(trip=trip("ramp"), pose=pose, safety=held).status == "stopped"
+    assert tallied(pose=pose, safety=held)[1]["error_max_mm"] == 0.0
+
+
+def test_a_stop_that_held_is_stopped_and_one_that_could_not_hold_failed():
+    held = SafetyStop("crank_speed", "crank_speed: stopped, and held for 0.5 s", 1, trip("safe_hold"))
+    given_up = SafetyStop("crank_speed", "a crank turns at 40 rad/s", 1, trip("end", "end"))
+    assert verdict(trip=held.trip, ended_by=held).status == "stopped"
+    outcome = verdict(trip=given_up.trip, ended_by=given_up)
+    assert (outcome.status, outcome.reason, outcome.leg) == ("failed", "crank_speed", 1)
+
+
+def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
+    error = NotFiniteError("torque", [1.0])
+    error.time = 3.0
+    far = np.full((101, 6), 9.0)
+    assert dataclasses.astuple(verdict(pose=far, ended_by=error))[:2] == ("failed", "not_finite")
+    assert verdict(pose=far, ended_by=error).time == 3.0
+    assert verdict(pose=far, ended_by=KeyboardInterrupt()).status == "interrupted"
+
+
+@given(st.integers(1, 60), st.integers(0, 10**6))
+def test_figures_do_not_depend_on_the_parts_they_are_taken_in(parts, seed):
+    rng = np.random.default_rng(seed)
+    signals = {name: 0.05 * rng.normal(size=(101, 6)) for name in ("pose", "reference", "torque", "integral")}
+    signals |= {"loop_gap": np.abs(rng.normal(size=(101, 6))), "safety": level(rng.integers(0, 3, 101))}
+    whole, split = (tallied(n, **signals)[1] for n in (1, parts))
+    assert whole["events"] == split["events"]
+    for name in whole:
+        if name != "events" and whole[name] is not None:
+            np.testing.assert_allclose(split[name], whole[name], rtol=1e-12, atol=1e-15)
+
+
+def test_warnings_name_what_a_completed_run_hides():
+    torque, gap, pose = np.zeros((101, 6)), np.zeros((101, 6)), np.zeros((101, 6))
+    torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-4, 1e-3
+    rows = level([0.0] * 40 + [1.0] * 5 + [0.0] * 10 + [1.0] + [0.0] * 45)
+    scenario, figures = tallied(torque=torque, loop_gap=gap, pose=pose, safety=rows)
+    seen = {**trip("none", "hold"), "time": 4.0}
+    outcome = judge(scenario.bounds, figures, seen, 10.0, None)
+    assert outcome.status == "completed"
+    found = {each["name"]: each for each in find_warnings(figures, seen)}
+    assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
+    assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
+    assert found["saturation"]["time"] == pytest.approx(1.0)
+    assert found["saturation"]["number"] == pytest.approx(10 / 606)
+    assert found["loop_gap"]["time"] == pytest.approx(3.3)
+    assert found["loop_gap"]["number"] == pytest.approx(0.2)
+    for last in ("hold", "ramp", "safe_hold", "end"):
+        assert "safety_intervention" not in {each["name"] for each in find_warnings(figures, trip(last))}
+    quiet = tallied(pose=pose)[1]
+    assert find_warnings(quiet, None) == ()
+
+
+# --- runs ---------------------------------------------------------------------------------------------------------
+
+
+def exact(**changes):
+    return load_scenario("exact_fig7").replace({"duration": 0.6, "reference": STILL, **changes})
+
+
+def push(time, **keys):
+    return {"disturbances": [{"time": time, **keys}]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "reason"),
+    [
+        ({}, "completed", None),
+        (push(0.2, kind="step", wrench=[0, 0, 0, 150, 0, 0]), "lost", "position_bound"),
+        ({"motors": {"dead": {"leg": 0, "time": 0.2}}}, "lost", None),
+        (push(0.2, kind="impulse", impulse=[0, 0, 0, 0, 20.0, 0]), "lost", None),
+        ({"reference": {"kind": "breathing"}, "duration": 1.5, "plant.motor_friction": 8.0}, "lost", "not_followed"),
+        ({"safety": {}, "link.stop_time": 0.5}, "stopped", "deadline"),
+        ({"safety": {"safe_hold_time": 100.0}, "link.stop_time": 0.2}, "stopped", "deadline"),
+        ({"safety": {"safe_hold_time": 0.1}, "link.stop_time": 0.2}, "stopped", "deadline"),
+    ],
+    ids=["well", "150N", "dead", "blow", "friction", "ramp", "held", "held to its end"],
+)
+def test_no_run_is_completed_because_the_clock_ran_out(changes, status, reason, tmp_path):
+    log = run(exact(**changes))
+    assert log.status == status
+    if reason is not None:
+        assert log.reason == reason
+    assert log.outcome_time is None if status == "completed" else 0.2 <= log.outcome_time <= log.end_time
+    log.save(tmp_path / "log.parquet")
+    metrics = run_metrics(load_log(tmp_path))
+    assert (metrics["status"], metrics["reason"]) == (log.status, log.reason)
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == run_metrics(log)
+
+
+def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
+    blow = push(0.25, kind="impulse", impulse=[0, 0, 0, 0, 2.0, 0])
+    logs = [run(exact(log_period=period, **blow)) for period in (None, 0.6, 0.007)]
+    assert [len(log.time) for log in logs] == [601, 2, 86]
+    figures = [{k: v for k, v in run_metrics(log).items() if k != "real_time_factor"} for log in logs]
+    assert figures[0] == figures[1] == figures[2]
+    assert figures[0]["error_max_mm"] > 10.0
+    assert [log.warnings for log in logs[1:]] == [logs[0].warnings] * 2
+
+
+def test_peaks_are_those_of_every_step_of_the_plant():
+    coarse = Scenario.from_dict(
+        {"duration": 0.5, "reference": STILL, "tuner": {"kind": "fixed"}}
+        | push(0.301, kind="impulse", impulse=[0, 0, 0, 0, 0.3, 0])
+    )
+    fine = run(coarse.replace({"log_period": 0.001}))
+    sizes = np.abs(fine["pose"] - fine["reference"])[fine.time >= 0.25].max(axis=0)
+    peaks = run_metrics(run(coarse))["peak_mm"]
+    np.testing.assert_allclose(peaks, 1e3 * sizes[3:], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "exact_breathing", "exact_heart", "exact_fig7"])
+def test_a_committed_scenario_without_a_fault_is_completed(name):
+    log = run(load_scenario(name).replace({"duration": 2.0}))
+    assert (log.status, log.reason) == ("completed", None)

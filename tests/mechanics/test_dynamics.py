@@ -1,0 +1,278 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from pydrake.math import RollPitchYaw
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from strategies import ROBOT, poses, vectors
+
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.mechanics.dynamics import (
+    STANDARD_GRAVITY,
+    euler_acceleration,
+    forward_dynamics,
+    inverse_dynamics,
+    static_torque,
+    task_bias,
+    task_inertia,
+)
+from stewart_drake.mechanics.kinematics import (
+    inverse_kinematics,
+    leg_geometry,
+    pose_jacobian,
+    pose_rate_to_twist,
+    rod_lines,
+    roll_pitch_yaw,
+    rotation_matrix,
+    twist_jacobian,
+    twist_to_pose_rate,
+)
+
+DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())
+HEAVY = ROBOT.replace(rod_mass=0.8, crank_mass=0.4, rod_inertia=(0.016, 0.016, 0.00001))
+"""Legs that outweigh the platform, so that an error in them cannot hide."""
+STEP = 1e-4
+
+
+def differentiate(function, at, step=STEP):
+    """Derivative at `at` of a function of one variable, fourth order."""
+    samples = [function(at + k * step) for k in (-2, -1, 1, 2)]
+    return (samples[0] - 8.0 * samples[1] + 8.0 * samples[2] - samples[3]) / (12.0 * step)
+
+
+def points(robot, pose):
+    """Crank tips and platform joints in B."""
+    theta = inverse_kinematics(robot, pose)
+    tips = robot.shaft_positions + robot.crank_length * (
+        np.cos(theta)[:, None] * robot.crank_zero_directions + np.sin(theta)[:, None] * np.array([0.0, 0.0, 1.0])
+    )
+    return tips, robot.platform_joints @ rotation_matrix(pose[:3]).T + pose[3:]
+
+
+def potential_energy(robot, pose, gravity=STANDARD_GRAVITY):
+    """From the heights of the centres of mass alone."""
+    tips, joints = points(robot, pose)
+    heights = 0.5 * robot.rod_mass * (tips + joints)[:, 2].sum()
+    heights += 0.5 * robot.crank_mass * (tips + robot.shaft_positions)[:, 2].sum()
+    return gravity * (heights + robot.platform_mass * pose[5])
+
+
+def kinetic_energy(robot, pose, rate):
+    """From velocities of the bodies' points by finite differences: no Jacobian, no leg vector of the package."""
+    velocities = differentiate(lambda t: np.array(points(robot, pose + t * rate)), 0.0)
+    (tips, joints), (tip_velocities, joint_velocities) = points(robot, pose), velocities
+    centre = 0.5 * (tip_velocities + joint_velocities)
+    # A rod without spin: its angular speed is the relative speed of its ends over its length.
+    spin = np.linalg.norm(joint_velocities - tip_velocities, axis=-1) / np.linalg.norm(joints - tips, axis=-1)
+    crank_speed = np.linalg.norm(tip_velocities, axis=-1) / robot.crank_length
+    rotation_rate = differentiate(lambda t: rotation_matrix(pose[:3] + t * rate[:3]), 0.0)
+    skew = rotation_matrix(pose[:3]).T @ rotation_rate
+    omega = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    twice = robot.rod_mass * np.sum(centre**2) + robot.rod_inertia[0] * np.sum(spin**2)
+    twice += robot.crank_axis_inertia * np.sum(crank_speed**2)
+    twice += robot.platform_mass * np.sum(rate[3:] ** 2) + omega @ (np.array(robot.platform_inertia) * omega)
+    return 0.5 * twice
+
+
+def motion(pose, rate, acceleration):
+    """A smooth motion through `pose` with the given derivatives at t = 0."""
+    return (
+        lambda t: pose + t * rate + 0.5 * t * t * acceleration,
+        lambda t: rate + t * acceleration,
+    )
+
+
+@pytest.mark.parametrize("case", DATA["cases"])
+def test_inertia_and_bias_of_an_independent_implementation(case):
+    twist = np.concatenate([case["angular_velocity_W"], case["linear_velocity_W"]])
+    np.testing.assert_allclose(task_inertia(ROBOT, case["pose"]), case["task_inertia"], rtol=1e-9, atol=1e-12)
+    bias = task_bias(ROBOT, case["pose"], twist)
+    np.testing.assert_allclose(bias, case["task_bias_with_gravity"], rtol=1e-9, atol=1e-11)
+
+
+def test_free_motion_of_an_independent_computation():
+    case = DATA["free_motion"]
+    torque = np.array(case["torque"])
+
+    def derivative(_, state):
+        pose, twist = state[:6], state[6:]
+        load = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
+        return np.concatenate([twist_to_pose_rate(pose, twist), np.linalg.solve(task_inertia(ROBOT, pose), load)])
+
+    start = np.concatenate([case["pose"], np.zeros(6)])
+    end = solve_ivp(derivative, (0.0, case["time"]), start, rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(end[3:6], case["position"], atol=2e-8)
+    quaternion = RollPitchYaw(end[:3]).ToQuaternion().wxyz()
+    np.testing.assert_allclose(quaternion, case["quaternion_wxyz"], atol=2e-8)
+
+
+@given(pose=poses())
+def test_inertia_is_symmetric_positive_definite_and_more_than_the_platforms(pose):
+    inertia = task_inertia(ROBOT, pose)
+    np.testing.assert_allclose(inertia, inertia.T, atol=1e-14 * np.abs(inertia).max())
+    rotation = rotation_matrix(pose[:3])
+    platform = np.zeros((6, 6))
+    platform[:3, :3] = rotation @ np.diag(ROBOT.platform_inertia) @ rotation.T
+    platform[3:, 3:] = ROBOT.platform_mass * np.eye(3)
+    assert np.linalg.eigvalsh(inertia - platform).min() > 0.0
+
+
+@given(pose=poses(0.8), rate=vectors(6, 2.0))
+def test_inertia_gives_the_kinetic_energy_of_all_bodies(pose, rate):
+    for robot in (ROBOT, HEAVY):
+        twist = pose_rate_to_twist(pose, rate)
+        energy = 0.5 * twist @ task_inertia(robot, pose) @ twist
+        assert energy == pytest.approx(kinetic_energy(robot, pose, rate), rel=1e-7, abs=1e-10)
+
+
+@settings(max_examples=25)
+@given(pose=poses(0.8), rate=vectors(6), acceleration=vectors(6, 5.0))
+def test_torques_satisfy_lagranges_equations_of_the_energies(pose, rate, acceleration):
+    """d/dt(dL/dq') - dL/dq = J' T in Euler angles, with energies that share no code with the model."""
+    at, rate_at = motion(pose, rate, acceleration)
+
+    def momentum(t, e):
+        # Exact, because the kinetic energy is quadratic in the rates.
+        return 0.5 * (kinetic_energy(HEAVY, at(t), rate_at(t) + e) - kinetic_energy(HEAVY, at(t), rate_at(t) - e))
+
+    generalised = [
+        differentiate(lambda t, e=e: momentum(t, e), 0.0, 1e-3)
+        - differentiate(lambda s, e=e: kinetic_energy(HEAVY, pose + s * e, rate), 0.0, 1e-3)
+        + differentiate(lambda s, e=e: potential_energy(HEAVY, pose + s * e), 0.0)
+        for e in np.eye(6)
+    ]
+    torque = inverse_dynamics(HEAVY, pose, rate, acceleration)
+    np.testing.assert_allclose(pose_jacobian(HEAVY, pose).T @ torque, generalised, rtol=1e-5, atol=1e-5)
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_power_of_the_motors_is_the_rate_of_the_total_energy(pose, rate, acceleration):
+    at, rate_at = motion(pose, rate, acceleration)
+
+    def energy(t):
+        twist = pose_rate_to_twist(at(t), rate_at(t))
+        return 0.5 * twist @ task_inertia(ROBOT, at(t)) @ twist + potential_energy(ROBOT, at(t))
+
+    power = inverse_dynamics(ROBOT, pose, rate, acceleration) @ (pose_jacobian(ROBOT, pose) @ rate)
+    assert power == pytest.approx(differentiate(energy, 0.0), rel=1e-6, abs=1e-6)
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_inverse_dynamics_is_inertia_and_bias_through_the_jacobian(pose, rate, acceleration):
+    twist = pose_rate_to_twist(pose, rate)
+    at, rate_at = motion(pose, rate, acceleration)
+    twist_rate = differentiate(lambda t: pose_rate_to_twist(at(t), rate_at(t)), 0.0)
+    load = task_inertia(ROBOT, pose) @ twist_rate + task_bias(ROBOT, pose, twist)
+    torque = inverse_dynamics(ROBOT, pose, rate, acceleration)
+    np.testing.assert_allclose(twist_jacobian(ROBOT, pose).T @ torque, load, rtol=1e-7, atol=1e-7)
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_forward_dynamics_undoes_inverse_dynamics(pose, rate, acceleration):
+    torque = inverse_dynamics(ROBOT, pose, rate, acceleration, 5.0)
+    found = forward_dynamics(ROBOT, pose, rate, torque, 5.0)
+    np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_euler_acceleration_inverts_the_step_inside_inverse_dynamics(pose, rate, acceleration):
+    at, rate_at = motion(pose, rate, acceleration)
+    twist_rate = differentiate(lambda t: pose_rate_to_twist(at(t), rate_at(t)), 0.0)
+    found = euler_acceleration(pose, rate, twist_rate)
+    np.testing.assert_allclose(found, acceleration, atol=1e-8)
+    drake = RollPitchYaw(pose[:3]).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate[:3], twist_rate[:3])
+    np.testing.assert_allclose(found[:3], drake, atol=1e-12)
+
+
+@given(pose=poses())
+def test_static_torque_is_inverse_dynamics_at_rest(pose):
+    zero = np.zeros(6)
+    for gravity in (STANDARD_GRAVITY, 1.62, 0.0):
+        at_rest = inverse_dynamics(ROBOT, pose, zero, zero, gravity)
+        np.testing.assert_allclose(static_torque(ROBOT, pose, gravity), at_rest, rtol=1e-10, atol=1e-12)
+
+
+@given(pose=poses())
+def test_static_torque_is_the_gradient_of_the_potential_energy(pose):
+    for robot in (ROBOT, HEAVY):
+        gradient = [differentiate(lambda t, e=e, r=robot: potential_energy(r, pose + t * e), 0.0) for e in np.eye(6)]
+        holding = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
+        np.testing.assert_allclose(holding, gradient, rtol=1e-7, atol=1e-8)
+
+
+def test_at_home_the_six_motors_share_the_weight_equally():
+    torque = static_torque(ROBOT, ROBOT.home_pose)
+    np.testing.assert_allclose(torque, torque[0], rtol=1e-13)
+    assert torque[0] > 0.0
+    np.testing.assert_array_equal(static_torque(ROBOT, ROBOT.home_pose, 0.0), 0.0)
+
+
+@given(pose=poses(), twist=vectors(6, 2.0))
+def test_velocity_terms_of_the_bias_are_quadratic_and_gravity_adds_to_them(pose, twist):
+    def velocity_terms(scale):
+        return task_bias(ROBOT, pose, scale * twist, gravity=0.0)
+
+    scale = max(1.0, np.abs(velocity_terms(1.0)).max())
+    np.testing.assert_allclose(velocity_terms(-2.0), 4.0 * velocity_terms(1.0), atol=1e-11 * scale)
+    rest = task_bias(ROBOT, pose, np.zeros(6))
+    np.testing.assert_allclose(task_bias(ROBOT, pose, twist), velocity_terms(1.0) + rest, atol=1e-11 * scale)
+
+
+@given(pose=poses(0.8), twist=vectors(6, 2.0))
+def test_turning_the_motion_by_120_degrees_turns_inertia_and_bias_with_it(pose, twist):
+    third = Rotation.from_euler("z", 120.0, degrees=True).as_matrix()
+    turned = np.concatenate([roll_pitch_yaw(third @ rotation_matrix(pose[:3]) @ third.T), third @ pose[3:]])
+    both = np.kron(np.eye(2), third)
+    bias, inertia = task_bias(ROBOT, pose, twist), task_inertia(ROBOT, pose)
+    np.testing.assert_allclose(task_bias(ROBOT, turned, both @ twist), both @ bias, atol=1e-10)
+    np.testing.assert_allclose(task_inertia(ROBOT, turned), both @ inertia @ both.T, atol=1e-11)
+
+
+def test_everything_is_vectorised_over_leading_axes():
+    rng = np.random.default_rng(0)
+    pose = ROBOT.home_pose + rng.uniform(-0.05, 0.05, (2, 3, 6))
+    rate, acceleration = rng.normal(size=(2, 2, 3, 6))
+    calls = {
+        "static_torque": lambda *a: static_torque(ROBOT, a[0]),
+        "inverse_dynamics": lambda *a: inverse_dynamics(ROBOT, *a),
+        "forward_dynamics": lambda *a: forward_dynamics(ROBOT, *a),
+        "task_inertia": lambda *a: task_inertia(ROBOT, a[0]),
+        "task_bias": lambda *a: task_bias(ROBOT, a[0], a[1]),
+        "euler_acceleration": euler_acceleration,
+    }
+    for name, call in calls.items():
+        values = call(pose, rate, acceleration)
+        for i in np.ndindex(2, 3):
+            one = call(pose[i], rate[i], acceleration[i])
+            np.testing.assert_allclose(values[i], one, rtol=1e-11, atol=1e-12, err_msg=name)
+
+
+def test_a_torque_of_another_size_is_refused():
+    with pytest.raises(ConfigurationError, match="torque"):
+        forward_dynamics(ROBOT, ROBOT.home_pose, np.zeros(6), np.zeros(5))
+
+
+def test_a_pose_out_of_reach_raises():
+    high = np.array([0, 0, 0, 0, 0, 0.6])
+    for call in (
+        lambda: static_torque(ROBOT, high),
+        lambda: inverse_dynamics(ROBOT, high, np.zeros(6), np.zeros(6)),
+        lambda: forward_dynamics(ROBOT, high, np.zeros(6), np.zeros(6)),
+        lambda: task_inertia(ROBOT, high),
+        lambda: task_bias(ROBOT, high, np.zeros(6)),
+    ):
+        with pytest.raises(UnreachablePoseError):
+            call()
+
+
+def test_holding_torques_grow_without_bound_towards_a_parallel_singularity():
+    def turned(angle):
+        return ROBOT.home_pose + angle * np.eye(6)[0]
+
+    angle = brentq(lambda x: np.linalg.det(rod_lines(leg_geometry(ROBOT, turned(x)))), 0.0, 1.4, xtol=1e-15)
+    sizes = [np.abs(static_torque(ROBOT, turned(angle - gap))).max() for gap in (1e-3, 1e-4, 1e-5)]
+    np.testing.assert_allclose(np.array(sizes[1:]) / sizes[:-1], 10.0, rtol=0.05)

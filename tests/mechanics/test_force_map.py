@@ -1,0 +1,112 @@
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.optimize import brentq
+from strategies import ROBOT, poses, vectors
+
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.mechanics.force_map import crank_map, force_map, force_map_of_legs, rod_map
+from stewart_drake.mechanics.kinematics import leg_geometry, reach_margin, twist_jacobian
+
+CASES = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["cases"]
+_SHAFT = 0.20 * math.cos(math.radians(8.0)) + 0.11, 0.20 * math.sin(math.radians(8.0))
+UPRIGHT = ROBOT.replace(
+    platform_joint_radius=math.hypot(*_SHAFT), platform_half_angle=math.atan2(*_SHAFT[::-1]), home_height=-0.07 + 0.404
+)
+"""Its platform joints lie straight above the tips of its horizontal cranks: at home every rod lies along e_N."""
+
+
+@given(pose=poses())
+def test_rod_map_adds_up_rod_forces_at_their_joints(pose):
+    legs = leg_geometry(ROBOT, pose)
+    for leg in range(6):
+        force = legs.e_l[leg]
+        wrench = np.concatenate([np.cross(legs.arm[leg], force), force])
+        np.testing.assert_allclose(rod_map(legs)[:, leg], wrench, atol=1e-15)
+
+
+@given(pose=poses())
+def test_statics_is_the_transposed_jacobian(pose):
+    jacobian = twist_jacobian(ROBOT, pose)
+    np.testing.assert_allclose(force_map(ROBOT, pose, "statics"), jacobian.T, rtol=1e-12, atol=1e-14)
+
+
+@given(pose=poses(), torque=vectors(6, 5.0), twist=vectors(6))
+def test_statics_loses_no_power_between_motors_and_platform(pose, torque, twist):
+    at_platform = twist @ force_map(ROBOT, pose, "statics") @ torque
+    assert torque @ twist_jacobian(ROBOT, pose) @ twist == pytest.approx(at_platform, rel=1e-9, abs=1e-10)
+
+
+@given(pose=poses())
+def test_the_printed_map_falls_short_of_statics_by_the_transmission_squared(pose):
+    transmission = leg_geometry(ROBOT, pose).transmission
+    short = force_map(ROBOT, pose, "statics") * transmission**2
+    np.testing.assert_allclose(force_map(ROBOT, pose, "printed"), short, rtol=1e-12, atol=1e-14)
+
+
+def test_printed_and_statics_agree_where_every_rod_lies_along_e_n_and_nowhere_near():
+    np.testing.assert_allclose(leg_geometry(UPRIGHT, UPRIGHT.home_pose).transmission, 1.0, rtol=1e-15)
+    printed, statics = (force_map(UPRIGHT, UPRIGHT.home_pose, kind) for kind in ("printed", "statics"))
+    np.testing.assert_allclose(printed, statics, rtol=1e-13, atol=1e-14)
+    raised = UPRIGHT.home_pose + 0.05 * np.eye(6)[5]
+    printed, statics = (force_map(UPRIGHT, raised, kind) for kind in ("printed", "statics"))
+    assert np.all(np.abs(printed[5]) < 0.99 * np.abs(statics[5]))
+
+
+@given(pose=poses())
+def test_the_two_maps_differ_in_length_of_their_columns_but_not_in_direction(pose):
+    printed, statics = (force_map(ROBOT, pose, kind) for kind in ("printed", "statics"))
+    cosines = np.sum(printed * statics, axis=0) / np.linalg.norm(printed, axis=0) / np.linalg.norm(statics, axis=0)
+    np.testing.assert_allclose(cosines, 1.0, rtol=1e-12)
+    assert np.all(np.linalg.norm(printed, axis=0) <= np.linalg.norm(statics, axis=0))
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("kind", ["printed", "statics"])
+def test_both_maps_of_an_independent_implementation(case, kind):
+    np.testing.assert_allclose(force_map(ROBOT, case["pose"], kind), case[f"force_map_{kind}"], rtol=1e-11, atol=1e-12)
+
+
+def test_towards_a_dead_centre_printed_fades_and_statics_grows():
+    def worst(x):
+        return reach_margin(ROBOT, ROBOT.home_pose + x * np.eye(6)[3]).min()
+
+    edge = brentq(worst, 0.0, 0.4, xtol=1e-15)
+    near = [ROBOT.home_pose + (edge - gap) * np.eye(6)[3] for gap in (1e-2, 1e-4, 1e-6, 1e-8)]
+    printed = [np.linalg.norm(force_map(ROBOT, pose, "printed"), axis=0).min() for pose in near]
+    statics = [np.linalg.norm(force_map(ROBOT, pose, "statics"), axis=0).max() for pose in near]
+    # The transmission vanishes with the square root of the gap.
+    np.testing.assert_allclose(np.array(printed[1:]) / printed[:-1], 0.1, rtol=0.05)
+    np.testing.assert_allclose(np.array(statics[1:]) / statics[:-1], 10.0, rtol=0.05)
+
+
+def test_at_a_dead_centre_printed_is_zero_and_statics_infinite_without_a_warning():
+    legs = leg_geometry(ROBOT, ROBOT.home_pose)
+    dead = dataclasses.replace(legs, transmission=legs.transmission * [1, 1, 0, 1, 1, 1])
+    assert crank_map(ROBOT, dead, "printed")[2] == 0.0
+    assert crank_map(ROBOT, dead, "statics")[2] == np.inf
+    assert np.linalg.matrix_rank(force_map_of_legs(ROBOT, dead, "printed")) == 5
+
+
+def test_maps_are_vectorised_over_leading_axes():
+    many = ROBOT.home_pose + np.random.default_rng(0).uniform(-0.05, 0.05, (2, 3, 6))
+    for kind in ("printed", "statics"):
+        maps = force_map(ROBOT, many, kind)
+        assert maps.shape == (2, 3, 6, 6)
+        for index in np.ndindex(2, 3):
+            np.testing.assert_allclose(maps[index], force_map(ROBOT, many[index], kind), rtol=1e-12, atol=1e-14)
+
+
+def test_a_pose_out_of_reach_raises():
+    with pytest.raises(UnreachablePoseError):
+        force_map(ROBOT, [0, 0, 0, 0, 0, 0.6])
+
+
+def test_another_kind_is_refused():
+    with pytest.raises(ConfigurationError, match="statics or printed"):
+        force_map(ROBOT, ROBOT.home_pose, "static")

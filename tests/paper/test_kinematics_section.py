@@ -1,0 +1,256 @@
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, reach_margin, rotation_matrix
+from stewart_drake.paper import as_printed
+from stewart_drake.paper.drake_kinematics import DrakeKinematics
+from stewart_drake.paper.kinematics_checks import (
+    branch_of_6,
+    misprint_effect,
+    newton_each,
+    newton_outcome,
+    turn_between,
+)
+from stewart_drake.paper.kinematics_section import make, verdict
+from stewart_drake.paper.plots.kinematics_plots import plot_forward, plot_misprints
+from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, Region, sample_poses
+from stewart_drake.paper.report import Figure, Section, Table
+from stewart_drake.paper.study import Study
+from stewart_drake.robot import RobotParameters
+
+ROBOT = RobotParameters()
+HOME = ROBOT.home_pose
+both_branches = pytest.mark.parametrize("branch", [-1, 1])
+
+
+def near(count, seed=0):
+    return sample_poses(ROBOT, NEAR, count, np.random.default_rng(seed)).poses
+
+
+@pytest.fixture(scope="module")
+def section(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kinematics")
+    return make(Study(folder, quick=True)), folder
+
+
+# --- where the poses come from ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("region", [NEAR, ANNOUNCED, WIDE])
+def test_samples_lie_in_their_box_and_within_reach(region):
+    sample = sample_poses(ROBOT, region, 500, np.random.default_rng(1))
+    assert sample.poses.shape == (500, 6)
+    assert np.all(np.abs(sample.poses - HOME) <= region.half_width)
+    assert reach_margin(ROBOT, sample.poses).min() > 0.0
+
+
+def test_the_share_in_reach_is_that_of_the_box():
+    drawn = HOME + np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 6)) * ANNOUNCED.half_width
+    share = (reach_margin(ROBOT, drawn).min(axis=-1) > 0.0).mean()
+    sample = sample_poses(ROBOT, ANNOUNCED, 2000, np.random.default_rng(3))
+    assert sample.share == pytest.approx(share, abs=0.01)
+
+
+def test_a_box_without_a_pose_in_reach_is_refused(monkeypatch):
+    monkeypatch.setattr("stewart_drake.paper.region._MOST_BLOCKS", 2)
+    with pytest.raises(ConfigurationError, match="nowhere"):
+        sample_poses(ROBOT, Region("none", (0.0,) * 6, "nowhere"), 5, np.random.default_rng(0), least_margin=1.0)
+
+
+# --- the print -------------------------------------------------------------------------------------------------------
+
+
+def test_the_printed_rotation_differs_from_the_true_one_in_one_entry():
+    rpy = np.array([0.3, -0.5, 0.8])
+    difference = as_printed.rotation_3(rpy) - rotation_matrix(rpy).T
+    at = np.zeros((3, 3))
+    at[2, 0] = np.sin(-0.5) * np.cos(0.8) * (np.cos(-0.5) - np.cos(0.3))
+    np.testing.assert_allclose(difference, at, atol=1e-15)
+
+
+@pytest.mark.parametrize("rpy", [(0.4, 0.0, 0.3), (0.4, 0.4, 0.2), (0.4, -0.4, 0.2), (0.5, 0.2, np.pi / 2.0)])
+def test_where_the_report_says_so_the_printed_matrix_is_a_rotation(rpy):
+    np.testing.assert_allclose(as_printed.rotation_3(np.array(rpy)), rotation_matrix(rpy).T, atol=1e-15)
+
+
+def test_the_bracket_of_5_turns_the_position_with_the_attitude():
+    poses = near(5)
+    elsewhere = poses.copy()
+    elsewhere[:, 3:] = np.einsum("nij,nj->ni", rotation_matrix(poses[:, :3]), poses[:, 3:])
+    expected = as_printed.platform_joints(ROBOT, elsewhere)
+    np.testing.assert_allclose(as_printed.platform_joints_5(ROBOT, poses), expected, atol=1e-15)
+
+
+@both_branches
+def test_crank_angles_from_the_equation_are_those_of_the_package(branch):
+    poses = near(20)
+    equation = as_printed.crank_equation(ROBOT, as_printed.platform_joints(ROBOT, poses))
+    theta = as_printed.crank_angles(equation, branch)
+    apart = np.angle(np.exp(1j * (theta - inverse_kinematics(ROBOT, poses, branch))))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-13)
+    np.testing.assert_allclose(equation.residual(theta), 0.0, atol=1e-14)
+
+
+def test_out_of_reach_is_nan_and_said_so():
+    pose = HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]
+    equation = as_printed.crank_equation(ROBOT, as_printed.platform_joints(ROBOT, pose))
+    assert not equation.in_reach
+    assert np.isnan(as_printed.crank_angles(equation, 1)).all()
+    assert np.isnan(as_printed.crank_angles_6(equation)).all()
+
+
+def test_6_solves_its_equation_where_a_is_not_positive_and_only_there():
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    equation = as_printed.CrankEquation(np.cos(angle), np.sin(angle), np.full(200, 0.3))
+    solved = np.abs(equation.residual(as_printed.crank_angles_6(equation))) < 1e-12
+    np.testing.assert_array_equal(solved, np.cos(angle) <= 1e-15)
+
+
+@pytest.mark.parametrize(("sense", "branch"), [(1, "1"), (-1, "-1")])
+def test_6_is_one_branch_or_the_other_by_the_sense_of_the_angle(sense, branch):
+    shares = branch_of_6(ROBOT, near(50), sense)
+    assert shares[branch] == 1.0
+    assert shares["neither"] == shares["a_positive"] == 0.0
+    wide = branch_of_6(ROBOT, sample_poses(ROBOT, WIDE, 300, np.random.default_rng(5)).poses, sense)
+    assert wide["neither"] == wide["a_positive"] > 0.02
+
+
+def test_the_rod_map_of_11_leaves_the_platform_joints_unrotated():
+    for pose, same in ((HOME, True), (near(1)[0], False)):
+        legs = leg_geometry(ROBOT, pose)
+        printed = as_printed.rod_map_11(ROBOT, legs)
+        for leg in range(6):
+            np.testing.assert_allclose(printed[:3, leg], np.cross(ROBOT.platform_joints[leg], legs.e_l[leg]))
+            assert np.allclose(printed[:3, leg], np.cross(legs.arm[leg], legs.e_l[leg])) is same
+
+
+# --- Drake -----------------------------------------------------------------------------------------------------------
+
+
+@both_branches
+def test_drake_sees_the_rod_between_crank_tip_and_platform_joint(branch):
+    robot = ROBOT.replace(branch=branch)
+    poses, drake = near(5), DrakeKinematics(robot)
+    theta = inverse_kinematics(robot, poses)
+    np.testing.assert_allclose(drake.rod_spans(poses, theta), 0.404, rtol=1e-14)
+    assert drake.loop_gaps(poses).max() < 1e-15
+    step = 1e-6
+    stretched = (drake.rod_spans(poses, theta + step) - 0.404) / step
+    np.testing.assert_allclose(stretched, -0.11 * leg_geometry(robot, poses).transmission, atol=1e-6)
+
+
+@both_branches
+def test_drake_solves_both_ways_and_does_not_return_its_guess(branch):
+    robot = ROBOT.replace(branch=branch)
+    pose, drake = near(1, seed=3)[0], DrakeKinematics(robot)
+    theta, start = inverse_kinematics(robot, pose), 0.8 * near(1, seed=3)[0] + 0.2 * HOME
+    found = drake.solve("pose", pose, start)
+    np.testing.assert_allclose(np.sin(0.5 * (found - theta)), 0.0, atol=1e-6)
+    np.testing.assert_allclose(drake.solve("cranks", pose, start), pose, atol=1e-6)
+    assert np.abs(inverse_kinematics(robot, start) - theta).max() > 0.01
+
+
+# --- forward ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_angle_between_attitudes_keeps_its_digits_when_small():
+    rpy = np.array([0.4, 0.2, -0.3])
+    for angle in (1e-9, 1e-3, 1.0, 3.0):
+        assert turn_between(rpy, rpy + [0.0, 0.0, angle]) == pytest.approx(angle, rel=1e-6)
+
+
+def test_newton_comes_back_on_homes_side_and_finds_another_assembly_beyond_the_singularity():
+    turned = HOME + np.radians([[20.0], [70.0], [78.0]]) * np.eye(6)[0]
+    outcome = newton_outcome(ROBOT, turned, HOME)
+    np.testing.assert_array_equal(outcome.across, [False, False, True])
+    np.testing.assert_array_equal(outcome.same, [True, True, False])
+    assert outcome.other[2]
+    angles = inverse_kinematics(ROBOT, outcome.found[2:])
+    np.testing.assert_allclose(angles, inverse_kinematics(ROBOT, turned[2:]), atol=1e-9)
+
+
+def test_a_search_without_end_is_a_row_of_nan():
+    theta = np.vstack([inverse_kinematics(ROBOT, HOME), np.full(6, np.nan), np.pi * np.array([1, 0, 1, 0, 1, 0])])
+    found = newton_each(ROBOT, theta, HOME)
+    np.testing.assert_allclose(found[0], HOME, atol=1e-12)
+    assert np.isnan(found[1:]).all()
+
+
+# --- misprints -------------------------------------------------------------------------------------------------------
+
+
+def test_a_robot_that_follows_5_goes_where_the_bracket_sends_it():
+    poses = near(30)
+    effect = misprint_effect(ROBOT, poses, as_printed.platform_joints_5(ROBOT, poses))
+    sent = np.einsum("nij,nj->ni", rotation_matrix(poses[:, :3]), poses[:, 3:]) - poses[:, 3:]
+    np.testing.assert_allclose(effect.joint_shift, np.linalg.norm(sent, axis=-1), atol=1e-14)
+    there = effect.in_reach & ~np.isnan(effect.position_error)
+    assert there.any()
+    assert not effect.in_reach.all()
+    np.testing.assert_allclose(effect.position_error[there], effect.joint_shift[there], atol=1e-9)
+    np.testing.assert_allclose(effect.turn_error[there], 0.0, atol=1e-9)
+    assert np.isnan(effect.crank_error[~effect.in_reach]).all()
+
+
+def test_without_a_misprint_nothing_is_off():
+    poses = near(10)
+    effect = misprint_effect(ROBOT, poses, as_printed.platform_joints(ROBOT, poses))
+    for values in (effect.joint_shift, effect.crank_error, effect.position_error, effect.turn_error):
+        np.testing.assert_allclose(values, 0.0, atol=1e-10)
+
+
+# --- the section -----------------------------------------------------------------------------------------------------
+
+
+def test_the_section_holds_what_it_should(section):
+    made, folder = section
+    numbers = made.numbers
+    assert max(row["rod_error"] for row in numbers["inverse"].values()) < 1e-14
+    assert max(row["gap"] for row in numbers["inverse"].values()) < 1e-14
+    for row in numbers["drake_solver"].values():
+        assert row["found"] == row["asked"] > 0
+        assert row["largest"] < 2e-6
+    assert numbers["forward"]["near -1 home"]["same"] == numbers["regions"]["near"]["poses"]
+    assert numbers["forward"]["wide -1 home"]["other_across"] > 0
+    assert 0.04 < numbers["regions"]["announced"]["share"] < 0.09
+    assert 100.0 < 1e3 * numbers["misprints"]["(5)"]["joint_shift"][0] < 140.0
+    assert 1e3 * numbers["misprints"]["(3)"]["joint_shift"][2] < 8.0
+    assert made.verdict.startswith("Holds in part")
+    json.dumps(numbers, allow_nan=False)
+    assert Section.from_json(made.to_json()) == made
+    for item in made.items:
+        if isinstance(item, Figure):
+            assert (folder / "figures" / item.file).stat().st_size > 10_000
+        if isinstance(item, Table):
+            assert all(len(row) == len(item.columns) for row in item.rows)
+
+
+def test_the_verdict_follows_the_numbers(section):
+    numbers = copy.deepcopy(section[0].numbers)
+    for name in ("(3)", "(5)"):
+        numbers["misprints"][name]["joint_shift"] = [0.0, 0.0, 0.0]
+    assert verdict(numbers).startswith("Holds: ")
+    numbers["inverse"]["near -1"]["rod_error"] = 1e-3
+    assert verdict(numbers).startswith("Does not hold")
+    assert "0.001 m, which is more than rounding" in verdict(numbers)
+    half = copy.deepcopy(section[0].numbers)
+    for name, row in half["forward"].items():
+        if name.startswith("near "):
+            row["same"], row["failed"] = 0, row["same"]
+    assert "0.0% of the near poses" in verdict(half)
+
+
+def test_figures_have_labelled_axes():
+    error, conditioning = np.array([1e-14, 0.3, np.nan]), np.array([0.3, 0.1, 0.2])
+    forward = plot_forward({"near": (2, 1, 0)}, conditioning, error, np.array([False, True, True]))
+    assert [p.get_xlabel() for p in forward.axes] == ["share of poses [%]", "conditioning of the rods' lines [-]"]
+    assert forward.axes[1].get_ylabel() == "error in the pose [m]"
+    shift = np.arange(9.0).reshape(3, 3)
+    misprints = plot_misprints(np.array([-0.1, 0.0, 0.1]), shift, shift, shift < 5.0)
+    assert misprints.axes[0].get_ylabel() == "pitch [deg]"
+    assert {p.get_xlabel() for p in misprints.axes[:2]} == {"roll [deg]"}
+    assert {p.get_ylabel() for p in misprints.axes[2:]} == {"joint misplaced by [mm]"}

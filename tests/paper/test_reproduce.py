@@ -1,0 +1,464 @@
+import functools
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from conftest import make_network
+
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.logs import versions
+from stewart_drake.paper import reproduce as module
+from stewart_drake.paper.departures import DEPARTURES
+from stewart_drake.paper.report import Figure, Section
+from stewart_drake.paper.reproduce import SECTIONS, check_base, reproduce
+from stewart_drake.scenario import Scenario
+
+ROOT = Path(__file__).parent.parent.parent
+PNG = b"\x89PNG\r\n\x1a\n"
+KEYS = ("first", "second", "third")
+# The clearance of links takes most of the check's time and changes nothing of its logic.
+BASE = Scenario.from_dict({"limits": {"clearance": None}})
+
+
+# A base that has passed is not looked at again in every test.
+once_checked = functools.cache(check_base)
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Three small sections in place of the report's own; the list names those that were computed, with their size."""
+    calls = []
+
+    def module_of(key):
+        def make(study):
+            calls.append((key, study.quick))
+            study.progress(0.5)
+            section = Section(key, f"The {key}", f"Claim of {key}.", f"Verdict of {key}.")
+            section.numbers = {"rows": (1, 2.5, None), "size": study.pick(10, 3), "z": {"pi": float(np.pi)}}
+            (study.folder / "figures").mkdir(exist_ok=True)
+            (study.folder / "figures" / f"{key}.png").write_bytes(PNG + study.pick(b"whole", b"quick"))
+            section.figure("A line", f"{key}.png")
+            (study.folder / f"{key}.txt").write_text(str(study.quick))
+            section.files.append(f"{key}.txt")
+            return section
+
+        made = ModuleType(key)
+        made.make = make
+        return made
+
+    package = module.__package__
+    for key in KEYS:
+        monkeypatch.setitem(sys.modules, f"{package}.{key}", module_of(key))
+    monkeypatch.setattr(module, "SECTIONS", KEYS)
+    monkeypatch.setattr(module, "check_base", once_checked)
+    # What is tested here must not depend on whether someone commits meanwhile.
+    monkeypatch.setattr(versions, "git_revision", lambda: "abc")
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    return calls
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def stop_at(key, share):
+    def progress(at, whole):
+        if at == key and whole * len(KEYS) - KEYS.index(key) >= share - 1e-9:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+# --- what is left behind -------------------------------------------------------------------------------------------
+
+
+def test_a_report_holds_every_section_and_its_numbers(tmp_path, made):
+    sections = reproduce(tmp_path / "out", base=BASE)
+    assert [section.key for section in sections] == list(KEYS)
+    document = json.loads((tmp_path / "out" / "report.json").read_text(), parse_constant=pytest.fail)
+    assert document["numbers"] == {section.key: section.numbers for section in sections}
+    assert document["numbers"]["first"] == {"rows": [1, 2.5, None], "size": 10, "z": {"pi": np.pi}}
+    assert document["quick"] is False
+    assert Scenario.from_dict(document["scenario"]) == BASE
+    assert {"drake", "numpy", "torch", "source"} <= set(document["versions"])
+    for name in ("report.md", "report.html"):
+        text = (tmp_path / "out" / name).read_text()
+        for key in KEYS:
+            assert f"Claim of {key}." in text
+            assert text.count(f"Verdict of {key}.") == 2
+        assert "quick version" not in text
+        assert "marks a departure from the print" in text
+    assert made == [(key, False) for key in KEYS]
+
+
+def test_progress_rises_from_zero_to_one_and_names_the_section(tmp_path, made):
+    calls = []
+    reproduce(tmp_path, base=BASE, progress=lambda key, share: calls.append((key, share)))
+    shares = [share for _, share in calls]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert calls[1] == ("first", pytest.approx(1 / 6))
+    assert [key for key, _ in calls] == [key for key in KEYS for _ in range(3)]
+    assert len(made) == 3
+
+
+def test_each_section_is_handed_on_as_soon_as_it_is_there(tmp_path, made):
+    seen = []
+    sections = reproduce(tmp_path, base=BASE, finished=lambda section: seen.append((section, len(made))))
+    assert seen == list(zip(sections, (1, 2, 3), strict=True))
+    again = []
+    reproduce(tmp_path, base=BASE, finished=again.append)
+    assert again == sections
+
+
+def test_the_default_base_is_the_default_scenario(tmp_path, made):
+    reproduce(tmp_path, quick=True)
+    document = json.loads((tmp_path / "report.json").read_text())
+    assert Scenario.from_dict(document["scenario"]) == Scenario()
+    assert document["quick"] is True
+    assert document["numbers"]["second"]["size"] == 3
+    assert "quick version" in (tmp_path / "report.md").read_text()
+    assert made == [(key, True) for key in KEYS]
+
+
+# --- going on ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("at", "share", "before", "after"),
+    [
+        ("first", 0.0, [], ["first", "second", "third"]),
+        ("first", 1.0, ["first"], ["second", "third"]),
+        ("second", 0.0, ["first"], ["second", "third"]),
+        ("second", 0.5, ["first", "second"], ["second", "third"]),
+        ("third", 1.0, ["first", "second", "third"], []),
+    ],
+)
+def test_an_interrupted_reproduction_goes_on_where_it_was(tmp_path, made, at, share, before, after):
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(tmp_path, base=BASE, progress=stop_at(at, share))
+    assert [key for key, _ in made] == before
+    assert not (tmp_path / "report.html").exists()
+    made.clear()
+    resumed = reproduce(tmp_path, base=BASE)
+    assert [key for key, _ in made] == after
+    made.clear()
+    whole = reproduce(tmp_path / "another", base=BASE)
+    assert resumed == whole
+    for name in ("report.md", "report.html", "report.json"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "another" / name).read_bytes()
+
+
+def test_a_finished_report_is_made_again_without_any_work(tmp_path, made):
+    reproduce(tmp_path, base=BASE)
+    before = content(tmp_path)
+    made.clear()
+    reproduce(tmp_path, base=BASE)
+    assert made == []
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["first.txt", "figures/first.png"])
+@pytest.mark.parametrize("how", ["gone", "changed"])
+def test_a_part_whose_files_are_not_its_own_any_more_is_made_again(tmp_path, made, name, how):
+    reproduce(tmp_path, base=BASE)
+    before = content(tmp_path)
+    if how == "gone":
+        (tmp_path / name).unlink()
+    else:
+        (tmp_path / name).write_bytes(b"another report's")
+    made.clear()
+    reproduce(tmp_path, base=BASE)
+    assert made == [("first", False)]
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("how", ["another number", "a pipe", "a device"])
+def test_a_part_that_is_not_what_was_written_is_made_again(tmp_path, made, how):
+    reproduce(tmp_path, base=BASE)
+    (part,) = (tmp_path / "parts").glob("second-*.json")
+    whole = part.read_bytes()
+    document = json.loads(whole)
+    document["section"]["numbers"]["another"] = 3
+    part.unlink()
+    if how == "another number":
+        part.write_text(json.dumps(document))
+    elif how == "a pipe":
+        os.mkfifo(part)
+    else:
+        part.symlink_to("/dev/zero")
+    made.clear()
+    reproduce(tmp_path, base=BASE)
+    assert made == [("second", False)]
+    assert part.read_bytes() == whole
+
+
+def test_quick_and_whole_in_one_folder_do_not_mix(tmp_path, made):
+    reproduce(tmp_path, base=BASE)
+    whole = content(tmp_path)
+    reproduce(tmp_path, quick=True, base=BASE)
+    assert content(tmp_path)["first.png"] != whole["first.png"]
+    assert [quick for _, quick in made] == [False] * 3 + [True] * 3
+    reproduce(tmp_path, base=BASE)
+    assert {name: (tmp_path / name).read_bytes() for name in ("report.html", "report.json", "first.txt")} == {
+        name: whole[name] for name in ("report.html", "report.json", "first.txt")
+    }
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"section": {}, "digests": {}}', '{"section": 3}'])
+def test_a_part_that_cannot_be_read_is_made_again(tmp_path, made, text):
+    reproduce(tmp_path, base=BASE)
+    (part,) = (tmp_path / "parts").glob("second-*.json")
+    whole = part.read_bytes()
+    part.write_text(text)
+    made.clear()
+    reproduce(tmp_path, base=BASE)
+    assert made == [("second", False)]
+    assert part.read_bytes() == whole
+
+
+def test_other_settings_other_weights_and_other_code_give_other_parts(tmp_path, made, monkeypatch):
+    weights = tmp_path / "tuner.json"
+    make_network(seed=0).save(weights)
+    base = BASE.replace({"tuner.weights_file": str(weights)})
+
+    def computed(**options):
+        made.clear()
+        reproduce(tmp_path / "out", **{"base": base, **options})
+        return len(made)
+
+    assert computed() == 3
+    assert computed() == 0
+    assert computed(base=base.replace({"robot.platform_mass": 1.01})) == 3
+    assert computed(base=base.replace({"controller.period": 0.01})) == 3
+    make_network(seed=1).save(weights)
+    assert computed() == 3
+    real = versions.package_version
+    for name in ("torch", "drake", "scipy"):
+        monkeypatch.setattr(
+            "stewart_drake.logs.versions.package_version",
+            lambda asked, name=name: "9" if asked == name else real(asked),
+        )
+        monkeypatch.setattr(module, "package_version", versions.package_version)
+        assert computed() == 3, name
+    monkeypatch.setattr(versions, "source_digest", lambda: "changed")
+    assert computed() == 3
+
+
+# --- bad input -----------------------------------------------------------------------------------------------------
+
+HOLD = {"reference": {"kind": "hold"}}
+BAD_BASE = {
+    "rods too short": ({"robot.rod_length": 0.3}, InfeasibleReferenceError),
+    "own reference out of reach": ({"reference.amplitude": [1.5, 0, 0, 0, 0, 0]}, InfeasibleReferenceError),
+    "paper's reference out of the limits": (HOLD | {"limits.joint_swing": 0.5}, InfeasibleReferenceError),
+    "only later out of the limits": ({"duration": 0.1, "limits.joint_swing": 0.5}, InfeasibleReferenceError),
+    "motors too weak once there is gravity": (
+        HOLD | {"gravity": 0.0, "robot.effort_limit": 0.2},
+        InfeasibleReferenceError,
+    ),
+    "weights": ({"tuner.weights_file": "tuner.json"}, ConfigurationError),
+}
+
+
+@pytest.mark.parametrize("case", BAD_BASE)
+def test_a_base_that_cannot_do_it_is_refused_before_any_work(tmp_path, monkeypatch, made, case):
+    monkeypatch.chdir(tmp_path)
+    Path("tuner.json").write_text('{"format": "stewart-drake tuner", "version": 1')
+    reproduce(tmp_path / "out", base=BASE)
+    made.clear()
+    changes, kind = BAD_BASE[case]
+    before = content(tmp_path)
+    base = BASE.replace(changes)
+    with pytest.raises(kind):
+        reproduce(tmp_path / "out", base=base)
+    with pytest.raises(kind):
+        reproduce(tmp_path / "new", base=base)
+    assert made == []
+    assert content(tmp_path) == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_checks_let_good_bases_pass():
+    check_base(BASE)
+    check_base(BASE.replace({"tuner": {"kind": "fixed"}, "gravity": 0.0, "duration": 0.1}))
+
+
+@pytest.mark.parametrize("where", ["a file", "below a file", "/proc/x"])
+def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(tmp_path, made, where):
+    (tmp_path / "file").write_text("mine")
+    folder = {"a file": tmp_path / "file", "below a file": tmp_path / "file" / "x"}.get(where, Path(where))
+    with pytest.raises(ConfigurationError, match="a folder that can be written to"):
+        reproduce(folder, base=BASE)
+    assert made == []
+    assert content(tmp_path) == {"file": b"mine"}
+
+
+def test_numbers_that_json_does_not_have_end_the_report_before_anything_is_overwritten(tmp_path, made, monkeypatch):
+    reproduce(tmp_path, base=BASE)
+    before = content(tmp_path)
+    third = sys.modules[f"{module.__package__}.third"]
+    real = third.make
+
+    def broken(study):
+        section = real(study)
+        section.numbers["it"] = float("nan")
+        return section
+
+    monkeypatch.setattr(third, "make", broken)
+    with pytest.raises(ValueError, match="JSON"):
+        reproduce(tmp_path, quick=True, base=BASE)
+    for name in ("report.html", "report.md", "report.json"):
+        assert content(tmp_path)[name] == before[name]
+    assert len(made) == 6
+
+
+# --- the command ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def call(monkeypatch, capsys, tmp_path):
+    from stewart_drake.cli.app import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["stewart-drake", "reproduce", *args])
+        status = 0
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_the_command_makes_the_report_and_prints_each_verdict(call, made):
+    status, out, err = call("--quick", "--set", "limits.clearance=null")
+    assert status == 0
+    for key in KEYS:
+        assert f"The {key}" in out
+        assert f"Verdict of {key}." in out
+    assert "100 / 100 %" in err
+    assert [line for line in err.splitlines() if line.startswith("done: ")] == [f"done: The {key}" for key in KEYS]
+    assert "runs/reproduction/report.html" in out
+    assert Path("runs/reproduction/report.html").is_file()
+    assert made == [(key, True) for key in KEYS]
+    assert call("--quick", "--set", "limits.clearance=null", "--quiet") == (0, "", "")
+    assert len(made) == 3
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--set", "robot.rod_length=0.3"], ["reference", "leg"]),
+        (["--set", "tuner.weights_file=none.json"], ["none.json"]),
+        (["--scenario", "paper_fig8"], ["paper_fig8", "paper_fig7"]),
+        (["--set", "durration=3"], ["did you mean duration?"]),
+        (["--out", "file"], ["--out", "this is a file"]),
+        (["--fast"], ["--fast"]),
+    ],
+)
+def test_the_command_refuses_bad_input_in_one_line_and_writes_nothing(call, made, tmp_path, args, words):
+    (tmp_path / "file").write_text("mine")
+    status, out, err = call(*args)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1, err
+    assert [word for word in words if word not in err] == []
+    assert content(tmp_path) == {"file": b"mine"}
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "file"]
+    assert made == []
+
+
+def test_the_command_ends_with_130_when_it_is_interrupted(call, made, monkeypatch):
+    second = sys.modules[f"{module.__package__}.second"]
+    real = second.make
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(second, "make", interrupted)
+    status, out, err = call("--set", "limits.clearance=null")
+    assert (status, out) == (130, "")
+    assert err.splitlines()[-1] == "stewart-drake: interrupted"
+    monkeypatch.setattr(second, "make", real)
+    assert call("--set", "limits.clearance=null", "--quiet")[0] == 0
+    assert [key for key, _ in made] == ["first", "second", "third"]
+
+
+# --- the whole -----------------------------------------------------------------------------------------------------
+
+
+class Links(HTMLParser):
+    def __init__(self, page):
+        super().__init__()
+        self.sources, self.targets, self.ids = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, _, attrs):
+        values = dict(attrs)
+        self.sources += [values[name] for name in ("src", "srcset", "data") if name in values]
+        if "href" in values:
+            self.targets.append(values["href"])
+        if "id" in values:
+            self.ids.append(values["id"])
+
+
+@pytest.mark.slow
+def test_the_quick_reproduction_from_a_shell_tests_every_claim(tmp_path):
+    code = "from stewart_drake.cli.app import main\nif __name__ == '__main__': main()"
+    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    done = subprocess.run(
+        [sys.executable, "-c", code, "reproduce", "--quick", "--out", "report"],
+        cwd=tmp_path,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=1500,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    folder = tmp_path / "report"
+    document = json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
+    assert list(document["numbers"]) == list(SECTIONS)
+    assert all(document["numbers"].values())
+    parts = {path.name.rpartition("-")[0]: json.loads(path.read_text()) for path in (folder / "parts").glob("*.json")}
+    assert set(parts) == set(SECTIONS)
+    markdown, page = (folder / "report.md").read_text(), (folder / "report.html").read_text()
+    figures = []
+    for key in SECTIONS:
+        section = Section.from_json(json.dumps(parts[key]["section"]))
+        assert section.numbers == document["numbers"][key]
+        assert section.items
+        for words in (section.title, section.claim, section.verdict):
+            assert len(words.split()) >= 1
+            assert words in markdown
+        assert not re.search(r"\b(nan|None|inf)\b", section.verdict), section.verdict
+        figures += [item.file for item in section.items if isinstance(item, Figure)]
+        for name in section.files:
+            assert (folder / name).stat().st_size > 0
+    for where, _, _, places in DEPARTURES:
+        # A section that is named for an equation speaks of it.
+        for equation in re.findall(r"^\(\d+\)", where):
+            assert [key for key in places if key in parts and equation not in str(parts[key]["section"])] == [], where
+    assert len(figures) == len(set(figures)) >= 10
+    assert {path.name for path in (folder / "figures").iterdir()} == set(figures)
+    for name in figures:
+        assert (folder / "figures" / name).read_bytes().startswith(PNG)
+    links = Links(page)
+    assert len(links.sources) == len(figures)
+    assert all(source.startswith("data:image/png;base64,") for source in links.sources)
+    inside = {f"#{name}" for name in links.ids}
+    assert len(links.ids) == len(SECTIONS)
+    assert inside <= set(links.targets)
+    assert all(target in inside or target.startswith("https://") for target in links.targets)

@@ -1,0 +1,291 @@
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from made_logs import made_log
+
+from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.control.network import default_network_path, load_network
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.paper import sensitivity
+from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
+from stewart_drake.paper.report import Figure, Section, Table, Text
+from stewart_drake.paper.sensitivity import Effect, Response, controllers, make, verdict
+from stewart_drake.paper.sensitivity_changes import (
+    Change,
+    changes,
+    feedforward_share,
+    longer,
+    scaled_network,
+    scaled_robot,
+)
+from stewart_drake.paper.study import Study
+from stewart_drake.paper.tracking_score import TrackingScore
+from stewart_drake.references import paper_reference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+
+ROBOT = RobotParameters()
+BASE = Scenario(tuner=FixedTuner())
+
+
+def flat(data, prefix=""):
+    """Nested mapping -> dotted key -> value."""
+    found = {}
+    for key, value in data.items():
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def differing(one, other):
+    a, b = flat(one.to_dict()), flat(other.to_dict())
+    return {key for key in a.keys() | b.keys() if a.get(key) != b.get(key)}
+
+
+# --- changes -------------------------------------------------------------------------------------------------------
+
+
+def test_masses_and_inertias_are_scaled_apart():
+    heavy, stubborn = scaled_robot(ROBOT, mass=1.2), scaled_robot(ROBOT, inertia=0.8)
+    for body in ("platform", "rod", "crank"):
+        assert getattr(heavy, f"{body}_mass") == pytest.approx(1.2 * getattr(ROBOT, f"{body}_mass"))
+        assert getattr(heavy, f"{body}_inertia") == getattr(ROBOT, f"{body}_inertia")
+        assert getattr(stubborn, f"{body}_mass") == getattr(ROBOT, f"{body}_mass")
+        np.testing.assert_allclose(
+            getattr(stubborn, f"{body}_inertia"), 0.8 * np.array(getattr(ROBOT, f"{body}_inertia"))
+        )
+    assert scaled_robot(ROBOT) == ROBOT
+
+
+def test_a_scaled_network_answers_so_much_more_within_a_range_so_much_higher():
+    network = load_network(default_network_path())
+    densities = np.random.default_rng(3).uniform(-1e3, 1e3, (200, 12))
+    densities[:100] = np.random.default_rng(4).uniform(0.0, 2.0, (100, 12))
+    omega = network.weights(densities)
+    scaled = scaled_network(network, omega_q=1.5, omega_r=0.5).weights(densities)
+    np.testing.assert_allclose(scaled, omega * [1.5, 0.5], rtol=1e-12)
+
+
+def test_each_change_touches_nothing_but_its_own(tmp_path):
+    keys = {
+        "motor friction": {"plant.motor_friction"},
+        "motor damping": {"plant.motor_damping"},
+        "sample time": {"controller.period"},
+        "window m": {"tuner.window"},
+        "omega_Q": {"tuner.omega_q"},
+        "omega_R": {"tuner.omega_r"},
+    }
+    seen = set()
+    for change in changes(tmp_path):
+        made = change.apply(BASE)
+        seen.add(change.factor)
+        if change.factor in keys:
+            assert differing(made, BASE) in (keys[change.factor], set())
+            continue
+        # Another robot; the controller goes on believing in the old one.
+        assert made.believed_robot == BASE.robot
+        assert made.robot != BASE.robot
+        assert made.replace({"robot": dataclasses.asdict(BASE.robot), "model_robot": None}) == BASE
+    assert seen == {*keys, "masses", "inertias", "rod length"}
+
+
+def test_the_levels_are_those_that_were_asked_for(tmp_path):
+    labels = {}
+    for change in changes(tmp_path):
+        labels.setdefault(change.factor, []).append(change.label)
+    assert {"-20 %", "+20 %"} <= set(labels["masses"])
+    assert labels["inertias"] == ["-20 %", "+20 %"]
+    assert labels["rod length"] == ["-1 mm", "+1 mm"]
+    assert labels["motor friction"] == ["0 N m", "0.02 N m", "0.05 N m"]
+    assert labels["sample time"] == ["1 ms", "2 ms", "5 ms", "10 ms"]
+    assert labels["window m"] == ["10", "25", "49", "100", "200"]
+    assert labels["omega_Q"] == labels["omega_R"] == ["-50 %", "+50 %"]
+
+
+def test_under_a_network_a_weight_is_changed_at_its_output(tmp_path):
+    base = Scenario(tuner=AnnTuner())
+    (half,) = [c for c in changes(tmp_path / "new") if (c.factor, c.label) == ("omega_R", "-50 %")]
+    densities = np.random.default_rng(5).uniform(0.0, 2.0, (20, 12))
+    made = half.apply(base).load_tuner_network().weights(densities)
+    np.testing.assert_allclose(made, base.load_tuner_network().weights(densities) * [1.0, 0.5], rtol=1e-12)
+
+
+def test_the_share_of_the_feedforward_is_its_force_in_phase_with_what_the_law_leaves_out():
+    assert feedforward_share(ROBOT, ROBOT, 9.81) == 0.0
+    assert feedforward_share(longer(ROBOT, 1e-3), ROBOT, 0.0) == 0.0
+    short, long = (feedforward_share(longer(ROBOT, d), ROBOT, 9.81) for d in (-1e-3, 1e-3))
+    assert short > 0.0 > long
+    # By its definition: the force less that share is in quadrature with -m Z''.
+    robot = longer(ROBOT, 1e-3)
+    pose, _, acceleration = paper_reference().evaluate(np.linspace(0.0, np.pi, 65)[:-1])
+    torque = static_torque(ROBOT, pose, 9.81) - static_torque(robot, pose, 9.81)
+    force = np.array([force_map(robot, q) @ t for q, t in zip(pose, torque, strict=True)])[:, 5]
+    left_out = -ROBOT.platform_mass * acceleration[:, 5]
+    assert (force - force.mean() - long * left_out) @ left_out == pytest.approx(0.0, abs=1e-10)
+
+
+# --- responses and words -------------------------------------------------------------------------------------------
+
+
+def score(pose, torque=1.0):
+    return TrackingScore(pose_mm=pose, rotation_deg=0.0, position_mm=pose, torque_rms=torque)
+
+
+def effect(factor, label, pose, torque=1.0):
+    made = None if pose is None else score(pose, torque)
+    return Effect(factor, label, made, "completed" if made else "crank dead centre, leg 2, 0.5 s")
+
+
+def response(*effects, unchanged=4.0, name="tuner"):
+    return Response(name, None if unchanged is None else score(unchanged), effects)
+
+
+def test_swings_are_the_largest_change_of_a_factor_the_largest_first():
+    levels = (("a", "-", 3.0), ("a", "+", 4.4), ("b", "+", 6.0, 0.7), ("c", "+", None), ("d", "+", 4.0))
+    made = response(*(effect(*level) for level in levels))
+    assert made.swings("pose_mm") == {"c": math.inf, "b": 50.0, "a": 25.0, "d": 0.0}
+    assert list(made.swings("pose_mm")) == ["c", "b", "a", "d"]
+    assert made.swings("torque_rms")["b"] == pytest.approx(30.0)
+    assert made.shift(made.effects[0], "pose_mm") == -25.0
+    assert made.shift(made.effects[3], "pose_mm") is None
+
+
+def test_the_verdict_counts_what_breaks_and_names_what_matters_most():
+    words = verdict([response(effect("a", "+", 9.0), effect("b", "+", None), effect("c", "+", 5.0))])
+    assert words.startswith("Does not hold: of 3 changed runs 1 ends early, and 1 of the others has more than 2 times")
+    assert "Tuner (4 mm unchanged) is most sensitive to b (ends early), a (125 %), c (25 %)." in words
+
+
+def test_the_verdict_on_a_robust_controller():
+    words = verdict([response(effect("a", "+", 4.1)), response(name="other", unchanged=None)])
+    assert words.startswith("Holds in part: of 1 changed runs none end early, and none of the others have more than")
+    assert "Tuner (4 mm unchanged) is most sensitive to a (2 %)." in words
+    assert "Other: even the unchanged run ends early." in words
+
+
+# --- figures -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_a_tornado_has_the_largest_effect_on_top_a_baseline_and_both_ends_named(logarithmic):
+    bars = [
+        TornadoBar("lost", [("-9 %", 3.0), ("+9 %", None)]),
+        TornadoBar("wide", [("low", 2.0), ("high", 9.0), ("middle", 6.0)]),
+        TornadoBar("same", [("as before", 4.0)]),
+    ]
+    figure = plot_tornados(
+        [Tornado("pose RMSE", "mm", 4.0, bars, logarithmic), Tornado("torque", "N m", 1.0, bars[2:])]
+    )
+    panel, other = figure.axes
+    assert [t.get_text() for t in panel.get_yticklabels()] == ["lost", "wide", "same"]
+    assert list(panel.get_yticks()) == [2, 1, 0]
+    assert panel.get_xlabel() == "pose RMSE [mm]" + (", logarithmic" if logarithmic else "")
+    assert other.get_xlabel() == "torque [N m]"
+    assert panel.get_title(loc="left") == "pose RMSE; unchanged: 4 mm"
+    assert any(np.allclose(line.get_xdata(), 4.0) for line in panel.get_lines())
+    written = {t.get_text() for t in panel.texts}
+    assert {"low", "middle, high", "-9 %", "+9 %: ends early", "as before"} <= written
+    low, high = panel.get_xlim()
+    assert low < 2.0 < 9.0 < high
+
+
+def test_every_label_lies_within_its_panel():
+    bars = [TornadoBar("a", [("a rather long name", 9.0), ("another long name", 1.0), ("lost", None)])]
+    figure = plot_tornados([Tornado("pose RMSE", "mm", 4.0, bars, logarithmic=True)])
+    (panel,) = figure.axes
+    figure.draw_without_rendering()
+    frame = panel.get_window_extent()
+    boxes = [t.get_window_extent() for t in panel.texts if t.get_text()]
+    assert all(frame.x0 - 1.0 <= box.x0 and box.x1 <= frame.x1 + 1.0 for box in boxes)
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+# --- the section ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def made_runs(monkeypatch):
+    """Runs by formula: Z off by 4 mm, in proportion to the sample time; lost where the robot is a fifth too heavy."""
+    asked = []
+
+    def run_all(_store, scenarios, *_options, **_more):
+        asked.extend(scenarios)
+        logs = []
+        for scenario in scenarios:
+            rows = round(scenario.duration / 0.01) + 1
+            pose = np.zeros((rows, 6))
+            pose[:, 5] = 4e-3 * scenario.controller.period / 0.005
+            log = made_log(rows=rows, step=0.01, pose=pose, torque_applied=np.ones((rows, 6)))
+            if scenario.robot.platform_mass > 1.1:
+                log = dataclasses.replace(log, status="failed", reason="crank_dead_centre", leg=4, end_time=0.5)
+            logs.append(dataclasses.replace(log, scenario=scenario))
+        return logs
+
+    monkeypatch.setattr(RunStore, "run_all", run_all)
+    return asked
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Figures are drawn but not written, which takes most of a section's time."""
+    monkeypatch.setattr(Study, "save_figure", lambda _, _figure, name: f"{name}.png")
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_the_section_holds_every_change_of_every_controller(tmp_path, made_runs, quick):
+    section = make(Study(tmp_path, quick))
+    numbers = section.numbers["controllers"]
+    assert set(numbers) == ({"tuner", "ratio 1"} if quick else {"tuner", "ratio 1", "ratio 100"})
+    for name, of in numbers.items():
+        assert of["unchanged"]["score"]["pose_mm"] == pytest.approx(4.0)
+        by = {(e["factor"], e["to"]): e for e in of["effects"]}
+        assert by["sample time", "10 ms"]["score"]["pose_mm"] == pytest.approx(8.0)
+        assert by["masses", "+20 %"]["score"] is None
+        assert by["masses", "+20 %"]["ended"] == "crank dead centre, leg 4, 0.500 s"
+        # Nominal values change nothing; the window acts on the network alone.
+        assert not {("sample time", "5 ms"), ("motor friction", "0 N m"), ("window m", "49")} & by.keys()
+        assert (("window m", "10") in by) == (name == "tuner" and not quick)
+    assert len(made_runs) == sum(1 + len(of["effects"]) for of in numbers.values())
+    (table,) = [item for item in section.items if isinstance(item, Table)]
+    rows = {row[:2]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    assert rows["sample time", "10 ms"]["ratio 1: pose [mm]"] == "8 (+100.0 %)"
+    assert rows["masses", "+20 %"]["tuner: pose [mm]"] == "crank dead centre, leg 4, 0.500 s"
+    words = "\n".join(i.markdown for i in section.items if isinstance(i, Text))
+    assert "Runs end early: tuner at +20 %; ratio 1 at +20 %" in words
+    json.dumps(section.numbers, allow_nan=False)
+    assert Section.from_json(section.to_json()).verdict == section.verdict
+    for figure in (item for item in section.items if isinstance(item, Figure)):
+        assert (tmp_path / "figures" / figure.file).is_file()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_robot_that_cannot_follow_the_reference_is_a_row_with_its_reason(tmp_path, made_runs, monkeypatch):
+    def with_rod(length):
+        return lambda base: base.replace({"robot": {**base.to_dict()["robot"], "rod_length": length}})
+
+    impossible = [Change("rod length", "0.1 m", with_rod(0.1)), Change("rod length", "0.35 m", with_rod(0.35))]
+    monkeypatch.setattr(sensitivity, "changes", lambda _: impossible)
+    effects = make(Study(tmp_path)).numbers["controllers"]["tuner"]["effects"]
+    assert [e["score"] for e in effects] == [None, None]
+    assert effects[0]["ended"].startswith("not run: robot.home_height")
+    assert effects[1]["ended"].startswith("not run: reference: breaks the limit reach")
+    assert len(made_runs) == 3
+
+
+@pytest.mark.usefixtures("made_runs", "no_pictures")
+def test_without_gravity_nothing_is_said_of_its_feedforward(tmp_path):
+    section = make(Study(tmp_path, True, Scenario(gravity=0.0)))
+    assert "feedforward_share" not in section.numbers
+
+
+def test_the_controllers_follow_the_paper_for_two_of_its_periods(tmp_path):
+    found = controllers(Study(tmp_path))
+    assert found["tuner"].tuner.kind == "ann"
+    for name, ratio in (("ratio 1", 1.0), ("ratio 100", 100.0)):
+        assert found[name].tuner.omega_q / found[name].tuner.omega_r == pytest.approx(ratio)
+    for scenario in found.values():
+        assert scenario.reference == paper_reference()
+        assert scenario.duration == pytest.approx(2.0 * np.pi, abs=0.005)

@@ -1,0 +1,313 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from strategies import ROBOT
+
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.planning.feasibility import (
+    Limits,
+    amplitude_table,
+    check_motion,
+    check_reference,
+    largest_amplitude,
+    largest_scale,
+)
+from stewart_drake.references import HoldReference, SineReference, paper_reference
+
+ALL = Limits()
+NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
+GRAVITY = 9.81
+AXES = np.eye(6)
+HOME = tuple(ROBOT.home_pose)
+REACH_MM = {"X": (-218, 203), "Y": (-201, 201), "Z": (-108, 121)}
+TURN_DEG = {"roll": (-70, 70), "pitch": (-62, 85), "yaw": (-83, 83)}
+
+
+def only(**limits):
+    """Limits of which all but these are off."""
+    return dataclasses.replace(NONE, **limits)
+
+
+def at_rest(poses, limits=ALL):
+    poses = np.atleast_2d(poses)
+    return check_motion(ROBOT, limits, np.arange(len(poses)), poses, 0.0 * poses, 0.0 * poses, GRAVITY)
+
+
+def sine(axis, amplitude, frequency_hz, center=HOME):
+    return SineReference(
+        center=center, amplitude=tuple(amplitude * AXES[axis]), angular_frequency=(2.0 * math.pi * frequency_hz,) * 6
+    )
+
+
+def test_the_papers_reference_is_feasible_with_all_limits_on():
+    report = check_reference(ROBOT, ALL, paper_reference(), math.pi, GRAVITY)
+    assert report.feasible
+    assert report.first_violation is None
+    assert not report.unreachable.any()
+    assert min(margin.margin for margin in report.smallest.values()) > 0.0
+    report.raise_if_infeasible()
+
+
+def test_the_papers_reference_keeps_to_what_the_geometry_promises():
+    smallest = check_reference(ROBOT, ALL, paper_reference(), math.pi, GRAVITY).smallest
+    assert smallest["clearance"].margin + ALL.clearance + 2.0 * ROBOT.link_radius >= 0.030
+    assert smallest["transmission"].margin + ALL.transmission >= 0.41
+    # 0.27759, written 0.278 in the description of the geometry.
+    assert smallest["conditioning"].margin + ALL.conditioning == pytest.approx(0.278, abs=5e-4)
+
+
+def test_the_papers_reference_needs_the_universal_joint_of_one_leg_most():
+    swing = check_reference(ROBOT, ALL, paper_reference(), math.pi, GRAVITY).smallest["joint_swing"]
+    assert math.degrees(ALL.joint_swing - swing.margin) == pytest.approx(63.104, abs=1e-3)
+    assert (swing.leg, swing.where) == (2, "universal joint of leg 2")
+    # sin(2 t) peaks at pi / 4.
+    assert swing.time == pytest.approx(math.pi / 4.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("axis", range(5))
+def test_the_working_range_keeps_to_what_the_geometry_promises(axis):
+    reach = math.pi / 6.0 if axis < 3 else 0.06
+    offsets, heights = np.meshgrid(np.linspace(-reach, reach, 41), np.linspace(0.28, 0.32, 5))
+    poses = np.outer(offsets.ravel(), AXES[axis])
+    poses[:, 5] = heights.ravel()
+    smallest = at_rest(poses, only(conditioning=0.278, transmission=0.41, clearance=0.030 - 2.0 * ROBOT.link_radius))
+    assert smallest.feasible
+
+
+@pytest.mark.parametrize(("name", "axis"), [(n, i) for i, n in enumerate([*TURN_DEG, *REACH_MM])])
+def test_the_range_at_rest_ends_where_the_geometry_says(name, axis):
+    low, high = (TURN_DEG | REACH_MM)[name]
+    unit = math.radians(1.0) if axis < 3 else 1e-3
+    limits = only(conditioning=0.05, transmission=0.2)
+    for end, inwards in ((low, 1.0), (high, -1.0)):
+        inside = np.linspace(0.0, end + inwards, 200)[:, None] * unit * AXES[axis]
+        assert at_rest(ROBOT.home_pose + inside, limits).feasible
+        assert not at_rest(ROBOT.home_pose + (end - inwards) * unit * AXES[axis], limits).feasible
+
+
+def test_300_mm_at_5_hz_is_not_feasible_and_the_first_limit_to_break_is_named():
+    report = check_reference(ROBOT, ALL, sine(3, 0.3, 5.0), 1.0, GRAVITY)
+    first = report.first_violation
+    assert (first.limit, first.time) == ("crank_speed", 0.0)
+    # 9.4 m/s at a lever of 0.11 m and what the rods add to it.
+    assert first.margin < -40.0
+    with pytest.raises(InfeasibleReferenceError, match=r"crank_speed at t = 0\.000 s, leg \d") as caught:
+        report.raise_if_infeasible()
+    assert caught.value.limit == "crank_speed"
+    assert caught.value.leg == first.leg
+    assert caught.value.margin == first.margin
+    assert "10 rad/s" in str(caught.value)
+
+
+def test_a_reference_out_of_reach_is_reported_and_judged_on_after_that():
+    report = check_reference(ROBOT, ALL, sine(5, 0.2, 0.05), 20.0, GRAVITY)
+    assert report.unreachable.any()
+    assert not report.unreachable[[0, -1]].any()
+    reach = report.smallest["reach"]
+    assert reach.margin < -0.02
+    assert reach.bound == 0.98
+    # Other limits break on the way up, before the reach does.
+    assert report.first_violation.time < reach.time
+    assert report.smallest["torque"].margin > -math.inf
+
+
+def test_a_motion_wholly_out_of_reach_breaks_reach_and_leaves_out_what_cannot_be_judged():
+    report = at_rest([0, 0, 0, 0, 0, 0.6])
+    assert list(report.smallest) == ["reach", "euler_pitch"]
+    assert report.first_violation.limit == "reach"
+    np.testing.assert_array_equal(report.unreachable, [True])
+    with pytest.raises(InfeasibleReferenceError, match="reach"):
+        report.raise_if_infeasible()
+
+
+def test_without_limits_a_rod_that_cannot_span_is_still_a_violation():
+    report = at_rest([0, 0, 0, 0, 0, 0.6], NONE)
+    assert (report.first_violation.limit, report.first_violation.bound) == ("reach", 1.0)
+
+
+def test_the_earliest_violation_wins_and_of_simultaneous_ones_the_first_in_order():
+    poses = np.tile(ROBOT.home_pose, (4, 1))
+    poses[1, 4] = 0.19
+    poses[2, 1] = 1.49
+    time = np.array([0.0, 0.1, 0.2, 0.3])
+    rates = np.zeros((4, 6))
+    rates[3, 5] = 5.0
+
+    def first(limits):
+        return check_motion(ROBOT, limits, time, poses, rates, 0.0 * poses, GRAVITY).first_violation
+
+    assert (first(only(transmission=0.5)).limit, first(only(transmission=0.5)).time) == ("transmission", 0.1)
+    assert first(only(euler_pitch=1.4)).time == 0.2
+    assert first(only(crank_speed=10.0)).time == 0.3
+    assert first(only(transmission=0.5, crank_speed=10.0, euler_pitch=1.4)).limit == "transmission"
+    both = first(only(transmission=0.5, reach=0.7))
+    assert (both.limit, both.time) == ("reach", 0.1)
+
+
+@pytest.mark.parametrize(
+    ("limit", "limits", "pose", "rate", "legs"),
+    [
+        ("reach", {"reach": 0.98}, 0.2045 * AXES[3], 0.0, {2, 5}),
+        ("euler_pitch", {"euler_pitch": 1.48}, 1.4845 * AXES[1], 0.0, {None}),
+        ("conditioning", {"conditioning": 0.05}, 1.46 * AXES[2], 0.0, {None}),
+        ("transmission", {"transmission": 0.2}, 0.2015 * AXES[4], 0.0, {1, 4}),
+        ("joint_swing", {"joint_swing": 1.0}, 0.11 * AXES[5], 0.0, set(range(6))),
+        ("clearance", {"clearance": 0.03}, 0.0, 0.0, {0, 1, 3}),
+        ("crank_speed", {"crank_speed": 10.0}, 0.0, 1.5, set(range(6))),
+        ("torque", {"torque_fraction": 0.05}, 0.0, 0.0, set(range(6))),
+    ],
+)
+def test_each_limit_is_found_and_none_switches_it_off(limit, limits, pose, rate, legs):
+    motion = (ROBOT.home_pose + pose)[None], rate * AXES[5:], np.zeros((1, 6))
+    found = check_motion(ROBOT, only(**limits), [0.5], *motion, GRAVITY).first_violation
+    assert (found.limit, found.time) == (limit, 0.5)
+    assert found.margin < 0.0
+    # Of legs that are equal by symmetry rounding picks one.
+    assert found.leg in legs
+    assert found.where in found.allowed
+    assert check_motion(ROBOT, NONE, [0.5], *motion, GRAVITY).feasible
+
+
+def test_clearance_names_both_links():
+    report = at_rest(ROBOT.home_pose, only(clearance=0.05))
+    assert report.first_violation.where in {f"rod {i} to rod {(i + 1) % 6}" for i in (1, 3)} | {"rod 0 to rod 5"}
+    with pytest.raises(InfeasibleReferenceError, match=r"rod \d to rod \d"):
+        report.raise_if_infeasible()
+
+
+def test_smallest_margins_are_the_smallest_over_time_with_their_instant():
+    heights = np.array([0.30, 0.34, 0.38, 0.32])
+    poses = np.tile(ROBOT.home_pose, (4, 1))
+    poses[:, 5] = heights
+    margin = at_rest(poses).smallest["transmission"]
+    alone = [at_rest(pose).smallest["transmission"].margin for pose in poses]
+    assert margin.margin == min(alone)
+    assert margin.time == np.argmin(alone)
+    assert margin.unit == "-"
+
+
+def test_check_reference_covers_both_ends_at_the_stated_rate():
+    seen = []
+
+    class Spy(HoldReference):
+        def evaluate(self, time):
+            seen.append(time)
+            return super().evaluate(time)
+
+    assert check_reference(ROBOT, ALL, Spy(), 0.25, GRAVITY, samples_per_second=30.0).feasible
+    (time,) = seen
+    assert (time[0], time[-1]) == (0.0, 0.25)
+    assert np.diff(time).max() <= 1.0 / 30.0 + 1e-15
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("frequency", [1.0, 5.0])
+def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(axis, frequency):
+    amplitude = largest_amplitude(ROBOT, ALL, axis, frequency, GRAVITY)
+
+    def feasible(factor):
+        reference = sine(axis, factor * amplitude, frequency)
+        return check_reference(ROBOT, ALL, reference, 1.0 / frequency, GRAVITY, 1000.0 * frequency).feasible
+
+    assert all(feasible(factor) for factor in (0.1, 0.5, 0.9, 0.9995))
+    assert not feasible(1.001)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_the_largest_amplitude_bound_by_torque_is_feasible_and_a_little_more_is_not(axis):
+    weak = only(torque_fraction=0.2)
+    amplitude = largest_amplitude(ROBOT, weak, axis, 4.0, GRAVITY)
+
+    def feasible(factor):
+        return check_reference(ROBOT, weak, sine(axis, factor * amplitude, 4.0), 0.25, GRAVITY, 4000.0).feasible
+
+    assert all(feasible(factor) for factor in (0.1, 0.5, 0.9, 0.9995))
+    assert not feasible(1.001)
+    assert amplitude < 0.9 * largest_amplitude(ROBOT, NONE, axis, 4.0, GRAVITY)
+
+
+def test_the_amplitude_table_falls_with_frequency_from_the_range_at_rest():
+    table = amplitude_table(ROBOT, ALL, [0.0, 3.0], GRAVITY)
+    assert table.shape == (2, 6)
+    assert np.all(table[1] < 0.8 * table[0])
+    assert np.all(table > 0.0)
+    assert table[1, 4] == largest_amplitude(ROBOT, ALL, 4, 3.0, GRAVITY)
+    assert amplitude_table(ROBOT, ALL, [], GRAVITY).shape == (0, 6)
+
+
+def test_at_zero_frequency_the_amplitude_is_the_shorter_side_of_the_range_at_rest():
+    limits = only(conditioning=0.05, transmission=0.2)
+    assert math.degrees(largest_amplitude(ROBOT, limits, 1, 0.0, GRAVITY)) == pytest.approx(61.8, abs=0.1)
+    assert largest_amplitude(ROBOT, limits, 3, 0.0, GRAVITY) == pytest.approx(0.2027, abs=1e-4)
+
+
+def test_the_amplitude_is_that_about_the_given_center():
+    center = ROBOT.home_pose + 0.05 * AXES[3]
+    limits = only(transmission=0.2)
+    about_home, about_center = (largest_amplitude(ROBOT, limits, 3, 0.0, GRAVITY, c) for c in (None, center))
+    assert about_center == pytest.approx(about_home - 0.05, rel=3e-4)
+
+
+def test_a_center_that_is_not_feasible_has_no_amplitude():
+    assert largest_amplitude(ROBOT, ALL, 0, 1.0, GRAVITY, np.array([0, 0, 0, 0, 0, 0.6])) == 0.0
+    assert largest_amplitude(ROBOT, only(torque_fraction=1e-3), 0, 1.0, GRAVITY) == 0.0
+    assert largest_amplitude(ROBOT, only(torque_fraction=1e-3), 0, 1.0, 0.0) > 0.0
+
+
+def test_without_limits_the_amplitude_ends_where_a_rod_cannot_span():
+    amplitude = largest_amplitude(ROBOT, NONE, 5, 5.0, GRAVITY)
+    assert at_rest(ROBOT.home_pose - amplitude * AXES[5], NONE).feasible
+    assert not at_rest(ROBOT.home_pose - 1.001 * amplitude * AXES[5], NONE).feasible
+
+
+def test_the_largest_scale_of_a_sine_is_its_largest_amplitude():
+    amplitude = largest_amplitude(ROBOT, ALL, 5, 4.0, GRAVITY)
+    scale = largest_scale(ROBOT, ALL, lambda s: sine(5, s * 3.0 * amplitude, 4.0), 0.25, GRAVITY, 4000.0)
+    assert scale == pytest.approx(1.0 / 3.0, rel=1e-3)
+
+
+def test_a_reference_that_is_feasible_as_it_is_keeps_its_scale():
+    def scaled(scale):
+        whole = paper_reference()
+        return dataclasses.replace(whole, amplitude=tuple(scale * np.array(whole.amplitude)))
+
+    assert largest_scale(ROBOT, ALL, scaled, math.pi, GRAVITY, 50.0) == 1.0
+
+
+def test_no_scale_is_left_where_even_rest_is_not_feasible():
+    assert largest_scale(ROBOT, only(torque_fraction=0.01), lambda _: HoldReference(), 0.1, GRAVITY) == 0.0
+
+
+def test_a_larger_scale_that_is_feasible_again_is_not_taken():
+    def reference(scale):
+        return HoldReference(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6 if 0.3 < scale < 0.5 else 0.3))
+
+    assert largest_scale(ROBOT, ALL, reference, 0.1, GRAVITY) == pytest.approx(0.3, rel=1e-3)
+
+
+ONE = np.zeros((1, 6))
+
+
+@pytest.mark.parametrize(
+    ("key", "call"),
+    [
+        ("time", lambda: check_motion(ROBOT, ALL, [], ONE[:0], ONE[:0], ONE[:0], GRAVITY)),
+        ("time", lambda: check_motion(ROBOT, ALL, [math.nan], ONE, ONE, ONE, GRAVITY)),
+        ("pose", lambda: check_motion(ROBOT, ALL, [0.0], ONE[0], ONE, ONE, GRAVITY)),
+        ("pose_rate", lambda: check_motion(ROBOT, ALL, [0.0], ONE, ONE[:, :5], ONE, GRAVITY)),
+        ("pose_acceleration", lambda: check_motion(ROBOT, ALL, [0.0], ONE, ONE, math.nan * ONE, GRAVITY)),
+        ("gravity", lambda: check_motion(ROBOT, ALL, [0.0], ONE, ONE, ONE, math.nan)),
+        ("duration", lambda: check_reference(ROBOT, ALL, HoldReference(), 0.0, GRAVITY)),
+        ("duration", lambda: check_reference(ROBOT, ALL, HoldReference(), math.inf, GRAVITY)),
+        ("samples_per_second", lambda: check_reference(ROBOT, ALL, HoldReference(), 1.0, GRAVITY, -1.0)),
+        ("axis", lambda: largest_amplitude(ROBOT, ALL, 6, 1.0, GRAVITY)),
+        ("frequency_hz", lambda: largest_amplitude(ROBOT, ALL, 0, -1.0, GRAVITY)),
+        ("center", lambda: largest_amplitude(ROBOT, ALL, 0, 1.0, GRAVITY, np.zeros(5))),
+    ],
+)
+def test_unusable_arguments_are_refused_by_name(key, call):
+    with pytest.raises(ConfigurationError) as caught:
+        call()
+    assert caught.value.key == key

@@ -1,0 +1,266 @@
+import dataclasses
+import math
+
+import numpy as np
+import pydantic
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.math import RollPitchYaw
+from scipy.optimize import minimize_scalar
+from strategies import ROBOT, poses, vectors
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.mechanics.kinematics import (
+    conditioning,
+    inverse_kinematics,
+    leg_geometry,
+    pose_jacobian,
+    reach_margin,
+)
+from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins, segment_distance
+
+ALL = Limits()
+NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
+GRAVITY = 9.81
+
+
+def margins_at(pose, rate=None, acceleration=None, limits=ALL, robot=ROBOT):
+    zero = np.zeros(6)
+    one = [zero if v is None else v for v in (pose, rate, acceleration)]
+    return {k: v[0] for k, v in limit_margins(robot, limits, *np.array(one)[:, None], GRAVITY).items()}
+
+
+def brute_distance(a, b, c, d):
+    """Minimum over s in [0, 1] of the distance of one point of the first segment to the second; convex in s.
+
+    The minimiser stops near the square root of rounding, so 1e-6 is what it can vouch for.
+    """
+
+    def from_point(s):
+        point = a + s * (b - a)
+        along, length = d - c, (d - c) @ (d - c)
+        t = np.clip((point - c) @ along / length, 0.0, 1.0) if length > 0.0 else 0.0
+        return np.linalg.norm(point - c - t * along)
+
+    inside = minimize_scalar(from_point, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-10, "maxiter": 200})
+    return min(inside.fun, from_point(0.0), from_point(1.0))
+
+
+@given(points=vectors(12))
+def test_segment_distance_is_the_minimum_over_both_segments(points):
+    a, b, c, d = points.reshape(4, 3)
+    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
+
+
+@given(points=st.lists(st.integers(-2, 2), min_size=12, max_size=12).map(np.array))
+def test_segment_distance_on_a_lattice_where_parallel_touching_and_zero_length_are_common(points):
+    a, b, c, d = points.reshape(4, 3).astype(float)
+    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
+
+
+X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is called O
+
+
+@pytest.mark.parametrize(
+    ("segments", "distance"),
+    [
+        pytest.param((O, X, Y, X + Y), 1.0, id="parallel beside"),
+        pytest.param((O, X, X + Y, Y), 1.0, id="antiparallel beside"),
+        pytest.param((O, X, 3 * X + Y, 2 * X + Y), math.sqrt(2.0), id="parallel one after the other"),
+        pytest.param((O, 4 * X, X + Y, 2 * X + Y), 1.0, id="parallel one within the other"),
+        pytest.param((X + Y, 2 * X + Y, O, 4 * X), 1.0, id="parallel the other within the one"),
+        pytest.param((O, X, 2 * X, 3 * X), 1.0, id="on one line apart"),
+        pytest.param((O, 2 * X, X, 3 * X), 0.0, id="on one line overlapping"),
+        pytest.param((-X, X, Z - Y, Z + Y), 1.0, id="crossing at a height"),
+        pytest.param((-X, X, -Y, Y), 0.0, id="crossing"),
+        pytest.param((O, X, 2 * X - Y, 2 * X + Y), 1.0, id="end against middle"),
+        pytest.param((2 * X - Y, 2 * X + Y, O, X), 1.0, id="middle against end"),
+        pytest.param((O, X, 2 * X + Y, 3 * X + 5 * Y), math.sqrt(2.0), id="end against end"),
+        pytest.param((O, O, Y, Y), 1.0, id="two points"),
+        pytest.param((Y, Y, -X, X), 1.0, id="point and segment"),
+        pytest.param((-X, X, 2 * X, 2 * X), 1.0, id="segment and point beyond"),
+    ],
+)
+@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.7, 1.1)])
+def test_segment_distance_in_every_special_position(segments, distance, turn):
+    rotation = RollPitchYaw(turn).ToRotationMatrix().matrix()
+    a, b, c, d = (rotation @ point + [0.1, 0.2, 0.3] for point in segments)
+    assert segment_distance(a, b, c, d) == pytest.approx(distance, abs=1e-15)
+    assert segment_distance(c, d, b, a) == pytest.approx(distance, abs=1e-15)
+
+
+@pytest.mark.parametrize("angle", [1e-4, 1e-6, 1e-7, 1e-8, 1e-9, 1e-12])
+def test_segment_distance_of_nearly_parallel_segments_that_cross_at_a_height(angle):
+    across = np.array([math.cos(angle), math.sin(angle), 0.0])
+    found = segment_distance(-X, X, 1e-3 * Z - across, 1e-3 * Z + across)
+    assert found == pytest.approx(1e-3, abs=1e-12)
+
+
+def test_segment_distance_is_vectorised_over_leading_axes():
+    points = np.random.default_rng(0).normal(size=(4, 2, 5, 3))
+    distance = segment_distance(*points)
+    assert distance.shape == (2, 5)
+    for index in np.ndindex(2, 5):
+        assert distance[index] == pytest.approx(segment_distance(*points[(slice(None), *index)]), rel=1e-14)
+
+
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits)])
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+def test_a_limit_is_a_positive_number(name, bad):
+    with pytest.raises(ConfigurationError) as caught:
+        Limits(**{name: bad})
+    assert caught.value.key == f"limits.{name}"
+
+
+@pytest.mark.parametrize("name", ["reach", "euler_pitch", "conditioning", "transmission", "joint_swing"])
+def test_a_limit_that_nothing_could_ever_reach_is_refused(name):
+    with pytest.raises(ConfigurationError, match=f"limits.{name}"):
+        Limits(**{name: 3.2})
+
+
+def test_pydantic_reads_limits_null_included_and_refuses_unknown_keys():
+    adapter = pydantic.TypeAdapter(Limits)
+    assert adapter.validate_python({"clearance": None, "reach": 0.9}) == Limits(clearance=None, reach=0.9)
+    with pytest.raises(pydantic.ValidationError, match="clearence"):
+        adapter.validate_python({"clearence": 0.01})
+
+
+def test_every_limit_has_a_margin_of_its_own_with_a_place_for_each_column():
+    margins = limit_margins(ROBOT, ALL, *np.zeros((3, 2, 6)) + [ROBOT.home_pose], GRAVITY)
+    assert list(margins) == list(RULES) == list(PLACES)
+    for limit, values in margins.items():
+        assert values.shape == (2, len(PLACES[limit]))
+
+
+def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot_span():
+    assert list(margins_at(ROBOT.home_pose, limits=NONE)) == ["reach"]
+    np.testing.assert_allclose(margins_at(ROBOT.home_pose, limits=NONE)["reach"], reach_margin(ROBOT, ROBOT.home_pose))
+    for field in dataclasses.fields(Limits):
+        left = margins_at(ROBOT.home_pose, limits=dataclasses.replace(ALL, **{field.name: None}))
+        gone = {"reach": set(), "torque_fraction": {"torque"}}.get(field.name, {field.name})
+        assert set(RULES) - set(left) == gone
+
+
+def test_the_torque_limit_is_a_part_of_the_motors_effort():
+    assert limit_bounds(ROBOT, Limits(torque_fraction=0.5))["torque"] == 2.5
+    assert limit_bounds(ROBOT.replace(effort_limit=8.0), ALL)["torque"] == 8.0
+
+
+@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 20.0))
+def test_margins_are_the_limits_minus_what_kinematics_and_dynamics_give(pose, rate, acceleration):
+    margins = margins_at(pose, rate, acceleration)
+    np.testing.assert_allclose(margins["reach"], 0.98 - (1.0 - reach_margin(ROBOT, pose)), atol=1e-14)
+    np.testing.assert_allclose(margins["euler_pitch"], np.radians(85.0) - abs(pose[1]), rtol=1e-14)
+    np.testing.assert_allclose(margins["conditioning"], conditioning(ROBOT, pose) - 0.05, atol=1e-13)
+    np.testing.assert_allclose(margins["transmission"], leg_geometry(ROBOT, pose).transmission - 0.2, atol=1e-14)
+    speed = pose_jacobian(ROBOT, pose) @ rate
+    np.testing.assert_allclose(margins["crank_speed"], 10.0 - np.abs(speed), rtol=1e-10, atol=1e-10)
+    torque = inverse_dynamics(ROBOT, pose, rate, acceleration, GRAVITY)
+    np.testing.assert_allclose(margins["torque"], 5.0 - np.abs(torque), rtol=1e-10, atol=1e-10)
+
+
+def test_joints_have_not_swung_at_home():
+    np.testing.assert_allclose(margins_at(ROBOT.home_pose)["joint_swing"], ALL.joint_swing, atol=1e-15)
+
+
+@given(pose=poses())
+def test_joint_swing_is_the_angle_of_the_rod_seen_by_its_two_neighbours(pose):
+    def rods(at):
+        legs = leg_geometry(ROBOT, at)
+        platform = RollPitchYaw(at[:3]).ToRotationMatrix().matrix()
+        ball, universal = [], []
+        for leg in range(6):
+            h = ROBOT.crank_zero_directions[leg]
+            z = np.array([0.0, 0.0, 1.0])
+            theta = legs.crank_angles[leg]
+            crank = np.stack(
+                [np.cos(theta) * h + np.sin(theta) * z, np.cross(z, h), -np.sin(theta) * h + np.cos(theta) * z]
+            )
+            ball.append(platform.T @ legs.e_l[leg])
+            universal.append(crank @ legs.e_l[leg])
+        return np.array(ball + universal)
+
+    cosine = np.sum(rods(pose) * rods(ROBOT.home_pose), axis=-1)
+    swing = ALL.joint_swing - margins_at(pose)["joint_swing"]
+    np.testing.assert_allclose(np.cos(swing), cosine, atol=1e-14)
+    assert np.all(swing >= 0.0)
+
+
+def test_raising_the_platform_swings_the_universal_joints_by_as_much_as_the_elbow_opens():
+    raised = ROBOT.home_pose + 0.05 * np.eye(6)[5]
+    swing = ALL.joint_swing - margins_at(raised)["joint_swing"]
+    np.testing.assert_allclose(swing[:6], swing[0], rtol=1e-12)
+    np.testing.assert_allclose(swing[6:], swing[6], rtol=1e-12)
+    turned = inverse_kinematics(ROBOT, raised) - inverse_kinematics(ROBOT, ROBOT.home_pose)
+    assert swing[6] > turned[0] > 0.0
+
+
+def test_the_sixty_pairs_are_all_links_of_different_legs():
+    names = [where for _, where in PLACES["clearance"]]
+    assert len(set(names)) == 60
+    for name in names:
+        one, other = name.split(" to ")
+        assert one.split()[1] != other.split()[1]
+
+
+@given(pose=poses())
+def test_clearance_is_the_distance_of_the_two_named_links_between_their_surfaces(pose):
+    legs = leg_geometry(ROBOT, pose)
+    tips = ROBOT.shaft_positions + ROBOT.crank_length * legs.crank
+    joints = legs.arm + pose[3:]
+    ends = {f"crank {i}": (ROBOT.shaft_positions[i], tips[i]) for i in range(6)}
+    ends |= {f"rod {i}": (tips[i], joints[i]) for i in range(6)}
+    for (leg, name), margin in zip(PLACES["clearance"], margins_at(pose)["clearance"], strict=True):
+        one, other = name.split(" to ")
+        assert leg == int(one.split()[1])
+        gap = segment_distance(*ends[one], *ends[other]) - 2 * 0.005
+        assert margin == pytest.approx(gap - 0.005, abs=1e-14)
+
+
+def test_thicker_links_have_less_clearance():
+    thick = ROBOT.replace(link_radius=0.012)
+    difference = margins_at(ROBOT.home_pose)["clearance"] - margins_at(ROBOT.home_pose, robot=thick)["clearance"]
+    np.testing.assert_allclose(difference, 2 * 0.007, atol=1e-15)
+
+
+def test_long_motions_are_judged_in_blocks_without_a_seam():
+    rng = np.random.default_rng(0)
+    pose = ROBOT.home_pose + rng.uniform(-0.05, 0.05, (4500, 6))
+    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["clearance"]
+    for sample in (0, 2047, 2048, 4095, 4096, 4499):
+        np.testing.assert_allclose(margins[sample], margins_at(pose[sample])["clearance"], atol=1e-15)
+
+
+def test_out_of_reach_only_reach_and_pitch_are_known_and_the_others_are_not_guessed():
+    pose = np.tile(ROBOT.home_pose, (3, 1))
+    pose[1, 5] = 0.6
+    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)
+    for limit, values in margins.items():
+        assert np.isnan(values[1]).all() == (limit not in {"reach", "euler_pitch"})
+        assert np.isfinite(values[[0, 2]]).all()
+    assert margins["reach"][1].min() < 0.0
+
+
+def test_nothing_within_reach_is_no_error():
+    pose = np.array([[0, 0, 0, 0, 0, 0.6]])
+    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)
+    assert margins["reach"].max() < 0.0
+    assert np.isnan(margins["torque"]).all()
+
+
+def test_a_platform_joint_on_the_motor_axis_is_out_of_reach():
+    pose = np.zeros((1, 6))
+    pose[0, 3:] = ROBOT.shaft_positions[0] - ROBOT.platform_joints[0] - [0.0, 0.3, 0.0]
+    assert limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["reach"].min() == -np.inf
+
+
+def test_a_parallel_singularity_jumped_over_between_two_samples_counts():
+    singular = 1.549023038254185
+    pose = np.tile(ROBOT.home_pose, (3, 1))
+    pose[:, 2] = singular - 0.1, singular + 0.015, singular - 0.1
+    values = limit_margins(ROBOT, Limits(conditioning=1e-4), pose, 0.0 * pose, 0.0 * pose, GRAVITY)["conditioning"]
+    alone = conditioning(ROBOT, pose)
+    np.testing.assert_allclose(values[:, 0], [alone[0] - 1e-4, -alone[1] - 1e-4, alone[2] - 1e-4], atol=1e-12)
+    assert alone.min() > 1e-4

@@ -1,0 +1,402 @@
+import itertools
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import ROBOT, poses
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
+from stewart_drake.planning.feasibility import largest_amplitude
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.planning.workspace import PoseMeasures, _invert, _strength, measure_poses, smallest_reach
+from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays, icosphere, split_edges
+from stewart_drake.planning.workspace_region import (
+    COORDINATES,
+    LIMIT_NAMES,
+    Grid,
+    Survey,
+    check_center,
+    flood,
+    governing_limit,
+    losses,
+    poses_at,
+    spanning_grid,
+    survey,
+    utilisation,
+)
+from stewart_drake.robot import RobotParameters
+
+HOME = ROBOT.home_pose
+LIMITS = Limits()
+WIDE = np.array([1.2, 1.55, 1.6, 0.1, 0.1, 0.08])
+
+
+def wide_poses(count, seed=0, robot=ROBOT):
+    """Poses far and wide, in reach or not, beyond singularities or not."""
+    return robot.home_pose + np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 6)) * WIDE
+
+
+def reachable(pose, robot=ROBOT):
+    return pose[(reach_margin(robot, pose) >= 0.0).all(axis=-1)]
+
+
+@pytest.fixture(scope="module")
+def home_survey():
+    return {kind: survey(ROBOT, LIMITS, spanning_grid(ROBOT, kind, HOME, 20_000)) for kind in COORDINATES}
+
+
+@pytest.mark.parametrize(
+    "robot", [ROBOT, ROBOT.replace(branch=1, home_height=0.25, rod_length=0.42)], ids=["own", "other"]
+)
+def test_measures_equal_the_reference_functions(robot):
+    pose = reachable(wide_poses(20_000, robot=robot), robot)
+    assert len(pose) > 1000
+    measures = measure_poses(robot, pose)
+    every = Limits(euler_pitch=None, crank_speed=None)
+    margins = limit_margins(robot, every, pose, np.zeros_like(pose), np.zeros_like(pose), 9.81)
+    legs = leg_geometry(robot, pose)
+    swing = every.joint_swing - margins["joint_swing"]
+    regular = np.abs(measures.conditioning)
+    assert regular.min() < 1e-3  # the comparison covers what the eigenvalues alone could not resolve
+    np.testing.assert_allclose(measures.reach, reach_margin(robot, pose).min(axis=1), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(measures.transmission, np.abs(legs.transmission).min(axis=1), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.abs(measures.conditioning), conditioning(robot, pose), rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(measures.ball_swing, swing[:, :6].max(axis=1), rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(measures.universal_swing, swing[:, 6:].max(axis=1), rtol=0.0, atol=1e-8)
+    clearance = margins["clearance"].min(axis=1) + every.clearance
+    np.testing.assert_allclose(measures.clearance, clearance, rtol=0.0, atol=1e-12)
+    torque = np.abs(static_torque(robot, pose)).max(axis=1)
+    assert (np.abs(measures.holding_torque / torque - 1.0) * regular < 1e-14).all()
+
+
+def test_force_and_moment_are_the_inscribed_balls_of_the_statics_map():
+    pose = reachable(wide_poses(400, 1))
+    pose = pose[measure_poses(ROBOT, pose).holding_torque < ROBOT.effort_limit]
+    assert len(pose) > 20
+    measures = measure_poses(ROBOT, pose)
+    held, inverse = static_torque(ROBOT, pose), np.linalg.inv(force_map(ROBOT, pose, "statics"))
+    directions = np.random.default_rng(2).normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for part, found in ((slice(0, 3), measures.moment), (slice(3, 6), measures.force)):
+        for k in range(len(pose)):
+            rows = inverse[k][:, part]
+            worst = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+            per_unit = np.concatenate([directions, worst, -worst]) @ rows.T
+            # Along one direction the motors allow r until the first |t_i + r g_i| reaches the limit.
+            along = np.min((ROBOT.effort_limit - held[k] * np.sign(per_unit)) / np.abs(per_unit), axis=1)
+            assert found[k] <= along.min() * (1.0 + 1e-9)
+            assert found[k] == pytest.approx(along.min(), rel=1e-6)
+            size = found[k] * (1.0 - 1e-9)
+            assert (np.abs(held[k] + size * per_unit) <= ROBOT.effort_limit).all()
+
+
+def test_a_motor_too_weak_for_the_weight_exerts_nothing():
+    held = np.abs(static_torque(ROBOT, HOME)).max()
+    weak, enough = (measure_poses(ROBOT, HOME[None], torque_limit=f * held) for f in (0.99, 1.01))
+    assert weak.force[0] == weak.moment[0] == 0.0
+    assert 0.0 < enough.force[0] < 0.1 * measure_poses(ROBOT, HOME[None]).force[0]
+
+
+def test_without_gravity_nothing_must_be_held_and_the_ball_is_symmetric():
+    measures = measure_poses(ROBOT, HOME[None], gravity=0.0)
+    assert measures.holding_torque[0] == 0.0
+    rows = np.linalg.inv(force_map(ROBOT, HOME, "statics"))[:, 3:]
+    assert measures.force[0] == pytest.approx(ROBOT.effort_limit / np.linalg.norm(rows, axis=1).max(), rel=1e-12)
+
+
+def test_out_of_reach_is_nan_but_for_reach():
+    pose = np.stack([HOME, HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.2]])
+    measures = measure_poses(ROBOT, pose)
+    assert measures.reach[1] == pytest.approx(reach_margin(ROBOT, pose[1]).min())
+    assert measures.reach[1] < 0.0
+    for field in fields(PoseMeasures)[1:]:
+        values = getattr(measures, field.name)
+        assert np.isfinite(values[0]), field.name
+        assert np.isnan(values[1]), field.name
+
+
+def test_serial_and_parallel_singularities_are_told_apart():
+    # Straight up, all cranks come to their dead centre at once; in yaw the rods' lines lose rank first.
+    up = poses_at((5,), HOME, np.linspace(0.3, 0.4245, 400)[:, None])
+    up = measure_poses(ROBOT, up[smallest_reach(ROBOT, up) >= 0.0])
+    assert up.transmission[-1] < 0.06 < up.transmission[0]
+    assert up.conditioning.min() > 0.2
+    assert (np.diff(up.transmission[100:]) < 0.0).all()
+    turn = measure_poses(ROBOT, poses_at((2,), HOME, np.radians([[0.0], [80.0], [88.0], [90.0], [100.0]])))
+    assert turn.conditioning[0] > turn.conditioning[1] > turn.conditioning[2] > 0.0 > turn.conditioning[4]
+    assert turn.transmission.min() > 0.3
+    assert turn.holding_torque[2] > 5.0 * turn.holding_torque[0]
+    assert turn.force[2] < 0.2 * turn.force[0]
+
+
+def test_exactly_at_a_parallel_singularity_no_torque_holds():
+    legs = leg_geometry(ROBOT, HOME)
+    lines = np.moveaxis(np.stack([rod_lines(legs)] * 2), 0, -1).swapaxes(0, 1).copy()
+    lines[:, 3, 1] = 0.0  # in the second pose one rod bears nothing
+
+    class Home:
+        side = 1.0
+
+    ratio, inverse = _invert(ROBOT, Home, lines)
+    assert ratio[1] == 0.0 < ratio[0]
+    arm = np.moveaxis(np.stack([legs.arm] * 2), 0, -1).swapaxes(0, 1)
+    cosine = np.ones((6, 2))
+    torque, force, moment = _strength(ROBOT, arm, cosine, 0.1 * cosine, inverse, 9.81, 5.0)
+    assert np.isfinite([torque[0], force[0], moment[0]]).all()
+    assert torque[1] == np.inf
+    assert force[1] == moment[1] == 0.0
+
+
+def test_threads_change_nothing_and_report_progress():
+    pose = wide_poses(5000, 3)
+    shares = []
+    one, two = (measure_poses(ROBOT, pose, workers=n, progress=shares.append) for n in (1, 2))
+    for field in fields(PoseMeasures):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name))
+    assert shares[-1] == 1.0
+    assert all(0.0 < share <= 1.0 for share in shares)
+
+
+@pytest.mark.parametrize("pose", [np.zeros(6), np.zeros((2, 5)), np.full((1, 6), np.nan)])
+def test_bad_poses_are_refused(pose):
+    with pytest.raises(ConfigurationError, match="pose"):
+        measure_poses(ROBOT, pose)
+
+
+def test_no_poses_give_no_measures():
+    assert measure_poses(ROBOT, np.zeros((0, 6))).force.shape == (0,)
+
+
+def test_utilisation_is_above_one_exactly_where_a_margin_is_negative():
+    pose = wide_poses(4000, 4)
+    use = utilisation(ROBOT, LIMITS, pose, measure_poses(ROBOT, pose))
+    assert tuple(use) == LIMIT_NAMES
+    # At rest, and seen from home: margins count a changed side of the parallel singularity from the first sample.
+    seen = np.concatenate([HOME[None], pose])
+    margins = limit_margins(ROBOT, LIMITS, seen, np.zeros_like(seen), np.zeros_like(seen), 9.81)
+    margins["ball_swing"], margins["universal_swing"] = np.hsplit(margins["joint_swing"], 2)
+    for name in LIMIT_NAMES:
+        broken = (margins[name][1:] < 0.0).any(axis=1)
+        np.testing.assert_array_equal(use[name] > 1.0, broken, err_msg=name)
+        assert 0 < broken.sum() < len(pose), name
+
+
+def test_limits_that_are_off_are_left_out():
+    off = Limits(joint_swing=None, torque_fraction=None, clearance=None, euler_pitch=None)
+    use = utilisation(ROBOT, off, HOME[None], measure_poses(ROBOT, HOME[None]))
+    assert tuple(use) == ("reach", "transmission", "conditioning")
+
+
+def test_the_governing_limit_is_the_one_most_used_and_reach_where_nothing_else_is_known():
+    use = {
+        "reach": np.array([0.5, 1.3, 0.2]),
+        "clearance": np.array([0.7, np.nan, np.inf]),
+        "euler_pitch": np.array([0.1, 1.9, 0.3]),
+    }
+    largest, cause = governing_limit(use)
+    np.testing.assert_array_equal(largest, [0.7, 1.3, np.inf])
+    assert [LIMIT_NAMES[i] for i in cause] == ["clearance", "reach", "clearance"]
+
+
+def test_all_orientations_add_up_to_one():
+    high = np.array([np.pi, np.pi / 2.0, np.pi])
+    grid = Grid(COORDINATES["orientation"], HOME, -high, high, (5, 7, 6))
+    assert grid.cell_size.sum() == pytest.approx(1.0, rel=1e-12)
+    # Within 30 deg of level pitch lies half of all orientations.
+    near = np.abs(Grid(COORDINATES["orientation"], HOME, -high, high, (4, 6, 4)).poses[:, 1]) < np.pi / 6.0
+    assert Grid(COORDINATES["orientation"], HOME, -high, high, (4, 6, 4)).cell_size[near].sum() == pytest.approx(0.5)
+
+
+def test_cells_lie_where_they_should():
+    grid = Grid((0, 3, 5), HOME, np.array([0.0, 1.0, 2.0]), np.array([1.0, 1.0, 4.0]), (2, 1, 4))
+    np.testing.assert_allclose(grid.axes[0], [0.25, 0.75])
+    np.testing.assert_allclose(grid.axes[1], [1.0])
+    assert grid.poses.shape == (8, 6)
+    np.testing.assert_allclose(grid.poses[5], [0.75, 0.0, 0.0, 1.0, 0.0, 2.75])
+
+
+@pytest.mark.parametrize("kind", ["position", "orientation"])
+def test_the_grid_covers_all_that_can_be_reached(kind):
+    grid = spanning_grid(ROBOT, kind, HOME, 5000)
+    assert np.prod(grid.counts) == pytest.approx(5000, rel=0.2)
+    rng = np.random.default_rng(5)
+    side = np.array([0.6, 0.6, 0.6]) if kind == "position" else np.array([np.pi, np.pi / 2.0, np.pi])
+    point = rng.uniform(-1.0, 1.0, (200_000, 3)) * side
+    if kind == "position":
+        point = point[point[:, 2] > ROBOT.shaft_height]
+    inside = smallest_reach(ROBOT, poses_at(COORDINATES[kind], HOME, point)) >= 0.0
+    assert inside.sum() > 1000
+    assert ((grid.low <= point[inside]) & (point[inside] <= grid.high)).all()
+
+
+@pytest.mark.parametrize(
+    "center",
+    [np.zeros(5), np.full(6, np.inf), HOME + [0, 0, 0, 0, 0, 0.3], HOME + [0, 2.0, 0, 0, 0, 0]],
+    ids=["shape", "finite", "reach", "pitch"],
+)
+def test_bad_centers_are_refused(center):
+    with pytest.raises(ConfigurationError, match="center"):
+        check_center(ROBOT, center)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(ConfigurationError, match="samples"):
+        spanning_grid(ROBOT, "position", HOME, 7)
+
+
+def test_flood_follows_a_winding_way_and_does_not_jump():
+    allowed = np.zeros((9, 9, 3), dtype=bool)
+    allowed[::2, :, 1] = True
+    allowed[1::4, -1, 1] = allowed[3::4, 0, 1] = True
+    allowed[0, 0, 0] = True
+    island = (8, 4, 2)
+    allowed[island] = False
+    allowed[4, 4, 1] = False  # cuts the way in the middle of the third lane
+    seed = np.zeros_like(allowed)
+    seed[0, 0, 1] = True
+    reached = flood(seed, allowed)
+    expected = np.zeros_like(allowed)
+    expected[0, :, 1] = expected[2, :, 1] = expected[1, -1, 1] = expected[3, 0, 1] = expected[0, 0, 0] = True
+    expected[4, :4, 1] = True
+    np.testing.assert_array_equal(reached, expected)
+    assert not flood(seed & False, allowed).any()
+
+
+def test_sizes_boxes_and_shares_of_a_survey(home_survey):
+    found = home_survey["position"]
+    assert found.size(np.ones(len(found.grid.poses), dtype=bool)) == pytest.approx(
+        np.prod(found.grid.high - found.grid.low)
+    )
+    assert found.bounding_box(found.feasible & False) is None
+    box = found.bounding_box(found.connected)
+    point = found.grid.poses[found.connected][:, 3:]
+    np.testing.assert_allclose(box[0], point.min(axis=0) - found.grid.width / 2.0)
+    np.testing.assert_allclose(box[1], point.max(axis=0) + found.grid.width / 2.0)
+    for smaller, larger in itertools.pairwise((found.connected, found.regular, found.spanning)):
+        assert not (smaller & ~larger).any()
+
+
+def test_losses_are_shares_of_what_the_mechanism_could_reach(home_survey):
+    found = home_survey["orientation"]
+    lost = {loss.limit: loss for loss in losses(found)}
+    weight = found.grid.cell_size * found.regular
+    others = np.all([found.use[name] <= 1.0 for name in found.use if name != "ball_swing"], axis=0)
+    broken = found.use["ball_swing"] > 1.0
+    assert lost["ball_swing"].broken == pytest.approx(weight[broken].sum() / weight.sum())
+    assert lost["ball_swing"].alone == pytest.approx(weight[broken & others].sum() / weight.sum())
+    assert lost["ball_swing"].alone > 0.05
+
+
+def test_no_survey_reaches_across_a_singularity(home_survey):
+    found = home_survey["orientation"]
+    assert (found.measures.conditioning[found.regular] > 0.0).all()
+    assert (found.measures.conditioning[found.spanning] < 0.0).any()
+
+
+def test_a_center_outside_the_limits_is_joined_to_nothing():
+    tight = Limits(conditioning=0.9)
+    found = survey(ROBOT, tight, spanning_grid(ROBOT, "position", HOME, 2000))
+    assert not found.connected.any()
+    radius, limit = follow_rays(ROBOT, tight, "position", HOME, np.eye(3))
+    np.testing.assert_array_equal(radius, 0.0)
+    assert {LIMIT_NAMES[i] for i in limit} == {"conditioning"}
+
+
+def is_closed(triangles):
+    """Whether every edge belongs to two triangles that run along it in opposite directions."""
+    sides = [tuple(t[[i, (i + 1) % 3]]) for t in triangles for i in range(3)]
+    return len(set(sides)) == len(sides) and all((b, a) in set(sides) for a, b in sides)
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1, 3])
+def test_the_icosphere_is_a_closed_sphere(subdivisions):
+    vertices, triangles = icosphere(subdivisions)
+    assert vertices.shape == (10 * 4**subdivisions + 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0)
+    assert is_closed(triangles)
+    assert (np.linalg.det(vertices[triangles]) > 0.0).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_split_edges_leave_the_mesh_closed(seed):
+    rng = np.random.default_rng(seed)
+    vertices, triangles = icosphere(0)
+    for _ in range(2):
+        edges = len(triangles) * 3 // 2
+        vertices, triangles = split_edges(vertices, triangles, rng.random(edges) < 0.4)
+    assert is_closed(triangles)
+    unit = Boundary("position", HOME, vertices, triangles, np.ones(len(vertices)), np.full(len(vertices), -1))
+    assert unit.weight.sum() == pytest.approx(1.0)
+    assert unit.volume <= 4.0 / 3.0 * np.pi
+    assert unit.first() == {}
+
+
+@pytest.mark.parametrize("kind", ["position", "orientation"])
+def test_rays_end_where_the_named_limit_is_met(kind):
+    rng = np.random.default_rng(6)
+    directions = rng.normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    radius, limit = follow_rays(ROBOT, LIMITS, kind, HOME, directions)
+    start = HOME[list(COORDINATES[kind])]
+
+    def use_at(at):
+        pose = poses_at(COORDINATES[kind], HOME, start + at[:, None] * directions)
+        return governing_limit(utilisation(ROBOT, LIMITS, pose, measure_poses(ROBOT, pose)))
+
+    for share in (0.25, 0.6, 1.0):
+        assert (use_at(share * radius)[0] <= 1.0).all()
+    beyond, cause = use_at(radius + 1e-5)
+    assert (beyond > 1.0).all()
+    np.testing.assert_array_equal(cause, limit)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_ranges_along_an_axis_agree_with_the_largest_amplitude_at_rest(axis):
+    kind = "orientation" if axis < 3 else "position"
+    along = np.eye(3)[axis % 3]
+    radius, _ = follow_rays(ROBOT, LIMITS, kind, HOME, np.stack([along, -along]))
+    assert radius.min() == pytest.approx(largest_amplitude(ROBOT, LIMITS, axis, 0.0, 9.81), rel=3e-4)
+
+
+def test_surface_and_grid_agree_on_the_volume(home_survey):
+    surface = boundary(ROBOT, LIMITS, "position", HOME, subdivisions=3, refinements=1)
+    found = home_survey["position"]
+    assert surface.volume == pytest.approx(found.size(found.connected), rel=0.03)
+    assert sum(surface.first().values()) == pytest.approx(1.0)
+    box = found.bounding_box(found.connected)
+    assert (surface.points >= box[0] - found.grid.width).all()
+    assert (surface.points <= box[1] + found.grid.width).all()
+
+
+@given(poses())
+def test_a_stronger_motor_never_exerts_less(pose):
+    weak, strong = (measure_poses(ROBOT, pose[None], torque_limit=t) for t in (2.0, 3.0))
+    assert strong.force[0] >= weak.force[0]
+    assert strong.moment[0] >= weak.moment[0]
+    assert strong.holding_torque[0] == weak.holding_torque[0]
+
+
+def test_a_survey_of_a_slice_has_no_thickness():
+    grid = Grid(COORDINATES["position"], HOME, np.array([-0.1, 0.0, 0.25]), np.array([0.1, 0.0, 0.35]), (5, 1, 5))
+    found = survey(ROBOT, LIMITS, grid)
+    assert isinstance(found, Survey)
+    assert found.size(found.feasible) == 0.0
+    assert found.connected.all()
+
+
+def test_robots_of_other_sizes_scale():
+    lengths = ("shaft_circle_radius", "shaft_height", "platform_joint_radius", "crank_length", "rod_length",
+               "home_height", "link_radius", "characteristic_length")  # fmt: skip
+    large = ROBOT.replace(**{name: 2.0 * getattr(ROBOT, name) for name in lengths})
+    assert isinstance(large, RobotParameters)
+    grids = [spanning_grid(robot, "position", robot.home_pose, 1000) for robot in (ROBOT, large)]
+    np.testing.assert_allclose(grids[1].low, 2.0 * grids[0].low, atol=1e-12)
+    small, big = (measure_poses(r, g.poses) for r, g in zip((ROBOT, large), grids, strict=True))
+    np.testing.assert_allclose(big.conditioning, small.conditioning, rtol=1e-9)
+    np.testing.assert_allclose(big.holding_torque, 2.0 * small.holding_torque, rtol=1e-9)
+    np.testing.assert_allclose(big.clearance, 2.0 * small.clearance, rtol=1e-9)

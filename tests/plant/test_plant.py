@@ -1,0 +1,646 @@
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.geometry import Role
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.tree import JacobianWrtVariable, WeldJoint
+from pydrake.systems.analysis import Simulator
+from scipy.integrate import solve_ivp
+from strategies import ROBOT, poses, vectors
+
+from stewart_drake.errors import ConfigurationError, DrakeCheckError, SingularPoseError, UnreachablePoseError
+from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_bias, task_inertia
+from stewart_drake.mechanics.kinematics import (
+    inverse_kinematics,
+    pose_jacobian,
+    pose_rate_to_twist,
+    reach_margin,
+    twist_jacobian,
+    twist_to_pose_rate,
+)
+from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
+from stewart_drake.robot import RobotParameters
+
+FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
+HOME = ROBOT.home_pose
+# Level, turned by 92 deg, low: in reach, but the rods of each pair cross.
+CROSSED = np.array([0.0, 0.0, 1.6, 0.0, 0.0, 0.2])
+
+_built = {}
+universal_or_ball = pytest.mark.parametrize("rod_joint", ["universal", "ball"])
+
+
+def built(rod_joint="universal", robot=ROBOT, gravity=9.81, **options):
+    """Diagram and plant; the same arguments share them, because a test may only change a Context of its own."""
+    key = (rod_joint, id(robot), gravity, *sorted(options.items()))
+    if key not in _built:
+        _built[key] = build_plant(robot, PlantOptions(rod_joint=rod_joint, **options), gravity)
+    return _built[key]
+
+
+class Run:
+    """One simulation with torques that hold until they are set again."""
+
+    def __init__(self, pose=HOME, rate=None, torque=(0.0,) * 6, **plant):
+        self.diagram, self.stewart = built(**plant)
+        self.simulator = Simulator(self.diagram)
+        self.context = self.simulator.get_mutable_context()
+        self.stewart.set_state(self.context, pose, rate)
+        self.hold(torque)
+
+    def hold(self, torque):
+        self.diagram.GetInputPort("torque").FixValue(self.context, np.array(torque))
+
+    def to(self, time):
+        self.simulator.AdvanceTo(time)
+        return self
+
+    @property
+    def state(self):
+        return self.diagram.GetOutputPort("state").Eval(self.context)
+
+    @property
+    def pose(self):
+        return self.stewart.pose_and_rate(self.state)[0]
+
+    @property
+    def kinetic_energy(self):
+        plant = self.stewart.plant
+        return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
+
+    @property
+    def energy(self):
+        plant = self.stewart.plant
+        return self.kinetic_energy + plant.CalcPotentialEnergy(plant.GetMyContextFromRoot(self.context))
+
+    @property
+    def contacts(self):
+        plant = self.stewart.plant
+        results = plant.get_contact_results_output_port().Eval(plant.GetMyContextFromRoot(self.context))
+        infos = [results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts())]
+        return {
+            frozenset({plant.get_body(info.bodyA_index()).name(), plant.get_body(info.bodyB_index()).name()})
+            for info in infos
+        }
+
+
+def in_drake(stewart, state):
+    """The plant's own Context at a state."""
+    context = stewart.plant.CreateDefaultContext()
+    stewart.plant.SetPositionsAndVelocities(context, state)
+    return context
+
+
+def gap_vectors(stewart, context):
+    """(6, 3) [m] rod end minus platform joint, by Drake."""
+    plant, robot = stewart.plant, stewart.robot
+    world, platform = plant.world_frame(), plant.GetFrameByName("platform")
+    seats = plant.CalcPointsPositions(context, platform, robot.platform_joints.T, world).T
+    tip = np.array([0.0, 0.0, robot.rod_length])
+    rods = [plant.GetFrameByName(f"rod_{leg}") for leg in range(6)]
+    return np.array([plant.CalcPointsPositions(context, rod, tip, world)[:, 0] for rod in rods]) - seats
+
+
+def gap_jacobian(stewart, context):
+    """(18, nv) derivative of `gap_vectors` by Drake's velocities."""
+    plant, robot = stewart.plant, stewart.robot
+    world = plant.world_frame()
+
+    def jacobian(name, point):
+        return plant.CalcJacobianTranslationalVelocity(
+            context, JacobianWrtVariable.kV, plant.GetFrameByName(name), point, world, world
+        )
+
+    tip = np.array([0.0, 0.0, robot.rod_length])
+    ends = np.concatenate([jacobian(f"rod_{leg}", tip) for leg in range(6)])
+    return ends - np.concatenate([jacobian("platform", joint) for joint in robot.platform_joints])
+
+
+# --- what the plant is -----------------------------------------------------------------------------------------------
+
+
+def test_fourteen_bodies_with_the_masses_of_table_1():
+    plant = built()[1].plant
+    table = {
+        "base": (7.0, [0.0, 0.0, -0.07], [0.027, 0.027, 0.054]),
+        "platform": (1.0, [0.0, 0.0, 0.0], [0.003, 0.003, 0.006]),
+    }
+    for leg in range(6):
+        table[f"crank_{leg}"] = (0.04, [0.055, 0.0, 0.0], [1e-6, 5.8e-5, 5.9e-5])
+        table[f"rod_{leg}"] = (0.08, [0.0, 0.0, 0.202], [0.0016, 0.0016, 1e-6])
+    bodies = [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("stewart"))]
+    assert {body.name() for body in bodies} == set(table)
+    assert plant.num_bodies() == 15  # and the world
+    for body in bodies:
+        mass, centre, moments = table[body.name()]
+        inertia = body.default_spatial_inertia()
+        assert inertia.get_mass() == mass
+        np.testing.assert_allclose(inertia.get_com(), centre, atol=1e-16)
+        about_centre = inertia.Shift(inertia.get_com()).CalcRotationalInertia()
+        np.testing.assert_allclose(about_centre.get_moments(), moments, atol=1e-15)
+        np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-15)
+
+
+def test_base_is_welded_at_the_origin_of_the_world():
+    plant = built()[1].plant
+    assert isinstance(plant.GetJointByName("base_weld"), WeldJoint)
+    assert plant.IsAnchored(plant.GetBodyByName("base"))
+    context = plant.CreateDefaultContext()  # the pose is a reference into it
+    pose = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("base"))
+    assert pose.IsExactlyEqualTo(RigidTransform())
+
+
+@pytest.mark.parametrize(("rod_joint", "positions", "velocities"), [("universal", 25, 24), ("ball", 31, 30)])
+def test_sizes_and_limits(rod_joint, positions, velocities):
+    _, stewart = built(rod_joint)
+    plant = stewart.plant
+    assert (plant.num_positions(), plant.num_velocities(), plant.num_actuators()) == (positions, velocities, 6)
+    assert plant.num_constraints() == 6
+    assert plant.time_step() == pytest.approx(0.001, abs=1e-12)
+    np.testing.assert_array_equal(plant.GetEffortUpperLimits(), np.full(6, 5.0))
+    np.testing.assert_array_equal(plant.GetEffortLowerLimits(), np.full(6, -5.0))
+    assert stewart.indices.size == len(stewart.state_names) == positions + velocities
+    assert stewart.torque_input_port.size() == 6
+    assert stewart.state_output_port.size() == positions + velocities
+
+
+def test_indices_name_what_they_say():
+    _, stewart = built("ball")
+    named = {field: [stewart.state_names[i] for i in np.ravel(index)] for field, index in vars(stewart.indices).items()}
+    assert named["crank"] == [f"motor_{leg}_q" for leg in range(6)]
+    assert named["rod"] == [f"ball_{leg}_q{axis}" for leg in range(6) for axis in "xyz"]
+    assert named["quaternion"] == [f"platform_q{part}" for part in "wxyz"]
+    assert named["position"] == ["platform_x", "platform_y", "platform_z"]
+    assert named["crank_rate"] == [f"motor_{leg}_w" for leg in range(6)]
+    assert named["rod_rate"] == [f"ball_{leg}_w{axis}" for leg in range(6) for axis in "xyz"]
+    assert named["twist"] == ["platform_wx", "platform_wy", "platform_wz", "platform_vx", "platform_vy", "platform_vz"]
+
+
+@universal_or_ball
+def test_motors_turn_the_way_of_theta(rod_joint):
+    _, stewart = built(rod_joint)
+    plant, context = stewart.plant, stewart.plant.CreateDefaultContext()
+    for leg in range(6):
+        plant.GetJointByName(f"motor_{leg}").set_angle(context, 0.3)
+    state = plant.GetPositionsAndVelocities(context)
+    theta = stewart.crank_angles(state)
+    np.testing.assert_allclose(theta, inverse_kinematics(ROBOT, HOME) + 0.3, atol=1e-15)
+    up = np.array([0.0, 0.0, 1.0])
+    for leg in range(6):
+        tip = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName(f"rod_{leg}")).translation()
+        arm = np.cos(theta[leg]) * ROBOT.crank_zero_directions[leg] + np.sin(theta[leg]) * up
+        np.testing.assert_allclose(tip, ROBOT.shaft_positions[leg] + 0.11 * arm, atol=1e-15)
+
+
+@universal_or_ball
+def test_default_context_is_the_closed_home_pose_at_rest(rod_joint):
+    diagram, stewart = built(rod_joint)
+    context = diagram.CreateDefaultContext()
+    own = stewart.plant.GetMyContextFromRoot(context)
+    assert np.abs(gap_vectors(stewart, own)).max() < 1e-14
+    state = diagram.GetOutputPort("state").Eval(context)
+    np.testing.assert_allclose(state, stewart.assemble(HOME), atol=1e-15)
+
+
+@universal_or_ball
+def test_closed_chain_has_six_freedoms_and_the_spins_of_ball_jointed_rods(rod_joint):
+    _, stewart = built(rod_joint)
+    context = in_drake(stewart, stewart.assemble(HOME))
+    jacobian = gap_jacobian(stewart, context)
+    assert np.linalg.matrix_rank(jacobian, tol=1e-6) == 18
+    assert jacobian.shape[1] - 18 == {"universal": 6, "ball": 12}[rod_joint]
+
+
+@settings(max_examples=10, deadline=None)
+@given(vectors(6), st.sampled_from([-1, 1]))
+def test_another_geometry_gives_another_plant_that_assembles(scale, branch):
+    crank, rod, platform, angle, height, shaft = 1.0 + 0.1 * scale
+    robot = ROBOT.replace(
+        crank_length=0.11 * crank,
+        rod_length=0.404 * rod,
+        platform_joint_radius=0.11 * platform,
+        platform_half_angle=np.radians(52.0) * angle,
+        home_height=0.28 * height,
+        shaft_circle_radius=0.2 * shaft,
+        branch=branch,
+    )
+    _, stewart = build_plant(robot)
+    assert np.abs(gap_vectors(stewart, stewart.plant.CreateDefaultContext())).max() < 1e-14
+    pose = robot.home_pose + [0.1, -0.1, 0.1, 0.01, -0.01, 0.01]
+    if reach_margin(robot, pose).min() > 0.0:
+        assert np.abs(gap_vectors(stewart, in_drake(stewart, stewart.assemble(pose)))).max() < 1e-14
+
+
+# --- the maps to and from the state ----------------------------------------------------------------------------------
+
+
+@universal_or_ball
+@settings(max_examples=25, deadline=None)
+@given(pose=poses(), rate=vectors(6, 3.0))
+def test_assembled_state_is_closed_and_moves_without_opening(rod_joint, pose, rate):
+    _, stewart = built(rod_joint)
+    state = stewart.assemble(pose, rate)
+    context = in_drake(stewart, state)
+    assert np.abs(gap_vectors(stewart, context)).max() < 1e-12
+    velocities = state[stewart.plant.num_positions() :]
+    assert np.abs(gap_jacobian(stewart, context) @ velocities).max() < 1e-9
+    body_pose = stewart.plant.EvalBodyPoseInWorld(context, stewart.plant.GetBodyByName("platform"))
+    expected = RigidTransform(RollPitchYaw(pose[:3]), pose[3:])
+    assert body_pose.IsNearlyEqualTo(expected, 1e-14)
+    twist = stewart.plant.EvalBodySpatialVelocityInWorld(context, stewart.plant.GetBodyByName("platform"))
+    np.testing.assert_allclose(twist.get_coeffs(), pose_rate_to_twist(pose, rate), atol=1e-13)
+
+
+@universal_or_ball
+@settings(max_examples=25, deadline=None)
+@given(pose=poses(), rate=vectors(6, 3.0))
+def test_state_gives_back_pose_rate_and_crank_angles(rod_joint, pose, rate):
+    _, stewart = built(rod_joint)
+    state = stewart.assemble(pose, rate)
+    state[stewart.indices.quaternion] *= 1.001  # what a long simulation does to it
+    back, back_rate = stewart.pose_and_rate(state)
+    np.testing.assert_allclose(back, pose, atol=1e-14)
+    np.testing.assert_allclose(back_rate, rate, atol=1e-13)
+    np.testing.assert_allclose(stewart.crank_angles(state), inverse_kinematics(ROBOT, pose), atol=1e-14)
+    np.testing.assert_allclose(stewart.crank_rates(state), pose_jacobian(ROBOT, pose) @ rate, atol=1e-10)
+
+
+@settings(max_examples=25, deadline=None)
+@given(pose=poses(), rate=vectors(6, 3.0))
+def test_ball_jointed_rods_start_without_spin(pose, rate):
+    _, stewart = built("ball")
+    context = in_drake(stewart, stewart.assemble(pose, rate))
+    for leg in range(6):
+        rod = stewart.plant.GetBodyByName(f"rod_{leg}")
+        spin = stewart.plant.EvalBodySpatialVelocityInWorld(context, rod).rotational()
+        along = stewart.plant.EvalBodyPoseInWorld(context, rod).rotation().matrix()[:, 2]
+        assert abs(spin @ along) < 1e-12
+
+
+@universal_or_ball
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_loop_gap_is_drakes_even_where_loops_are_open(rod_joint, data):
+    _, stewart = built(rod_joint)
+    state = stewart.assemble(HOME)
+    state += data.draw(vectors(state.size, 0.2))
+    expected = np.linalg.norm(gap_vectors(stewart, in_drake(stewart, state)), axis=-1)
+    np.testing.assert_allclose(stewart.loop_gap(state), expected, atol=1e-14)
+
+
+@universal_or_ball
+def test_maps_are_vectorised_over_a_log(rod_joint):
+    _, stewart = built(rod_joint)
+    rng = np.random.default_rng(0)
+    pose = HOME + rng.uniform(-0.1, 0.1, (2, 3, 6)) * [1.0, 1.0, 1.0, 0.2, 0.2, 0.2]
+    rate = rng.normal(size=(2, 3, 6))
+    states = stewart.assemble(pose, rate)
+    each = [stewart.assemble(pose[i], rate[i]) for i in np.ndindex(2, 3)]
+    np.testing.assert_allclose(states.reshape(6, -1), each, rtol=0.0, atol=1e-13)
+    for function in (stewart.loop_gap, stewart.crank_angles, stewart.crank_rates):
+        np.testing.assert_allclose(function(states).reshape(6, 6), [function(state) for state in each], atol=1e-13)
+    for part in (0, 1):
+        back = [stewart.pose_and_rate(state)[part] for state in each]
+        np.testing.assert_allclose(stewart.pose_and_rate(states)[part].reshape(6, 6), back, atol=1e-13)
+
+
+def test_what_cannot_be_assembled_is_refused():
+    diagram, stewart = built()
+    with pytest.raises(UnreachablePoseError):
+        stewart.assemble(HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
+    with pytest.raises(ConfigurationError, match="pose_rate"):
+        stewart.assemble(HOME, np.zeros(5))
+    with pytest.raises(ConfigurationError, match="pose_rate"):
+        stewart.assemble(HOME, np.full(6, np.nan))
+    with pytest.raises(ConfigurationError, match="pose"):
+        stewart.set_state(diagram.CreateDefaultContext(), np.full(6, np.nan))
+
+
+def test_dead_centre_has_no_crank_speed():
+    low, high = 0.3, 0.6  # [m] the second is out of reach
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        reachable = reach_margin(ROBOT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, middle])).min() >= 0.0
+        low, high = (middle, high) if reachable else (low, middle)
+    with pytest.raises(SingularPoseError, match="dead centre"):
+        built()[1].assemble(np.array([0.0, 0.0, 0.0, 0.0, 0.0, low]))
+
+
+def test_context_of_another_diagram_is_refused_and_drake_does_not_exit():
+    _, stewart = built()
+    other, _ = built("ball")
+    with pytest.raises(DrakeCheckError, match="setting the plant's state"):
+        stewart.set_state(other.CreateDefaultContext(), HOME)
+
+
+# --- motion ----------------------------------------------------------------------------------------------------------
+
+
+@universal_or_ball
+def test_free_motion_of_the_reference_converges_at_first_order(rod_joint):
+    errors, turns = [], []
+    for time_step in (1e-3, 1e-4):
+        run = Run(FREE_MOTION["pose"], torque=FREE_MOTION["torque"], rod_joint=rod_joint, time_step=time_step)
+        state = run.to(FREE_MOTION["time"]).state
+        errors.append(np.linalg.norm(state[run.stewart.indices.position] - FREE_MOTION["position"]))
+        turns.append(np.abs(state[run.stewart.indices.quaternion] - FREE_MOTION["quaternion_wxyz"]).max())
+        assert run.stewart.loop_gap(state).max() < 5.0 * time_step**2
+    assert errors[0] < 2e-4
+    assert errors[1] < 2e-5
+    assert 8.0 < errors[0] / errors[1] < 12.0
+    assert 8.0 < turns[0] / turns[1] < 12.0
+
+
+@settings(max_examples=15, deadline=None)
+@given(pose=poses(), rate=vectors(6, 2.0), torque=vectors(6, 3.0))
+def test_velocities_change_as_the_closed_form_says(pose, rate, torque):
+    run = Run(pose, rate, torque, time_step=1e-5)
+    # SAP feels the curvature of the constraints through the gap alone, and needs some steps to build up the force.
+    before, after = (run.to(time).state.copy() for time in (0.001, 0.002))
+
+    def derivative(_, state):
+        pose, twist = state[:6], state[6:]
+        wrench = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
+        return np.concatenate([twist_to_pose_rate(pose, twist), np.linalg.solve(task_inertia(ROBOT, pose), wrench)])
+
+    start = np.concatenate([run.stewart.pose_and_rate(before)[0], before[run.stewart.indices.twist]])
+    exact = solve_ivp(derivative, (0.0, 0.001), start, rtol=1e-10, atol=1e-12).y[6:, -1] - start[6:]
+    change = (after - before)[run.stewart.indices.twist]
+    np.testing.assert_allclose(change, exact, atol=2e-3 * np.abs(exact).max())
+
+
+@universal_or_ball
+def test_without_gravity_and_torque_a_robot_at_rest_stays(rod_joint):
+    pose = np.array(FREE_MOTION["pose"])
+    run = Run(pose, rod_joint=rod_joint, gravity=0.0).to(0.05)
+    np.testing.assert_allclose(run.state, run.stewart.assemble(pose), atol=1e-12)
+
+
+@universal_or_ball
+def test_energy_is_kept_to_first_order_in_the_step(rod_joint):
+    drifts = []
+    for time_step in (1e-3, 1e-4):
+        run = Run(HOME, [0.5, -0.3, 1.0, 0.1, 0.1, 0.05], rod_joint=rod_joint, time_step=time_step)
+        before = run.energy
+        drifts.append(abs(run.to(0.1).energy - before))
+    assert drifts[0] < 0.02
+    assert 7.0 < drifts[0] / drifts[1] < 13.0
+
+
+def test_static_torque_holds_the_robot():
+    pose = np.array(FREE_MOTION["pose"])
+    run = Run(pose, torque=static_torque(ROBOT, pose)).to(0.05)
+    np.testing.assert_allclose(run.pose, pose, atol=1e-6)
+
+
+def test_torques_saturate_at_the_effort_limit():
+    asked = np.array([100.0, -100.0, 1.0, 1.0, -1.0, 1.0])
+    states = [Run(torque=torque).to(0.02).state for torque in (asked, np.clip(asked, -5.0, 5.0), np.clip(asked, -4, 4))]
+    np.testing.assert_array_equal(states[0], states[1])
+    assert np.abs(states[0] - states[2]).max() > 1e-3
+
+
+# --- damping and friction --------------------------------------------------------------------------------------------
+
+
+RATE = np.array([0.5, -0.3, 1.0, 0.1, 0.1, 0.05])
+
+
+def lost_and_dissipated(power, **plant):
+    """[J] kinetic energy lost by a robot that moves freely for 20 ms, and the integral of power(stewart, state)."""
+    run = Run(HOME, RATE, gravity=0.0, time_step=1e-4, **plant)
+    before, powers = run.kinetic_energy, [power(run.stewart, run.state)]
+    for step in range(1, 201):
+        powers.append(power(run.stewart, run.to(step * 1e-4).state))
+    return before - run.kinetic_energy, 1e-4 * (np.sum(powers) - 0.5 * (powers[0] + powers[-1]))
+
+
+def test_motor_damping_takes_its_energy():
+    lost, dissipated = lost_and_dissipated(
+        lambda stewart, state: 0.01 * np.sum(stewart.crank_rates(state) ** 2), motor_damping=0.01
+    )
+    assert lost > 5e-4
+    assert lost == pytest.approx(dissipated, rel=0.01)
+
+
+@universal_or_ball
+def test_universal_damping_acts_on_every_axis(rod_joint):
+    lost, dissipated = lost_and_dissipated(
+        lambda stewart, state: 0.01 * np.sum(state[stewart.indices.rod_rate] ** 2),
+        rod_joint=rod_joint,
+        universal_damping=0.01,
+    )
+    assert lost > 5e-4
+    assert lost == pytest.approx(dissipated, rel=0.01)
+
+
+@universal_or_ball
+def test_platform_joint_damping_takes_its_energy(rod_joint):
+    def power(stewart, state):
+        context = in_drake(stewart, state)
+        bodies = [stewart.plant.GetBodyByName(name) for name in ("platform", *(f"rod_{leg}" for leg in range(6)))]
+        turning = [stewart.plant.EvalBodySpatialVelocityInWorld(context, body).rotational() for body in bodies]
+        return 1e-3 * np.sum((turning[0] - np.array(turning[1:])) ** 2)
+
+    lost, dissipated = lost_and_dissipated(power, rod_joint=rod_joint, platform_joint_damping=1e-3)
+    assert lost > 1e-4
+    assert lost == pytest.approx(dissipated, rel=0.02)
+
+
+@universal_or_ball
+@pytest.mark.parametrize("time_step", [1e-3, 1e-4])
+def test_platform_joint_damping_is_stable_up_to_its_limit(rod_joint, time_step):
+    options = PlantOptions(rod_joint=rod_joint, time_step=time_step)
+    limit = platform_damping_limit(ROBOT, options)
+    run = Run(HOME, RATE, gravity=0.0, rod_joint=rod_joint, time_step=time_step, platform_joint_damping=limit)
+    energies = [run.kinetic_energy, *(run.to(time).kinetic_energy for time in np.arange(1, 11) * 0.005)]
+    assert np.all(np.diff(energies) < 0.0)
+    with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: got .*; allowed: at most"):
+        built(rod_joint, time_step=time_step, platform_joint_damping=1.01 * limit)
+
+
+def test_friction_hides_its_actuators():
+    _, stewart = built(motor_friction=0.1)
+    assert stewart.plant.num_actuators() == 12
+    assert stewart.torque_input_port.size() == 6
+
+
+def test_friction_above_the_load_holds_the_platform():
+    run = Run(motor_friction=0.5).to(0.1)
+    creep = static_torque(ROBOT, HOME) / 0.5 * STICTION_SPEED
+    np.testing.assert_allclose(run.stewart.crank_rates(run.state), -creep, rtol=0.01)
+    assert abs(run.pose[5] - HOME[5]) < 2e-6
+
+
+def test_friction_below_the_load_lets_it_fall():
+    run = Run(motor_friction=0.1).to(0.1)
+    assert run.pose[5] < HOME[5] - 0.02
+
+
+def test_friction_swallows_a_small_torque_and_takes_its_share_of_a_large_one():
+    still = Run(torque=[0.05] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
+    np.testing.assert_allclose(still.pose, HOME, atol=2e-6)
+    slowed = Run(torque=[0.3] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
+    free = Run(torque=[0.2] * 6, gravity=0.0).to(0.1)
+    assert free.pose[5] > HOME[5] + 0.005
+    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-5)
+
+
+def test_friction_takes_its_energy_from_a_moving_robot():
+    lost, dissipated = lost_and_dissipated(
+        lambda stewart, state: 0.02 * np.sum(np.abs(stewart.crank_rates(state))), motor_friction=0.02
+    )
+    assert lost > 1e-3
+    assert lost == pytest.approx(dissipated, rel=0.01)
+
+
+def test_saturation_leaves_friction_alone():
+    torque = [100.0] * 6
+    slowed = Run(torque=torque, gravity=0.0, motor_friction=1.0).to(0.02)
+    free = Run(torque=[4.0] * 6, gravity=0.0).to(0.02)
+    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
+
+
+# --- collision -------------------------------------------------------------------------------------------------------
+
+
+def on_the_papers_way(**plant):
+    """Follows one period of (37), (38) by computed torques; the states and contacts seen."""
+
+    def reference(time):
+        sine, cosine = np.sin(2.0 * time), np.cos(2.0 * time)
+        swing = np.array([np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05])
+        return HOME + sine * swing, 2.0 * cosine * swing, -4.0 * sine * swing
+
+    run, states, contacts = Run(*reference(0.0)[:2], **plant), [], set()
+    for time in np.arange(0, 628) * 0.005:
+        pose, rate = run.stewart.pose_and_rate(run.state)
+        wanted, wanted_rate, acceleration = reference(time)
+        acceleration = acceleration + 400.0 * (wanted - pose) + 40.0 * (wanted_rate - rate)
+        run.hold(inverse_dynamics(ROBOT, pose, rate, acceleration))
+        states.append(run.to(time + 0.005).state.copy())
+        contacts |= run.contacts
+        np.testing.assert_allclose(pose, wanted, atol=0.01)
+    return np.array(states), contacts
+
+
+def test_collision_neither_acts_nor_shows_on_the_papers_way():
+    free, none = on_the_papers_way()
+    checked, contacts = on_the_papers_way(collision=True)
+    assert none == contacts == set()
+    np.testing.assert_array_equal(checked, free)
+
+
+def test_rods_that_cross_are_reported_and_pushed_apart():
+    crossed = Run(CROSSED, gravity=0.0, collision=True).to(0.002)
+    assert crossed.contacts == {frozenset({f"rod_{leg}", f"rod_{leg + 1}"}) for leg in (0, 2, 4)}
+    through = Run(CROSSED, gravity=0.0).to(0.002)
+    assert through.contacts == set()
+    np.testing.assert_allclose(through.pose, CROSSED, atol=1e-12)
+    assert np.abs(crossed.pose - CROSSED).max() > 1e-6
+
+
+def test_only_what_a_joint_holds_together_is_filtered():
+    _, stewart = built(collision=True)
+    inspector = stewart.scene_graph.model_inspector()
+    body = {}
+    for geometry in inspector.GetAllGeometryIds(Role.kProximity):
+        body.setdefault(stewart.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name(), geometry)
+    filtered = {
+        frozenset(pair)
+        for pair in itertools.combinations(body, 2)
+        if inspector.CollisionFiltered(body[pair[0]], body[pair[1]])
+    }
+    adjacent = {frozenset({"base", f"crank_{leg}"}) for leg in range(6)}
+    adjacent |= {frozenset({f"crank_{leg}", f"rod_{leg}"}) for leg in range(6)}
+    adjacent |= {frozenset({f"rod_{leg}", "platform"}) for leg in range(6)}
+    assert len(body) == 14
+    assert filtered == adjacent
+
+
+# --- pictures, options -----------------------------------------------------------------------------------------------
+
+
+def test_scene_graph_is_there_only_where_asked_for():
+    assert built()[1].scene_graph is None
+    _, pictured = build_plant(ROBOT, visuals=True)
+    inspector = pictured.scene_graph.model_inspector()
+    assert inspector.NumGeometriesWithRole(Role.kProximity) == 0
+    seen = {inspector.GetName(inspector.GetFrameId(g)) for g in inspector.GetAllGeometryIds(Role.kIllustration)}
+    assert len(seen) == 14
+
+
+@pytest.mark.parametrize("rod_joint", ["universal", "ball"])
+def test_building_prints_nothing(rod_joint, capfd, caplog):
+    options = PlantOptions(
+        rod_joint=rod_joint,
+        collision=True,
+        motor_damping=0.01,
+        universal_damping=0.01,
+        platform_joint_damping=1e-4,
+        motor_friction=0.1,
+    )
+    build_plant(ROBOT, options)
+    assert capfd.readouterr() == ("", "")
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("time_step", value) for value in (0.0, -0.001, float("nan"), float("inf"), 1e-9, 1.0, "fast", None, True)),
+        *(("rod_joint", value) for value in ("x", None, 3)),
+        *(("collision", value) for value in ("yes", 1, None)),
+        *itertools.product(
+            ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction"),
+            (-0.1, float("nan"), float("inf"), "some", None),
+        ),
+    ],
+)
+def test_bad_option_is_refused_by_name(key, value):
+    with pytest.raises(ConfigurationError, match=rf"plant\.{key}: got ") as caught:
+        PlantOptions(**{key: value})
+    assert caught.value.key == f"plant.{key}"
+
+
+@pytest.mark.parametrize("gravity", [-9.81, float("nan"), float("inf"), "earth", None])
+def test_bad_gravity_is_refused_by_name(gravity):
+    with pytest.raises(ConfigurationError, match="gravity: got "):
+        build_plant(ROBOT, gravity=gravity)
+
+
+def test_gravity_points_down():
+    _, stewart = built(gravity=1.62)
+    np.testing.assert_array_equal(stewart.plant.gravity_field().gravity_vector(), [0.0, 0.0, -1.62])
+
+
+def test_a_failed_check_inside_drake_is_our_error(monkeypatch):
+    monkeypatch.setattr("stewart_drake.plant.multibody_plant.sdf_text", lambda *_, **__: "<sdf>")
+    with pytest.raises(DrakeCheckError, match="building the plant"):
+        build_plant(RobotParameters())
+
+
+@pytest.mark.parametrize("leg", [-1, 6, 1.0, None])
+def test_another_leg_has_no_rod_to_break(leg):
+    diagram, plant = build_plant(ROBOT)
+    with pytest.raises(ConfigurationError, match="a leg, 0 to 5"):
+        plant.break_rod(diagram.CreateDefaultContext(), leg)
+
+
+@pytest.mark.parametrize("rod_joint", ["universal", "ball"])
+def test_a_rod_square_in_its_joint_has_no_speeds_and_is_refused(rod_joint):
+    # Found by search: of this robot's rods the first lies along the outer axis of its joint here.
+    robot = RobotParameters(platform_half_angle=0.3, platform_joint_radius=0.25)
+    pose = [-1.1747681053505588, -0.05054989784175512, 0.3356745796337486]
+    pose += [-0.12058669683233691, 0.32300351505576586, -0.09887963902251204]
+    _, plant = build_plant(robot, PlantOptions(rod_joint=rod_joint))
+    with pytest.raises(SingularPoseError, match="rod of leg 0"):
+        plant.assemble(pose, np.ones(6))
+    beside = np.array(pose) + 1e-3
+    assert np.abs(plant.loop_gap(plant.assemble(beside, np.ones(6)))).max() < 1e-12

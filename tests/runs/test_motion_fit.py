@@ -1,0 +1,151 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.planning.feasibility import check_reference
+from stewart_drake.planning.limits import PLACES, Limits, limit_bounds, limit_margins
+from stewart_drake.references import (
+    AdjustedReference,
+    HeartbeatReference,
+    HoldReference,
+    MinimumJerkReference,
+    SineReference,
+)
+from stewart_drake.robot import RobotParameters
+from stewart_drake.runs.motion_fit import adjusted, fit_amplitude, fit_speed, motion_report
+from stewart_drake.scenario import Scenario
+
+ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
+WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
+"""Weak enough that gravity takes most of the torque: 0.26 N m at home."""
+FAST = SineReference(angular_frequency=(14.0,) * 6)
+BEATS = HeartbeatReference(excursion=(0.0, 0.0, 0.0, 0.004, 0.0, 0.01), rate=2.0, premature_beats=(2,))
+REACH = MinimumJerkReference(
+    poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.2, 0.0, 0.0, 0.05, 0.0, 0.34)), durations=(0.15,)
+)
+TOO_FAR = SineReference(amplitude=(0.0, 0.0, 0.0, 0.3, 0.0, 0.0))
+
+
+def feasible(robot, reference, duration):
+    return check_reference(robot, LIMITS, reference, duration, GRAVITY).feasible
+
+
+@pytest.mark.parametrize(
+    ("robot", "reference", "duration"),
+    [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4), (ROBOT, TOO_FAR, 4.0)],
+)
+def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
+    fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
+    assert 0.05 < scale < 1.0
+    assert fitted == AdjustedReference(motion=reference, scale=scale)
+    assert feasible(robot, fitted, duration)
+    assert not feasible(robot, adjusted(reference, scale=1.01 * scale), duration)
+
+
+@pytest.mark.parametrize(
+    ("robot", "reference", "duration"), [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4)]
+)
+def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
+    fitted, slowdown = fit_speed(robot, LIMITS, reference, duration, GRAVITY)
+    assert 1.0 < slowdown < 20.0
+    assert fitted == AdjustedReference(motion=reference, slowdown=slowdown)
+    assert feasible(robot, fitted, slowdown * duration)
+    faster = slowdown / 1.01
+    assert not feasible(robot, adjusted(reference, slowdown=faster), faster * duration)
+    # Every slower motion is feasible as well.
+    for slower in (1.2 * slowdown, 3.0 * slowdown):
+        assert feasible(robot, adjusted(reference, slowdown=slower), slower * duration)
+
+
+def test_the_whole_motion_is_slowed_and_checked_to_its_end():
+    late = dataclasses.replace(BEATS, premature_beats=(4,))
+    worst = check_reference(WEAK, LIMITS, late, 2.1, GRAVITY).smallest["torque"]
+    _, slowdown = fit_speed(WEAK, LIMITS, late, 2.1, GRAVITY)
+    # Slowed, the worst of it comes after the motion as given would have ended.
+    assert slowdown * worst.time > 2.1
+    at_worst = slowdown * worst.time + np.linspace(-0.05, 0.05, 101)
+    slowed = adjusted(late, slowdown=slowdown)
+    margins = limit_margins(WEAK, LIMITS, *slowed.evaluate(at_worst), GRAVITY)["torque"]
+    assert abs(margins.min()) < 1e-3
+
+
+def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
+    fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
+    assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
+
+
+def test_a_feasible_motion_stays_as_it_is():
+    for fit in (fit_amplitude, fit_speed):
+        fitted, factor = fit(ROBOT, LIMITS, HoldReference(), 1.0, GRAVITY)
+        assert fitted == HoldReference()
+        assert factor == 1.0
+
+
+def test_what_is_adjusted_already_is_adjusted_further():
+    start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
+    fitted, factor = fit_speed(ROBOT, LIMITS, start, 1.0, GRAVITY)
+    assert fitted == dataclasses.replace(start, slowdown=0.5 * factor)
+    fitted, factor = fit_amplitude(ROBOT, LIMITS, start, 1.0, GRAVITY)
+    assert fitted == dataclasses.replace(start, scale=0.95 * factor)
+    assert feasible(ROBOT, fitted, 1.0)
+
+
+def test_a_motion_out_of_reach_is_feasible_at_no_speed():
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
+    given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
+    assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)
+
+
+def test_a_motion_about_a_centre_out_of_reach_is_feasible_at_no_size():
+    away = SineReference(center=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6))
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        fit_amplitude(ROBOT, LIMITS, away, 1.0, GRAVITY)
+    assert caught.value.limit == "reach"
+
+
+def test_the_report_of_a_scenario_covers_its_whole_run():
+    scenario = Scenario(duration=3.0, reference=FAST)
+    report = motion_report(scenario)
+    assert len(report.unreachable) == 1501
+    assert report.first_violation == check_reference(ROBOT, LIMITS, FAST, 3.0, GRAVITY).first_violation
+
+
+def test_numbers_without_end_are_one_error():
+    endless = SineReference(angular_frequency=(1e200, 0.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ConfigurationError, match="stays finite") as caught:
+        motion_report(Scenario(reference=endless))
+    assert caught.value.key == "reference"
+
+
+def test_a_recording_that_is_not_there_is_named_as_such(tmp_path):
+    reference = {"kind": "recorded", "motion_file": str(tmp_path / "none.csv")}
+    with pytest.raises(ConfigurationError, match="No such file") as caught:
+        motion_report(Scenario.from_dict({"reference": reference}))
+    assert caught.value.key == f"recorded motion {tmp_path / 'none.csv'}"
+
+
+@pytest.mark.parametrize(
+    "limit", ["reach", "euler_pitch", "conditioning", "transmission", "joint_swing", "crank_speed", "torque"]
+)
+def test_each_limit_alone_names_the_first_bad_time_and_leg(limit):
+    """Of the swing, branch, singularity, speed and torque of a motion; clearance hardly changes along this one."""
+    reference = SineReference(amplitude=(0.3, 0.2, 0.5, 0.0, 0.0, 0.0), angular_frequency=(math.pi,) * 6)
+    times = np.linspace(0.0, 2.0, 1001)
+    margins = limit_margins(ROBOT, LIMITS, *reference.evaluate(times), GRAVITY)[limit].min(axis=1)
+    # Halfway between the start and the worst, the motion breaks it on the way.
+    halfway = 0.5 * (margins[0] + margins.min())
+    bound = limit_bounds(ROBOT, LIMITS)[limit]
+    strict = bound + halfway if limit in ("conditioning", "transmission") else bound - halfway
+    off = dict.fromkeys((field.name for field in dataclasses.fields(Limits)), None)
+    key, value = ("torque_fraction", strict / ROBOT.effort_limit) if limit == "torque" else (limit, strict)
+    first = check_reference(ROBOT, Limits(**off | {key: value}), reference, 2.0, GRAVITY).first_violation
+    row = int(np.argmax(margins < halfway))
+    assert row > 0
+    assert (first.limit, first.time) == (limit, times[row])
+    assert first.margin == pytest.approx(margins[row] - halfway)
+    worst = np.argmin(limit_margins(ROBOT, LIMITS, *reference.evaluate(times), GRAVITY)[limit][row])
+    assert first.leg == PLACES[limit][worst][0]

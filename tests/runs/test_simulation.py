@@ -1,0 +1,420 @@
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.network import default_network_path, load_network
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError, UnreachablePoseError
+from stewart_drake.logs.log import OPTIONAL, SIGNALS, load_log
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry
+from stewart_drake.runs import simulation
+from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.systems import lqi_controller
+from stewart_drake.systems.diagram import build_diagram
+from stewart_drake.systems.lqi_controller import LqiController
+
+BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
+
+
+def scenario(**changes):
+    return Scenario.from_dict(BRIEF | changes)
+
+
+@pytest.fixture(scope="module")
+def main_job():
+    """The first half second of the main job."""
+    return run(load_scenario("paper_fig7", ["duration=0.5"]))
+
+
+@pytest.fixture(scope="module")
+def uncompensated():
+    return run(load_scenario("paper_fig7_uncompensated"))
+
+
+# --- a run that goes well -----------------------------------------------------------------------------------------
+
+
+def test_the_main_job_runs_to_its_end_and_follows(main_job):
+    assert (main_job.status, main_job.reason, main_job.message, main_job.leg) == ("completed", None, None, None)
+    assert main_job.end_time == 0.5
+    assert main_job.wall_time > 0.0
+    error = np.abs(main_job["pose"] - main_job["reference"])
+    assert error[:, :3].max() < np.radians(1.0)
+    assert error[:, 3:].max() < 0.005
+    assert main_job["loop_gap"].max() < 1e-6
+
+
+def test_there_is_a_row_at_every_tick_both_ends_included(main_job):
+    np.testing.assert_allclose(main_job.time, 0.005 * np.arange(101), rtol=1e-15)
+    assert set(main_job.signals) == set(SIGNALS) - set(OPTIONAL)
+    for name in main_job.signals:
+        spec = SIGNALS[name]
+        shape = (101, len(main_job.state_names)) if name == "plant_state" else (101, len(spec.components))
+        assert main_job[name].shape == (shape if name != "time" else (101,)), name
+        assert np.isfinite(main_job[name]).all()
+
+
+def test_the_robot_starts_assembled_at_the_references_pose_and_velocity(main_job):
+    pose, rate, acceleration = main_job.scenario.reference.evaluate(0.0)
+    np.testing.assert_allclose(main_job["pose"][0], pose, atol=1e-12)
+    np.testing.assert_allclose(main_job["pose_rate"][0], rate, atol=1e-9)
+    np.testing.assert_allclose(main_job["reference_acceleration"][0], acceleration, atol=1e-12)
+    assert main_job["loop_gap"][0].max() < 1e-12
+    angles = inverse_kinematics(main_job.scenario.robot, pose)
+    np.testing.assert_allclose(main_job["crank_angle"][0], angles, atol=1e-12)
+
+
+def test_an_offset_moves_the_start_and_not_the_reference():
+    offset = (0.02, -0.01, 0.03, 0.004, -0.003, 0.002)
+    log = run(scenario(initial_offset=offset))
+    pose, rate, _ = log.scenario.reference.evaluate(0.0)
+    np.testing.assert_allclose(log["pose"][0], pose + offset, atol=1e-12)
+    np.testing.assert_allclose(log["pose_rate"][0], rate, atol=1e-9)
+    np.testing.assert_allclose(log["error"][0], offset, atol=1e-12)
+
+
+def test_every_row_is_one_tick_of_the_control_law(main_job):
+    """What the Diagram did is what the pure function, which a port to hardware would run, says."""
+    law = main_job.scenario.control_law()
+    state = law.initial_state()
+    for row in range(len(main_job.time)):
+        np.testing.assert_allclose(main_job["weights"][row], state.weights, rtol=1e-9)
+        measurement = Measurement(main_job["pose"][row], main_job["pose_rate"][row])
+        setpoint = Setpoint(*(main_job[f"reference{of}"][row] for of in ("", "_rate", "_acceleration")))
+        torque, state = law(measurement, setpoint, state)
+        np.testing.assert_allclose(main_job["torque"][row], torque, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(main_job["integral"][row], state.integral, atol=1e-15)
+        np.testing.assert_allclose(main_job["error"][row], measurement.pose - setpoint.pose, atol=1e-15)
+
+
+def test_the_tuner_acts_from_the_second_tick_and_stays_in_its_range(main_job):
+    network = load_network(default_network_path())
+    np.testing.assert_array_equal(main_job["weights"][0], [1.0, 1.0])
+    assert (main_job["weights"][1] != [1.0, 1.0]).all()
+    assert (main_job["weights"] >= network.omega_min).all()
+    assert (main_job["weights"] <= network.omega_max).all()
+
+
+def test_the_reference_is_logged_as_the_scenario_gives_it(main_job):
+    wanted = main_job.scenario.reference.evaluate(main_job.time)
+    for name, values in zip(("reference", "reference_rate", "reference_acceleration"), wanted, strict=True):
+        np.testing.assert_allclose(main_job[name], values, atol=1e-9)
+
+
+def test_runs_repeat_to_the_last_bit_whatever_watches_them():
+    first = run(load_scenario("paper_fig7", ["duration=0.12"]))
+    second = run(load_scenario("paper_fig7", ["duration=0.12"]), progress=lambda _: None)
+    for name in set(SIGNALS) - set(OPTIONAL):
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
+    coarse, fine = run(scenario(log_period=0.01)), run(scenario(log_period=0.001))
+    assert (len(coarse.time), len(fine.time)) == (6, 51)
+    for name in set(SIGNALS) - set(OPTIONAL):
+        np.testing.assert_array_equal(coarse[name], fine[name][::10], err_msg=name)
+    np.testing.assert_array_equal(fine["torque"][:50].reshape(10, 5, 6).std(axis=1), 0.0)
+    assert (np.diff(fine["torque"][::5], axis=0) != 0.0).all()
+    assert (np.diff(fine["pose"][:, 5]) != 0.0).all()
+
+
+def test_the_torque_of_a_tick_acts_at_once_not_a_step_later():
+    log = run(
+        scenario(log_period=0.001, gravity=0.0, reference={"kind": "hold"}, initial_offset=[0, 0, 0, 0, 0, 0.001])
+    )
+    speed = log["pose_rate"][:, 5]
+    assert speed[0] == 0.0
+    assert speed[1] < -1e-6
+
+
+@pytest.mark.parametrize(
+    ("duration", "end", "rows"), [(0.0123, 0.012, 3), (0.005, 0.005, 2), (0.05, 0.05, 11), (0.0509, 0.05, 11)]
+)
+def test_a_duration_between_steps_ends_at_the_step_before(duration, end, rows):
+    log = run(scenario(duration=duration))
+    assert log.end_time == end
+    assert len(log.time) == rows
+    assert log.time[-1] == pytest.approx(0.005 * (rows - 1), abs=1e-15)
+
+
+@pytest.mark.parametrize(("step", "period"), [(1e-4, 5e-4), (0.0003, 0.0021), (1 / 3000, 1 / 300), (0.002, 0.006)])
+def test_ticks_are_met_at_awkward_periods_too(step, period):
+    log = run(scenario(duration=30 * period, plant={"time_step": step}, controller={"period": period}))
+    np.testing.assert_allclose(log.time, period * np.arange(31), rtol=1e-12)
+    assert log.end_time == pytest.approx(30 * period)
+    assert (np.diff(log["torque"], axis=0) != 0.0).any(axis=1).all()
+
+
+def test_the_torque_applied_is_within_the_motors_limit():
+    log = run(scenario(robot={"effort_limit": 0.33}, limits={"torque_fraction": None}))
+    assert np.abs(log["torque"]).max() > 0.33
+    np.testing.assert_array_equal(log["torque_applied"], np.clip(log["torque"], -0.33, 0.33))
+    assert run_metrics(log)["torque_peak"] == 0.33
+
+
+def test_a_controller_that_believes_in_another_robot_still_runs_on_the_true_one():
+    true = run(scenario())
+    believed = run(scenario(model_robot={"platform_mass": 2.0}))
+    np.testing.assert_array_equal(believed["pose"][0], true["pose"][0])
+    assert (np.abs(believed["torque"][0]) > np.abs(true["torque"][0]) + 0.1).all()
+    assert believed["pose"][-1, 5] > true["pose"][-1, 5]
+
+
+def test_progress_climbs_to_the_end():
+    times = []
+    run(scenario(duration=0.23), progress=times.append)
+    assert times[-1] == 0.23
+    assert all(0.0 < later - earlier <= 0.05 + 1e-9 for earlier, later in itertools.pairwise([0.0, *times]))
+
+
+# --- the paper's numbers ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_without_gravity_the_papers_claim_holds():
+    log = run(load_scenario("paper_fig7_no_gravity", ["tuner.kind=fixed"]))
+    metrics = run_metrics(log)
+    assert metrics["status"] == "completed"
+    assert np.abs(metrics["integral_at_5s"]).max() < 0.01
+    assert metrics["rmse_deg"][0] == pytest.approx(0.445, rel=0.05)
+    assert metrics["rmse_mm"][2] == pytest.approx(3.80, rel=0.05)
+    assert metrics["loop_gap_max_m"] < 1e-6
+
+
+@pytest.mark.slow
+def test_with_the_platforms_feedforward_a_stiff_loop_follows_closely():
+    # Two periods of the reference, of which the second counts.
+    changes = ["duration=6.3", "controller.feedforward=platform", "tuner.kind=fixed", "tuner.omega_q=100"]
+    metrics = run_metrics(run(load_scenario("paper_fig7", changes)))
+    assert metrics["status"] == "completed"
+    assert max(metrics["rmse_deg"]) < 0.25
+    assert max(metrics["rmse_mm"]) < 0.25
+
+
+# --- a run that breaks --------------------------------------------------------------------------------------------
+
+
+def test_uncompensated_gravity_ends_in_a_dead_centre_and_keeps_its_log(uncompensated):
+    log = uncompensated
+    assert (log.status, log.reason) == ("failed", "crank_dead_centre")
+    assert 0.2 < log.end_time < 0.32
+    assert f"leg {log.leg}" in log.message
+    assert log.message.isprintable()
+
+    # All rows up to the failure, and none after it.
+    assert log.end_time - 0.005 - 1e-9 <= log.time[-1] <= log.end_time
+    np.testing.assert_allclose(log.time, 0.005 * np.arange(len(log.time)), atol=1e-12)
+    assert {len(values) for values in log.signals.values()} == {len(log.time)}
+    assert all(np.isfinite(values).all() for values in log.signals.values())
+
+    # It is the leg named whose crank was about to stand in line with its rod.
+    transmission = np.abs(leg_geometry(log.scenario.robot, log["pose"][-1]).transmission)
+    assert transmission.argmin() == log.leg
+    assert transmission.min() < 0.2
+    assert log["pose"][-1, 5] < log["reference"][-1, 5] - 0.05
+
+
+def test_the_log_of_a_broken_run_can_be_kept(uncompensated, tmp_path):
+    uncompensated.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path)
+    for field in dataclasses.fields(uncompensated):
+        if field.name != "signals":
+            assert getattr(again, field.name) == getattr(uncompensated, field.name)
+    np.testing.assert_array_equal(again["pose"], uncompensated["pose"])
+    assert run_metrics(again)["rmse_deg"] is None
+
+
+def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
+    log = run(scenario(model_robot={"home_height": 0.2, "rod_length": 0.2}))
+    assert (log.status, log.reason, log.end_time) == ("failed", "unreachable_pose", 0.0)
+    assert {name: values.shape for name, values in log.signals.items() if len(values)} == {}
+    log.save(tmp_path / "log.parquet")
+    assert load_log(tmp_path).leg == log.leg in range(6)
+    assert run_metrics(log)["torque_rms"] is None
+
+
+def breaking_at(monkeypatch, tick, error):
+    """Makes the controller raise at a tick."""
+    real, count = lqi_controller.LqiController.tick, itertools.count()
+
+    def broken(*args):
+        if next(count) == tick:
+            raise error
+        return real(*args)
+
+    monkeypatch.setattr(lqi_controller.LqiController, "tick", broken)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (NotFiniteError("torque", np.array([np.nan])), "not_finite"),
+        (SystemExit("condition 'x > 0' failed."), "drake_check"),
+        (RuntimeError("something in Drake"), "drake_check"),
+    ],
+    ids=["ours", "drake's exit", "drake's error"],
+)
+def test_what_drake_and_the_loop_raise_ends_the_run_with_its_time(monkeypatch, error, reason):
+    breaking_at(monkeypatch, 4, error)
+    log = run(scenario())
+    assert (log.status, log.reason, log.end_time) == ("failed", reason, 0.02)
+    assert log.time[-1] == 0.015
+    assert "\n" not in log.message
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("mine"), ValueError("mine"), KeyError("mine")])
+def test_a_mistake_in_the_code_is_not_swallowed(monkeypatch, error):
+    breaking_at(monkeypatch, 4, error)
+    with pytest.raises(type(error), match="mine"):
+        run(scenario())
+
+
+@pytest.mark.parametrize("error", [RuntimeError("mine"), SystemExit("mine"), ValueError("mine")])
+def test_what_the_callers_progress_raises_is_the_callers(error):
+    def progress(_time):
+        raise error
+
+    with pytest.raises(type(error), match="mine"):
+        run(scenario(duration=0.2), progress=progress)
+
+
+def test_ctrl_c_between_steps_keeps_the_log():
+    def progress(time):
+        if time >= 0.1:
+            raise KeyboardInterrupt
+
+    log = run(scenario(duration=0.3), progress=progress)
+    assert (log.status, log.reason, log.end_time) == ("interrupted", "interrupted", 0.1)
+    assert (log.time[-1], len(log.time)) == (0.1, 21)
+    whole = run(scenario(duration=0.3))
+    for name in set(SIGNALS) - set(OPTIONAL):
+        np.testing.assert_array_equal(log[name], whole[name][:21], err_msg=name)
+
+
+def test_ctrl_c_within_a_step_keeps_whole_rows(monkeypatch):
+    breaking_at(monkeypatch, 4, KeyboardInterrupt())
+    log = run(scenario())
+    assert log.status == "interrupted"
+    assert log.time[-1] == 0.015
+    assert {len(values) for values in log.signals.values()} == {4}
+
+
+# --- found before the run -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_run(monkeypatch):
+    """Nothing may be built."""
+
+    def forbidden(*_args):
+        raise AssertionError("a Diagram was built")
+
+    monkeypatch.setattr(simulation, "ClosedLoop", forbidden)
+
+
+@pytest.mark.usefixtures("no_run")
+@pytest.mark.parametrize(
+    ("reference", "limit", "time"),
+    [
+        ({"center": [0, 0, 0, 0, 0, 0.6]}, "reach", 0.0),
+        ({"amplitude": [0, 0, 0, 0, 0, 0.5]}, "crank_speed", 0.088),
+        ({"amplitude": [2, 0, 0, 0, 0, 0]}, "joint_swing", 0.282),
+    ],
+)
+def test_an_infeasible_reference_is_found_before_the_run_with_time_and_leg(reference, limit, time):
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        run(scenario(duration=2.0, reference={"kind": "sine"} | reference))
+    error = caught.value
+    assert (error.limit, error.time) == (limit, pytest.approx(time, abs=0.01))
+    assert error.leg in range(6)
+    assert f"t = {error.time:.3f} s, leg {error.leg}" in str(error)
+
+
+@pytest.mark.usefixtures("no_run")
+def test_a_singular_reference_is_found_before_the_run():
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        run(scenario(duration=2.0, reference={"kind": "sine", "amplitude": [0, 1.57, 0, 0, 0, 0]}))
+    assert caught.value.time > 0.0
+    limits = dict.fromkeys(["euler_pitch", "joint_swing", "clearance", "crank_speed", "torque_fraction"])
+    with pytest.raises(InfeasibleReferenceError) as caught:
+        run(scenario(duration=2.0, reference={"kind": "sine", "amplitude": [0, 0, 1.6, 0, 0, 0]}, limits=limits))
+    assert caught.value.limit in {"transmission", "conditioning", "reach"}
+
+
+@pytest.mark.usefixtures("no_run")
+@pytest.mark.parametrize(
+    "reference",
+    [
+        {"angular_frequency": [1e200, 0, 0, 0, 0, 0]},
+        {"amplitude": [1e308] * 6},
+        {"center": [1e308, 0, 0, 0, 0, 1e308], "amplitude": [1e308] * 6},
+    ],
+)
+def test_a_reference_beyond_all_numbers_is_one_line_without_warnings(reference):
+    with pytest.raises(ConfigurationError) as caught:
+        run(scenario(reference={"kind": "sine"} | reference))
+    assert caught.value.key == "reference"
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.usefixtures("no_run")
+@pytest.mark.parametrize("dz", [0.3, -0.25, 1e308])
+def test_a_start_where_the_robot_cannot_stand_is_found_before_the_run(dz):
+    with pytest.raises(ConfigurationError) as caught:
+        run(scenario(initial_offset=[0, 0, 0, 0, 0, dz]))
+    assert caught.value.key == "initial_offset"
+    assert "out of reach of leg" in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_singular_start_is_found_before_the_run():
+    with pytest.raises(ConfigurationError, match="dead centre") as caught:
+        check_scenario(scenario(controller={"min_transmission": 0.99}))
+    assert caught.value.key == "reference"
+
+
+def test_the_check_can_be_left_out():
+    tight = scenario(limits={"crank_speed": 0.01})
+    with pytest.raises(InfeasibleReferenceError):
+        run(tight)
+    assert run(tight, check=False).status == "completed"
+    with pytest.raises(UnreachablePoseError):
+        run(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3]), check=False)
+
+
+def test_a_weights_file_that_cannot_be_used_is_found_before_the_run(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"none\.json"):
+        run(scenario(tuner={"kind": "ann", "weights_file": str(tmp_path / "none.json")}))
+
+
+def test_options_that_the_plant_cannot_have_are_named():
+    with pytest.raises(ConfigurationError) as caught:
+        run(scenario(plant={"platform_joint_damping": 5.0}))
+    assert caught.value.key == "plant.platform_joint_damping"
+
+
+@pytest.mark.parametrize("call", [run, build_diagram])
+def test_what_is_no_scenario_is_a_type_error_that_says_what_to_do(call):
+    with pytest.raises(TypeError, match="load_scenario"):
+        call("paper_fig7")
+
+
+def test_what_numba_compiles_is_no_part_of_the_run(monkeypatch):
+    ticks = []
+    real = LqiController.tick
+
+    def tick(self, context, previous):
+        ticks.append(context.get_time())
+        return real(self, context, previous)
+
+    monkeypatch.setattr(LqiController, "tick", tick)
+    # A clock that counts ticks: the first of all, in which numba compiles, is taken before it starts.
+    monkeypatch.setattr(simulation.time, "perf_counter", lambda: float(len(ticks)))
+    log = run(load_scenario("exact_fig7", ["duration=0.01"]))
+    assert log.status == "completed"
+    assert ticks[:2] == [0.0, 0.0]
+    assert log.wall_time == len(ticks) - 1

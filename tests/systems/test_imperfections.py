@@ -1,0 +1,252 @@
+"""Disturbances and imperfections in the plant and the loop."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from strategies import ROBOT
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.kinematics import rotation_matrix, twist_jacobian
+from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.plant.plant_options import BrokenRod, PlantOptions
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario
+from stewart_drake.systems.diagram import ClosedLoop
+
+POSE = np.array([0.1, -0.15, 0.2, 0.02, -0.01, 0.31])
+SPLIT = {"period": 0.001, "model": "exact", "solver": "split", "weight_length": 0.11}
+BASE = {
+    "duration": 0.1,
+    "reference": {"kind": "hold", "pose": POSE.tolist()},
+    "controller": SPLIT,
+    "tuner": {"kind": "block", "q_pose": 4e5, "q_rate": 30.0, "q_integral": 4e7},
+}
+ENCODERS = {"kind": "encoders", "resolution_bits": 0}
+
+
+def scenario(**changes):
+    return Scenario.from_dict(BASE | changes)
+
+
+def payload_torque(mass, position, pose):
+    """Torques that carry a point mass on the platform, by virtual work: T = J^-T w."""
+    arm = rotation_matrix(pose[:3]) @ position
+    up = np.array([0.0, 0.0, mass * STANDARD_GRAVITY])
+    return np.linalg.solve(twist_jacobian(ROBOT, pose).T, np.concatenate([np.cross(arm, up), up]))
+
+
+def drift(plant_options, torque, seconds=0.05):
+    """Way of the platform from rest under constant torques: (6,)."""
+    diagram, plant = build_plant(ROBOT, plant_options)
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    plant.set_state(context, POSE)
+    diagram.get_input_port(0).FixValue(context, torque)
+    simulator.AdvanceTo(seconds)
+    return plant.pose_and_rate(diagram.get_output_port(0).Eval(context))[0] - POSE
+
+
+# --- payload --------------------------------------------------------------------------------------------------------
+
+
+def test_a_payload_is_carried_by_the_torques_of_statics_and_by_no_others():
+    position = np.array([0.05, -0.02, 0.03])
+    options = PlantOptions(payload_mass=0.3, payload_position=tuple(position))
+    weight = static_torque(ROBOT, POSE)
+    assert np.abs(drift(options, weight + payload_torque(0.3, position, POSE))).max() < 1e-6
+    assert np.abs(drift(options, weight)).max() > 1e-3
+    # Off centre it is another load than at the centre.
+    assert np.abs(drift(options, weight + payload_torque(0.3, np.zeros(3), POSE))).max() > 1e-4
+
+
+def test_the_plant_weighs_more_and_the_robot_does_not():
+    plain, loaded = (build_plant(ROBOT, PlantOptions(payload_mass=m))[1] for m in (0.0, 0.7))
+    masses = [p.plant.CalcTotalMass(p.plant.CreateDefaultContext()) for p in (plain, loaded)]
+    assert masses[1] - masses[0] == pytest.approx(0.7)
+    assert loaded.state_names == plain.state_names
+    assert loaded.robot == plain.robot == ROBOT
+    assert loaded.plant.num_bodies() == plain.plant.num_bodies() + 1
+
+
+def test_its_inertia_resists_motion():
+    def gain(options):
+        """Acceleration of Z, from the way within a short while."""
+        return drift(options, static_torque(ROBOT, POSE) + extra, 0.01)[5]
+
+    extra = np.full(6, 0.1)
+    heavy = PlantOptions(payload_mass=1.0)
+    extra_weight = payload_torque(1.0, np.zeros(3), POSE)
+    light = gain(PlantOptions())
+    extra = extra + extra_weight
+    assert 0.3 < gain(heavy) / light < 0.8
+
+
+# --- wrench from outside --------------------------------------------------------------------------------------------
+
+
+def test_a_wrench_is_balanced_by_the_torques_of_virtual_work():
+    wrench = [0.05, -0.03, 0.02, 3.0, -2.0, 4.0]
+    log = run(scenario(duration=1.0, disturbances=[{"kind": "constant", "wrench": wrench}]))
+    settled = static_torque(ROBOT, POSE) - np.linalg.solve(twist_jacobian(ROBOT, POSE).T, wrench)
+    np.testing.assert_allclose(log["torque"][-1], settled, atol=2e-3)
+    assert np.abs(settled - static_torque(ROBOT, POSE)).max() > 0.05
+    np.testing.assert_array_equal(log["disturbance"], np.tile(wrench, (len(log.time), 1)))
+
+
+def test_two_equal_and_opposite_ones_are_nothing():
+    wrench = np.array([0.05, -0.03, 0.02, 3.0, -2.0, 4.0])
+    both = [{"kind": "constant", "wrench": (s * wrench).tolist()} for s in (1.0, -1.0)]
+    plain, log = run(scenario()), run(scenario(disturbances=both))
+    np.testing.assert_array_equal(log["pose"], plain["pose"])
+    assert "disturbance" not in plain.signals
+
+
+def test_a_blow_gives_its_momentum():
+    log = run(
+        scenario(
+            duration=0.012,
+            gravity=0.0,
+            disturbances=[{"kind": "impulse", "impulse": [0, 0, 0, 0, 0, 0.05], "time": 0.005, "duration": 0.001}],
+        )
+    )
+    before, after = log["pose_rate"][5, 5], log["pose_rate"][6, 5]
+    from stewart_drake.mechanics.dynamics import task_inertia
+
+    expected = np.linalg.solve(task_inertia(ROBOT, POSE), [0, 0, 0, 0, 0, 0.05])[5]
+    assert after - before == pytest.approx(expected, rel=0.02)
+
+
+# --- motors, sensors, link ------------------------------------------------------------------------------------------
+
+
+def test_a_dead_motor_is_given_nothing_and_the_log_shows_it():
+    log = run(scenario(motors={"dead": {"leg": 2, "time": 0.05}}))
+    dead = log.time >= 0.05 - 1e-9
+    np.testing.assert_array_equal(log["torque_applied"][dead, 2], 0.0)
+    assert (log["torque_applied"][~dead, 2] != 0.0).all()
+    assert np.abs(log["torque"][dead, 2]).min() > 0.0
+
+
+def test_ripple_and_steps_reach_the_plant():
+    log = run(scenario(motors={"ripple": 0.02, "ripple_periods": 7, "resolution": 0.01}))
+    steps = np.rint(log["torque"] / 0.01) * 0.01
+    expected = steps + 0.02 * np.sin(7 * log["crank_angle"])
+    np.testing.assert_allclose(log["torque_applied"], expected, atol=1e-12)
+
+
+def test_noise_has_its_size_and_does_not_depend_on_how_often_it_is_looked_at():
+    noisy = ENCODERS | {"noise": 1e-4, "noise_seed": 3}
+    coarse, fine = (
+        run(scenario(sensors=noisy, log_period=p, controller={**SPLIT, "period": 0.005})) for p in (0.005, 0.001)
+    )
+    for name in ("pose", "measured_pose", "torque"):
+        np.testing.assert_array_equal(coarse[name], fine[name][::5], err_msg=name)
+    again = run(scenario(sensors=noisy | {"noise_seed": 4}, controller={**SPLIT, "period": 0.005}))
+    assert np.abs(again["measured_pose"] - coarse["measured_pose"]).max() > 1e-6
+    error = fine["measured_pose"] - fine["pose"]
+    assert 1e-6 < np.abs(error[::5]).max() < 1e-3
+
+
+def test_a_run_with_chance_in_it_repeats_to_the_last_bit():
+    case = scenario(
+        sensors=ENCODERS | {"noise": 1e-4},
+        link={"drop_probability": 0.2, "late_probability": 0.3},
+        disturbances=[{"kind": "noise", "rms": [0, 0, 0, 1, 1, 1]}],
+    )
+    one, two = run(case), run(case)
+    np.testing.assert_array_equal(one["plant_state"], two["plant_state"])
+
+
+def test_the_controller_sees_what_the_frozen_sensor_says():
+    log = run(scenario(sensors={"kind": "ideal", "faults": [{"kind": "freeze", "time": 0.05}]}, duration=0.08))
+    np.testing.assert_array_equal(log["measured_pose"][50:], np.tile(log["measured_pose"][49], (31, 1)))
+    np.testing.assert_array_equal(log["measured_pose"][:50], log["pose"][:50])
+
+
+def test_a_reading_that_is_not_a_number_ends_the_run_by_name():
+    nan = {"kind": "nan", "time": 0.05}
+    log = run(scenario(sensors={"kind": "ideal", "faults": [nan]}))
+    assert (log.status, log.reason, log.end_time) == ("failed", "not_finite", 0.05)
+    log = run(scenario(sensors=ENCODERS | {"faults": [nan | {"leg": 4}], "hold_ticks": 3}))
+    assert (log.status, log.reason, log.end_time) == ("failed", "encoder", 0.053)
+
+
+def test_a_dropped_tick_holds_the_last_torque():
+    log = run(scenario(link={"dropped": [40, 41, 60]}, reference={"kind": "sine"}))
+    applied, asked = log["torque_applied"], log["torque"]
+    for row, came_from in ((39, 39), (40, 39), (41, 39), (42, 42), (60, 59), (61, 61)):
+        np.testing.assert_array_equal(applied[row], asked[came_from])
+
+
+def test_a_late_tick_acts_steps_of_the_plant_later():
+    case = scenario(
+        controller={**SPLIT, "period": 0.005},
+        link={"late": [10], "late_steps": 2},
+        log_period=0.001,
+        reference={"kind": "sine"},
+    )
+    log = run(case)
+    applied, asked = log["torque_applied"], log["torque"]
+    for row, came_from in ((49, 45), (50, 45), (51, 45), (52, 50), (54, 50), (55, 55)):
+        np.testing.assert_array_equal(applied[row], asked[came_from], err_msg=str(row))
+
+
+def test_a_command_cannot_be_later_than_a_period():
+    with pytest.raises(ConfigurationError, match=r"link\.late_steps"):
+        scenario(link={"late_steps": 2})
+
+
+# --- a broken rod ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", [0.0, 0.02, 0.0705])
+def test_a_rod_breaks_at_its_time_and_alone(time):
+    log = run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}, duration=0.1))
+    first = int(np.ceil(time / 0.001 - 1e-6))
+    others = np.delete(log["loop_gap"], 3, axis=1)
+    assert others.max() < 1e-4
+    assert log["loop_gap"][: first + 1, 3].max() < 1e-6
+    assert log["loop_gap"][first + 5 :, 3].min() > 1e-6
+    assert log["loop_gap"][-1, 3] > 1e-4
+
+
+@pytest.mark.parametrize("time", [0.1, 1e308])
+def test_one_that_would_break_after_the_end_does_not(time):
+    plain, log = run(scenario()), run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}))
+    np.testing.assert_array_equal(log["plant_state"], plain["plant_state"])
+
+
+def test_what_is_off_is_not_there():
+    loop = ClosedLoop(scenario(motors={}, link={}, disturbances=[], sensors={"kind": "ideal", "faults": []}))
+    names = {system.get_name() for system in loop.GetSystems()}
+    assert not names & {"push", "drive", "link", "arrived", "safety", "guarded", "faulty_sensor", "reading"}
+    assert loop.safety is None
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: PlantOptions(payload_mass=-0.1), "plant.payload_mass"),
+        (lambda: PlantOptions(payload_mass=np.nan), "plant.payload_mass"),
+        (lambda: PlantOptions(payload_mass=1e9), "plant.payload_mass"),
+        (lambda: PlantOptions(motor_friction=1e308), "plant.motor_friction"),
+        (lambda: PlantOptions(payload_position=(0.0, 0.0)), "plant.payload_position"),
+        (lambda: PlantOptions(payload_position=(0.0, 0.0, np.inf)), "plant.payload_position"),
+        (lambda: BrokenRod(leg=6, time=0.0), "plant.broken_rod.leg"),
+        (lambda: BrokenRod(leg=0, time=-1.0), "plant.broken_rod.time"),
+        (
+            lambda: scenario(disturbances=[{"kind": "sine", "wrench": [0] * 6, "frequency": -1}]),
+            "disturbances.frequency",
+        ),
+        (lambda: scenario(disturbances=[{"kind": "sin"}]), "disturbances.0.kind"),
+        (lambda: scenario(disturbances=[{"kind": "step", "wrench": [0] * 5, "time": 0}]), "disturbances.0.wrench"),
+        (lambda: scenario(sensors={"kind": "ideal", "faults": [{"kind": "jump"}]}), "sensors.faults.0.kind"),
+        (lambda: scenario(sensors={"kind": "encoders", "noise": -1}), "sensors.noise"),
+        (lambda: scenario(sensors={"kind": "encoders", "noise_seed": -1}), "sensors.noise_seed"),
+    ],
+)
+def test_a_bad_value_is_named(make, key):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    assert caught.value.key == key
