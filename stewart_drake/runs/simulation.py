@@ -16,7 +16,9 @@ from pydrake.systems.framework import Context
 from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.control.inputs import checked_legs
-from stewart_drake.systems.diagram import ClosedLoop, require_scenario
+from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.user_controller import PythonOptions, user_code
+from stewart_drake.control.user_errors import ControllerStop
 from stewart_drake.errors import (
     ConfigurationError,
     RunFailure,
@@ -26,21 +28,19 @@ from stewart_drake.errors import (
     drake_guard,
     raised_at,
 )
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import plain_json
+from stewart_drake.hardware.estimator import EncoderOptions
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows, RowsInMemory
-from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.runs.motion_fit import motion_report
-from stewart_drake.files.named_files import file_digests
 from stewart_drake.logs.outcomes import find_warnings, judge
+from stewart_drake.logs.tally import Tally
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid, steps_per, times_of
 from stewart_drake.scenario import Scenario
-from stewart_drake.logs.tally import Tally
-from stewart_drake.control.user_controller import PythonOptions, user_code
-from stewart_drake.control.user_errors import ControllerStop
-from stewart_drake.logs.versions import collect_versions
+from stewart_drake.systems.diagram import ClosedLoop, require_scenario
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -190,7 +190,7 @@ def _release(loop: ClosedLoop) -> None:
     """
     waiting: list[Any] = [loop]
     while waiting:
-        peers = getattr(waiting.pop(), _PEERS, set())
+        peers: set[Any] = getattr(waiting.pop(), _PEERS, set())
         waiting.extend(peers)
         peers.clear()
 
