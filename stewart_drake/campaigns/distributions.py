@@ -11,7 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import SECTION, Count, Flag, Real, explain
+from stewart_drake.section import SECTION, Count, Flag, Real
+from stewart_drake.wording import explain
 
 LARGEST = 1e100
 """Bounds beyond this are slips of the pen; differences of them could leave floating point."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -11,31 +10,15 @@ from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    NotNegative,
-    Positive,
-    check_choice,
-    check_fraction,
-    check_positive,
-    check_real,
-)
+from stewart_drake.section import Flag, Fraction, NotNegative, Positive, Section
 
 
-@dataclass(frozen=True, kw_only=True)
-class ComputedTorqueOptions:
+class ComputedTorqueOptions(Section, key="controller"):
     """Options of the computed-torque controller; all six coordinates of the pose behave alike.
 
     The default feedback is what the exact-model LQI has on heave at home with weights 4e5, 30, 4e7, 1 and a weight
     length of 0.11 m.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["computed_torque"] = "computed_torque"
     period: Positive = 0.001
@@ -55,14 +38,6 @@ class ComputedTorqueOptions:
     """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
     compiled: Flag = False
     """The pose estimator beside the controller is compiled by numba."""
-
-    def __post_init__(self) -> None:
-        for name in ("period", "natural_frequency", "damping"):
-            check_positive(f"controller.{name}", getattr(self, name))
-        check_real("controller.integral_frequency", self.integral_frequency)
-        for name in ("min_transmission", "min_conditioning"):
-            check_fraction(f"controller.{name}", getattr(self, name))
-        check_choice("controller.saturation", self.saturation, "none", "clamp")
 
 
 class ComputedTorqueMemory(NamedTuple):

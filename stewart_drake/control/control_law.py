@@ -18,7 +18,7 @@ from stewart_drake.control.network import TunerNetwork
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import check_choice
+from stewart_drake.section import Window, check_value
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,8 @@ class ControlLaw:
     initial_weights: tuple[float, ...] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
-        if type(self.window) is not int or self.window < 1:
-            raise ConfigurationError("window", self.window, "an integer >= 1")
-        check_choice("density_kind", self.density_kind, "magnitude", "signed")
+        check_value("window", self.window, Window)
+        check_value("density_kind", self.density_kind, DensityKind)
         block_weights(np.array(self.initial_weights))
         if self.network is not None:
             if self.density_kind != self.network.density:

@@ -2,43 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
-from stewart_drake.control.lqi_options import SATURATIONS, Saturation
+from stewart_drake.control.lqi_options import Saturation
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    NotNegative,
-    Positive,
-    check_choice,
-    check_fraction,
-    check_positive,
-    check_real,
-)
+from stewart_drake.section import Flag, Fraction, NotNegative, Positive, Section
 
 
-@dataclass(frozen=True, kw_only=True)
-class PidOptions:
+class PidOptions(Section, key="controller"):
     """Options of the joint-space PID; the same gains for all six motors.
 
     The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
     with weights 4e5, 30, 4e7, 1 and a weight length of 0.11 m: for the inertia M of heave and J = d(theta)/dZ, a
     feedback k of acceleration is k M / (6 J^2) at each crank.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["pid"] = "pid"
     period: Positive = 0.001
@@ -64,18 +47,6 @@ class PidOptions:
     """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
     compiled: Flag = False
     """The pose estimator beside the controller is compiled by numba."""
-
-    def __post_init__(self) -> None:
-        for name in ("period", "reset_time"):
-            check_positive(f"controller.{name}", getattr(self, name))
-        for name in ("kp", "ki", "kd"):
-            check_real(f"controller.{name}", getattr(self, name))
-        for name in ("min_transmission", "min_conditioning"):
-            check_fraction(f"controller.{name}", getattr(self, name))
-        check_choice("controller.feedforward", self.feedforward, "none", "gravity")
-        check_choice("controller.saturation", self.saturation, *SATURATIONS)
-        if self.torque_limit is not None:
-            check_positive("controller.torque_limit", self.torque_limit)
 
     def limit(self, robot: RobotParameters) -> float:
         """[N m] of a motor's torque."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs, out_of_reach
-from stewart_drake.control.lqi_options import CHOICES, LqiOptions
+from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
 from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
 from stewart_drake.control.state_space import (
     AXES,
@@ -292,10 +292,10 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         [
             options.model == "exact",
             options.force_map == "printed",
-            CHOICES["feedforward"].index(options.feedforward),
+            get_args(Feedforward).index(options.feedforward),
             options.feedforward_at == "reference",
             options.discretization == "exact",
-            CHOICES["saturation"].index(options.saturation),
+            get_args(Saturation).index(options.saturation),
             options.bumpless,
         ],
         dtype=np.int64,
