@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
@@ -100,6 +100,17 @@ def run(
     files = file_digests(scenario.to_dict())
     # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
     loop = ClosedLoop(scenario, meshcat, scenario.plant.time_step)
+    try:
+        return _run_loop(loop, rows, files, progress)
+    finally:
+        _release(loop)
+
+
+def _run_loop(
+    loop: ClosedLoop, rows: LogRows, files: Mapping[str, str | None], progress: Callable[[float], None] | None
+) -> SimulationLog:
+    """Runs a loop from its start; see `run`."""
+    scenario = loop.scenario
     _compile(loop)
     with drake_guard("preparing the simulator"), user_code(scenario.controller):
         simulator = Simulator(loop, loop.create_start_context())
@@ -165,6 +176,23 @@ def run(
         figures=plain_json(figures),
     )
     return rows.end(log)
+
+
+_PEERS = "_pydrake_internal_ref_cycle_peers"
+
+
+def _release(loop: ClosedLoop) -> None:
+    """Lets go of a loop that nobody will use again, which Python's garbage collector would keep for ever.
+
+    pydrake ties systems, ports and diagrams together in cycles. Where a system is written in Python, CPython visits the
+    dictionary of its attributes twice, once for each base, and takes the cycle for one that is held from outside: each
+    run would leave its diagram, some megabytes, behind.
+    """
+    waiting: list[Any] = [loop]
+    while waiting:
+        peers = getattr(waiting.pop(), _PEERS, set())
+        waiting.extend(peers)
+        peers.clear()
 
 
 class _Recorder:
