@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 from pydantic import GetJsonSchemaHandler, TypeAdapter
@@ -69,7 +70,7 @@ class Family:
         line = self._lines[kind]
         if isinstance(line[column], str):
             module, _, name = line[column].partition(":")
-            found = getattr(import_module(f"{_PACKAGE}.{module}"), name)
+            found = attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
             line = self._lines[kind] = (*line[:column], found, *line[column + 1 :])
         return line[column]
 
@@ -142,9 +143,12 @@ REFERENCES = Family(
 )
 CONTROLLERS = Family(
     {
-        "lqi": ("control.lqi_options:LqiOptions", "systems.lqi_controller:LqiController"),
-        "pid": ("control.joint_pid:PidOptions", "systems.joint_pid:JointPid"),
-        "computed_torque": ("control.computed_torque:ComputedTorqueOptions", "systems.computed_torque:ComputedTorque"),
+        "lqi": ("control.lqi_options:LqiOptions", "systems.lqi_controller:LqiController.build"),
+        "pid": ("control.joint_pid:PidOptions", "systems.joint_pid:JointPid.build"),
+        "computed_torque": (
+            "control.computed_torque:ComputedTorqueOptions",
+            "systems.computed_torque:ComputedTorque.build",
+        ),
         "python": ("control.user_controller:PythonOptions", "systems.user_controller:load_user_controller"),
     },
     default="lqi",
@@ -158,8 +162,8 @@ TUNERS = Family(
 )
 SENSORS = Family(
     {
-        "ideal": ("hardware.sensor_faults:IdealSensors",),
-        "encoders": ("hardware.estimator:EncoderOptions",),
+        "ideal": ("hardware.sensor_faults:IdealSensors", "systems.task_space_sensor:add_ideal_sensor"),
+        "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
 DISTURBANCES = Family(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from stewart_drake.control.control_law import ControlLaw
+from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
@@ -20,7 +22,7 @@ from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, 
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.sensor_faults import IdealSensors
+from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
@@ -30,7 +32,7 @@ from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, json_sc
 from stewart_drake.robot import LARGEST, RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
-from stewart_drake.section import NAME, NAME_WORDS, Count, NotNegative, Positive, Section, Text, Vector6
+from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, NotNegative, Positive, Section, Text, Vector6
 from stewart_drake.wording import as_problem, keys_of, shown
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
@@ -84,12 +86,15 @@ class Scenario(Section):
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
-    controller: Annotated[Any, CONTROLLERS] = Field(default_factory=LqiOptions)
+    controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
     """What answers to errors with torques; without `kind`, the LQI."""
     tuner: Annotated[Tuner, TUNERS] = Field(default_factory=AnnTuner)
     """Where the weights come from; without effect for controllers that take none."""
-    sensors: Annotated[Any, SENSORS] = Field(default_factory=IdealSensors)
+    sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
     """What the controller sees of the robot."""
+    compiled: Flag = False
+    """Ticks compiled by numba: of the LQI (with `controller.solver: split`), the pose estimator, the tuner and the
+    safety layer; seventy times faster. The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = Field(default_factory=LinkOptions)
@@ -102,6 +107,16 @@ class Scenario(Section):
     """What the reference must keep to; checked before the run."""
     log_period: Positive | None = None
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
+
+    @classmethod
+    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """See `Section.from_older`."""
+        controller = data.get("controller")
+        if isinstance(controller, Mapping) and "compiled" in controller:
+            warnings.warn("controller.compiled is the scenario's own key `compiled` now", FutureWarning, stacklevel=4)
+            data = {**data, "compiled": controller["compiled"]}
+            data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+        return data
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
@@ -162,6 +177,7 @@ class Scenario(Section):
             self.tuner.density,
             self.tuner.window,
             self.tuner.weights,
+            self.compiled,
         )
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
@@ -174,6 +190,8 @@ class Scenario(Section):
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
+        if self.compiled:
+            self.controller.check_compiled()
         if self.safety is not None:
             self.safety.check_against(self.believed_robot, self.controller.period)
         if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):

@@ -88,7 +88,7 @@ class Section:
 
         @wraps(checked)
         def init(self: Section, /, **keys: Any) -> None:
-            keys = {name: plain(value) for name, value in keys.items()}
+            keys = self.from_older({name: plain(value) for name, value in keys.items()})
             with np.errstate(all="ignore"):
                 try:
                     pydantic_init.validate_python(ArgsKwargs((), keys), self_instance=self)
@@ -111,9 +111,16 @@ class Section:
         try:
             # Numbers near the largest overflow to infinity, which the checks refuse; numpy need not say so as well.
             with np.errstate(all="ignore"):
-                return cls.__pydantic_validator__.validate_python(data)
+                return cls.__pydantic_validator__.validate_python(
+                    cls.from_older(data) if isinstance(data, dict) else data
+                )
         except ValidationError as error:
             raise explain(cls, error, data, cls.section_key if key is None else key) from None
+
+    @classmethod
+    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Keys of an older file as this version has them."""
+        return data
 
     def to_dict(self) -> dict[str, Any]:
         """Every key with its value, in plain types."""

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Flag, Fraction, NotNegative, Positive, Section
+from stewart_drake.section import NotNegative, Positive
 
 
-class PidOptions(Section, key="controller"):
+class PidOptions(OwnControllerOptions):
     """Options of the joint-space PID; the same gains for all six motors.
 
     The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
@@ -25,7 +27,6 @@ class PidOptions(Section, key="controller"):
 
     kind: Literal["pid"] = "pid"
     period: Positive = 0.001
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
     kp: NotNegative = 37.3
     """[N m/rad]"""
     ki: NotNegative = 316.0
@@ -41,12 +42,11 @@ class PidOptions(Section, key="controller"):
     grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
     reset_time: Positive = 0.05
     """[s] of back_calculation."""
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
-    compiled: Flag = False
-    """The pose estimator beside the controller is compiled by numba."""
+
+    @property
+    def results(self) -> Sequence[int]:
+        """See `ControllerOptions`."""
+        return (6,)
 
     def limit(self, robot: RobotParameters) -> float:
         """[N m] of a motor's torque."""

@@ -6,12 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.robot import LARGEST
-from stewart_drake.section import Flag, Fraction, Natural, Positive, PositivePair, Section
+from stewart_drake.section import Flag, Natural, Positive, PositivePair
 
 Model = Literal["paper", "exact"]
 Feedforward = Literal["none", "gravity", "platform", "full"]
@@ -19,13 +20,12 @@ FeedforwardAt = Literal["measured", "reference"]
 Saturation = Literal["none", "clamp", "back_calculation"]
 
 
-class LqiOptions(Section, key="controller"):
+class LqiOptions(OwnControllerOptions):
     """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
     """Taken where the key is absent."""
     period: Positive = 0.005
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
     model: Model = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
     closed chain at the measured pose."""
@@ -44,9 +44,6 @@ class LqiOptions(Section, key="controller"):
     """Zero-order hold of (25): exact, or first order (euler)."""
     solver: RiccatiSolver = "drake"
     """drake: one equation of 18 states. split: six of 3 states, without Drake."""
-    compiled: Flag = False
-    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for
-    half a minute."""
     saturation: Saturation = "none"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
     back_calculation: it is limited, and z is led back by what was cut off."""
@@ -56,15 +53,17 @@ class LqiOptions(Section, key="controller"):
     """[rad s, m s] largest |z| of rotations and translations; null for none."""
     bumpless: Flag = False
     """When the weights change, z changes too, so that the torque by z does not."""
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 0
     """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
     finite is bridged by the last good gain and torque, before the run ends."""
 
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        if self.compiled and self.solver != "split":
-            raise ConfigurationError("compiled", self.compiled, "true only with solver: split")
+    @property
+    def label(self) -> str:
+        """See `ControllerOptions`."""
+        model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
+        return f"{model}, feedforward {self.feedforward}"
+
+    def check_compiled(self) -> None:
+        """See `ControllerOptions`."""
+        if self.solver != "split":
+            raise ConfigurationError("compiled", True, "true only with controller.solver: split")

@@ -17,11 +17,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.installed import distribution_of
 from stewart_drake.control.user_errors import UserCode, describe
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
-from stewart_drake.section import Flag, Positive, Section, Text
+from stewart_drake.section import Positive, Text
 
 MAX_BYTES = 1_000_000
 """Of a file with a controller."""
@@ -33,7 +34,7 @@ _FILES = "stewart_drake_user"
 """Package that modules made from a user's files count to; there is none of this name."""
 
 
-class PythonOptions(Section, key="controller"):
+class PythonOptions(ControllerOptions):
     """A user's LeafSystem by import path.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -53,8 +54,6 @@ class PythonOptions(Section, key="controller"):
     `gravity` are added where the constructor names them."""
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
-    compiled: Flag = False
-    """The pose estimator beside the controller is compiled by numba."""
 
     def rules(self) -> None:
         """See `Section.rules`."""
@@ -92,8 +91,8 @@ class PythonOptions(Section, key="controller"):
         return self.system.rpartition(":")[0]
 
     @property
-    def _own(self) -> str:
-        """Package that the user's frames in a traceback are of."""
+    def own_module(self) -> str:
+        """See `ControllerOptions`."""
         return _FILES if self.file is not None else self._module.partition(".")[0]
 
 
@@ -133,9 +132,9 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
         return kind(**arguments)
 
 
-def user_code(options: object) -> UserCode:
+def user_code(options: ControllerOptions) -> UserCode:
     """The guard around what may call a controller of the user's, see `UserCode`; none for `options` of other kinds."""
-    return UserCode(options._own if isinstance(options, PythonOptions) else None)
+    return UserCode(options.own_module)
 
 
 @contextmanager
@@ -145,7 +144,7 @@ def _refused(options: PythonOptions, allowed: str) -> Iterator[None]:
     except (ConfigurationError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        what, _ = describe(error, error.__traceback__, options._own)
+        what, _ = describe(error, error.__traceback__, options.own_module)
         raise ConfigurationError("controller.system", options.system, f"{allowed} ({what})") from error
 
 

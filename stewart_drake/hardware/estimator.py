@@ -19,10 +19,10 @@ from stewart_drake.errors import (
     UnreachablePoseError,
 )
 from stewart_drake.hardware.seeded import tick_normal
-from stewart_drake.hardware.sensor_faults import EncoderFault
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
 from stewart_drake.robot import LARGEST, RobotParameters
-from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
+from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 MEMORY_SIZE = 27
 """Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
@@ -36,7 +36,7 @@ ITERATIONS = 12
 """Newton steps at most; a warm start needs two."""
 
 
-class EncoderOptions(Section, key="sensors"):
+class EncoderOptions(SensorOptions):
     """Motor encoders, and the estimator that knows nothing else."""
 
     kind: Literal["encoders"] = "encoders"

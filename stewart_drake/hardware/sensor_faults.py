@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -75,12 +75,36 @@ class PoseFault(Section, key="sensors.faults"):
         return slice(None)
 
 
-class IdealSensors(Section, key="sensors"):
+class SensorOptions(Section, key="sensors"):
+    """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
+
+    kind: str
+    """Of sensor."""
+    faults: tuple[Any, ...] = ()
+    """Times at which it fails."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether what the controller sees is the truth."""
+        return False
+
+    @property
+    def quantum(self) -> float:
+        """[rad] of a count, of sensors that read the cranks' angles; 0 for none."""
+        return 0.0
+
+
+class IdealSensors(SensorOptions):
     """Pose and rate of the platform, exact."""
 
     kind: Literal["ideal"] = "ideal"
     faults: tuple[PoseFault, ...] = ()
     """Times at which the sensor fails."""
+
+    @property
+    def exact(self) -> bool:
+        """See `SensorOptions`."""
+        return not self.faults
 
 
 def kept_readings(faults: Sequence[EncoderFault] | Sequence[PoseFault], period: float) -> int:

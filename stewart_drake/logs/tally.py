@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
 from stewart_drake.sampling import steps_per
@@ -35,10 +34,9 @@ class Tally:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
-        limit, controller = scenario.robot.effort_limit, scenario.controller
-        self._limit = controller.limit(scenario.robot) if isinstance(controller, PidOptions) else limit
+        self._limit = scenario.controller.limit(scenario.robot)
         # A controller that limits the torque itself asks for the limit and no more.
-        self._asks_for_more = getattr(controller, "saturation", "") == "none"
+        self._asks_for_more = scenario.controller.asks_for_more
         length = scenario.robot.characteristic_length
         self._scale = np.array([length] * 3 + [1.0] * 3)
         self._steps = self._ticks = self._late_ticks = self._late_steps = 0

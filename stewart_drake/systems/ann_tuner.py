@@ -24,7 +24,7 @@ class AnnTuner(LeafSystem):
         network: Trained.
         period: [s] tick period.
         initial: omega_Q, omega_R before the first inference.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
 
     Raises:
         ConfigurationError: `initial` is not two finite numbers.
