@@ -33,8 +33,8 @@ from pydrake.systems.sensors import CameraInfo, ImageFileFormat, ImageIo, ImageR
 
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.files.whole import write_atomically
-from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot import RobotParameters
