@@ -11,7 +11,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensor_faults import check_other_leg
-from stewart_drake.robot import LEGS, SMALLEST
+from stewart_drake.leg import LEGS, SMALLEST
 from stewart_drake.section import Leg, Natural, NotNegative, Section
 
 MotorFaultKind = Literal["reversed", "swapped"]
