@@ -65,9 +65,9 @@ def plot_measured(
     transmission: np.ndarray,
     force: np.ndarray,
     scales: np.ndarray,
-    scale_errors: Mapping[str, np.ndarray],
+    scale_errors: Mapping[str, Sequence[float]],
     steps: np.ndarray,
-    step_errors: Mapping[str, np.ndarray],
+    step_errors: Mapping[str, Sequence[float]],
 ) -> Figure:
     """Rod force per torque in Drake's massless limit, and how that limit and the step to zero are approached.
 
@@ -143,7 +143,7 @@ def plot_tilt(angle: np.ndarray, errors: Mapping[str, np.ndarray], marked: float
     return figure
 
 
-def _curves(panel: Axes, x: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
+def _curves(panel: Axes, x: np.ndarray, curves: Mapping[str, Sequence[float]]) -> None:
     for (name, values), color, marker in zip(curves.items(), (BLUE, ORANGE, GREEN), "os^", strict=False):
         panel.loglog(x, values, marker=marker, markersize=4.0, color=color, linewidth=1.6, label=name)
     panel.invert_xaxis()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from stewart_drake.paper.tuner_comparison import Comparison
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, QUIET, TEXT, label, legend, panels
 
 _RATIO_COLORS = ("#08306B", "#2171B5", "#6BAED6", "#A6CEE3", "#D2E4F0")
@@ -26,24 +26,7 @@ _DIAMOND = {**_ALONE, "marker": "D", "markersize": 8.0, "markeredgewidth": 0.8, 
             "color": ORANGE, "zorder": 5.0}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class RankingRow:
-    """Pose RMSE [mm] on one trajectory; None where a run ended early.
-
-    Attributes:
-        name: Of the trajectory.
-        tuner: The network in the loop.
-        fixed: By ratio omega_Q / omega_R, the same ratios in every row.
-        mean: Of the nine pairs.
-    """
-
-    name: str
-    tuner: float | None
-    fixed: Mapping[float, float | None]
-    mean: float | None
-
-
-def plot_ranking(ranking: Sequence[RankingRow]) -> Figure:
+def plot_ranking(ranking: Sequence[Comparison]) -> Figure:
     """Pose RMSE on every trajectory: bars from the best to the worst of the nine, the five controllers, the tuner."""
     figure, ((panel,),) = panels(1, 1, 1.6 + 0.42 * len(ranking))
     rows = np.arange(len(ranking))[::-1]
@@ -56,7 +39,7 @@ def plot_ranking(ranking: Sequence[RankingRow]) -> Figure:
         for color, rmse in zip(_RATIO_COLORS, entry.fixed.values(), strict=True):
             if rmse is not None:
                 panel.plot(rmse, row, color=color, **_DOT)
-        for value, style in ((entry.mean, _TICK), (entry.tuner, _DIAMOND)):
+        for value, style in ((entry.mean_of_nine, _TICK), (entry.tuner, _DIAMOND)):
             if value is not None:
                 panel.plot(value, row, **style)
     _decades(panel, "x")
