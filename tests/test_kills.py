@@ -138,8 +138,11 @@ def results(folder):
     found = {
         name: path.read_bytes() for name, path in files.items() if name.partition("/")[0] not in ("rows.jsonl", "runs")
     }
+    found.pop("sweep.csv", None)  # the same with what is incidental
     if "sweep.parquet" in found:
-        found["sweep.parquet"] = pq.read_table(folder / "sweep.parquet").drop(list(INCIDENTAL)).to_pylist()
+        found["sweep.parquet"] = (
+            pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL]).to_pylist()
+        )
     return set(files), found
 
 

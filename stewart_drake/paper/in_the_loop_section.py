@@ -53,7 +53,7 @@ def under_tuner(study: Study, scenario: Scenario) -> Scenario:
     network = load_network(study.tuner_file)
     own = None if study.tuner_file == default_network_path() else str(study.tuner_file.absolute())
     tuner = AnnTuner(density=network.density, window=network.window, weights_file=own)
-    return scenario.replace({"tuner": tuner.model_dump()})
+    return scenario.replace({"tuner": tuner.to_dict()})
 
 
 def on_trajectory(scenario: Scenario, trajectory: Trajectory) -> Scenario:

@@ -87,7 +87,7 @@ def _inverse(robot: RobotParameters, samples: Sequence[PoseSample]) -> dict[str,
         for sample in samples:
             spans = drake.rod_spans(sample.poses, inverse_kinematics(on_branch, sample.poses))
             found[f"{sample.region.name} {branch:+d}"] = {
-                "rod_error": float(np.abs(spans - robot.rod_length).max()),
+                "rod_error": float(np.abs(spans - robot.rod_lengths).max()),
                 "gap": float(drake.loop_gaps(sample.poses).max()),
             }
     return found

@@ -16,12 +16,12 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.files.named_files import file_digests, take_code_along
 from stewart_drake.files.whole import read_checked, sync_folder, write_atomically
+from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import UNFINISHED, SimulationLog
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.files.named_files import file_digests, take_code_along
 from stewart_drake.scenario import Scenario
-from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 
 SPACE = 50_000_000
 """[byte] that a command asks for before it begins."""

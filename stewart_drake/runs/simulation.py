@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorStatus
@@ -16,7 +16,8 @@ from pydrake.systems.framework import Context
 from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.control.inputs import checked_legs
-from stewart_drake.systems.diagram import ClosedLoop, require_scenario
+from stewart_drake.control.user_controller import user_code
+from stewart_drake.control.user_errors import ControllerStop
 from stewart_drake.errors import (
     ConfigurationError,
     RunFailure,
@@ -26,21 +27,18 @@ from stewart_drake.errors import (
     drake_guard,
     raised_at,
 )
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows, RowsInMemory
-from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.runs.motion_fit import motion_report
-from stewart_drake.files.named_files import file_digests
 from stewart_drake.logs.outcomes import find_warnings, judge
+from stewart_drake.logs.tally import Tally
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import on_grid, steps_per, times_of
 from stewart_drake.scenario import Scenario
-from stewart_drake.logs.tally import Tally
-from stewart_drake.control.user_controller import PythonOptions, user_code
-from stewart_drake.control.user_errors import ControllerStop
-from stewart_drake.logs.versions import collect_versions
+from stewart_drake.systems.diagram import ClosedLoop, require_scenario
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -100,6 +98,17 @@ def run(
     files = file_digests(scenario.to_dict())
     # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
     loop = ClosedLoop(scenario, meshcat, scenario.plant.time_step)
+    try:
+        return _run_loop(loop, rows, files, progress)
+    finally:
+        _release(loop)
+
+
+def _run_loop(
+    loop: ClosedLoop, rows: LogRows, files: Mapping[str, str | None], progress: Callable[[float], None] | None
+) -> SimulationLog:
+    """Runs a loop from its start; see `run`."""
+    scenario = loop.scenario
     _compile(loop)
     with drake_guard("preparing the simulator"), user_code(scenario.controller):
         simulator = Simulator(loop, loop.create_start_context())
@@ -167,6 +176,23 @@ def run(
     return rows.end(log)
 
 
+_PEERS = "_pydrake_internal_ref_cycle_peers"
+
+
+def _release(loop: ClosedLoop) -> None:
+    """Lets go of a loop that nobody will use again, which Python's garbage collector would keep for ever.
+
+    pydrake ties systems, ports and diagrams together in cycles. Where a system is written in Python, CPython visits the
+    dictionary of its attributes twice, once for each base, and takes the cycle for one that is held from outside: each
+    run would leave its diagram, some megabytes, behind.
+    """
+    waiting: list[Any] = [loop]
+    while waiting:
+        peers: set[Any] = getattr(waiting.pop(), _PEERS, set())
+        waiting.extend(peers)
+        peers.clear()
+
+
 class _Recorder:
     """Empties a loop's sinks: every row into the tally, those of the log period into the log.
 
@@ -223,8 +249,7 @@ def _compile(loop: ClosedLoop) -> None:
 
     It takes half a minute on a new machine, and is no part of what the run costs.
     """
-    options = loop.scenario.controller
-    if not options.compiled or isinstance(options, PythonOptions):
+    if not loop.scenario.compiled or loop.scenario.controller.code is not None:
         return
     # What is wrong with the first tick shows in the run itself, with a log.
     with suppress(StewartDrakeError), drake_guard("compiling"), _quiet():
@@ -247,8 +272,7 @@ def check_scenario(scenario: Scenario) -> None:
             _check_safety(scenario, scenario.safety)
     with _quiet():
         try:
-            near = LqiOptions() if isinstance(scenario.controller, PythonOptions) else scenario.controller
-            checked_legs(scenario.robot, near, scenario.start()[0])
+            checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])
         except RunFailure as failure:
             key, value = "reference", scenario.start()[0].tolist()
             if any(scenario.initial_offset):
@@ -321,7 +345,7 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
         signals["disturbance"] = values["disturbance"]
     if "safety" in values:
         signals["safety"] = values["safety"]
-    if isinstance(scenario.sensors, EncoderOptions) or scenario.sensors.faults:
+    if not scenario.sensors.exact:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
     return {name: signals[name] for name in SIGNALS if name in signals}

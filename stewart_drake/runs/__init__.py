@@ -1,0 +1,1 @@
+"""One run: simulation, log, metrics, results folder, replay."""
