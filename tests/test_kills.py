@@ -85,7 +85,7 @@ def module(key):
 reproduce.SECTIONS = ("tiny_a", "tiny_b")
 reproduce.check_base = lambda base: None
 for key in reproduce.SECTIONS:
-    sys.modules[f"{{reproduce.__package__}}.{{key}}"] = module(key)
+    sys.modules[f"{{reproduce.__package__}}.{{key}}_section"] = module(key)
 {MAIN}
 """
 CAMPAIGNS = {
@@ -139,8 +139,11 @@ def results(folder):
     found = {
         name: path.read_bytes() for name, path in files.items() if name.partition("/")[0] not in ("rows.jsonl", "runs")
     }
+    found.pop("sweep.csv", None)  # the same with what is incidental
     if "sweep.parquet" in found:
-        found["sweep.parquet"] = pq.read_table(folder / "sweep.parquet").drop(list(INCIDENTAL)).to_pylist()
+        found["sweep.parquet"] = (
+            pq.read_table(folder / "sweep.parquet").drop([column.name for column in INCIDENTAL]).to_pylist()
+        )
     return set(files), found
 
 

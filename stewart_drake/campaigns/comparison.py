@@ -20,15 +20,13 @@ from stewart_drake.campaigns.comparison_table import (
     order,
     sheets,
     table_rows,
-    to_arrow,
-    to_csv,
 )
 from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.one_run import Row, RunFunction, simulate
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.run_store import weights_text
 from stewart_drake.campaigns.sweep import run_plan
-from stewart_drake.campaigns.sweep_table import to_parquet
+from stewart_drake.campaigns.tables import VERSION, to_arrow, write_table
 from stewart_drake.control.user_controller import PythonOptions, load_class
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import locked_folder, write_atomically
@@ -96,17 +94,17 @@ def run_comparison(
     with RowStore(folder, _identity(comparison, versions), restart, PRODUCTS) as store:
         done = run_plan(comparison, store, where, progress, function)
         rows, bands = table_rows(comparison, done), band_rows(comparison, done)
+        about = {"comparison": comparison.to_dict(), "versions": dict(versions)}
         result = ComparisonResult(
-            to_arrow(comparison, rows, COLUMNS, versions),
-            to_arrow(comparison, bands, BANDS, versions),
+            to_arrow(COLUMNS, rows, "comparison", about),
+            to_arrow(BANDS, bands, "comparison", about),
             rows,
             bands,
             sheets(comparison, rows, bands),
         )
         for name, table in (("comparison", result.table), ("bands", result.bands)):
             if table.num_rows:
-                write_atomically(folder / f"{name}.parquet", to_parquet(table))
-                write_atomically(folder / f"{name}.csv", to_csv(table))
+                write_table(table, folder, name)
         text = "\n".join(sheet.markdown() for sheet in result.sheets)
         write_atomically(folder / "comparison.md", text.encode())
     return result
@@ -155,6 +153,7 @@ def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dic
     data = comparison.to_dict()
     return {
         **data,
+        "columns": VERSION,
         "weights": sorted(texts),
         "files": file_digests(data),
         "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},

@@ -7,49 +7,31 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.one_run import measure
+from stewart_drake.campaigns.one_run import Row, measure, outcome
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import (
-    error_norms,
-    rms,
-    second_half,
-    settling_time,
-    sine_response,
-    torque_change_rms,
-    worst_half_rms,
-)
+from stewart_drake.logs.metrics import error_norms, settling_time, sine_response
 
 TRACE_POINTS = 240
 """Of the error over time that is kept; each the largest error of its share of the run."""
 
 
-def measure_run(log: SimulationLog, band: float) -> dict[str, Any]:
-    """Figures of a run: those of every sweep, and see `table.COLUMNS`.
+def measure_run(log: SimulationLog, band: float) -> Row:
+    """Figures of a run: those of every sweep, and see `comparison_table.COLUMNS`.
 
     Args:
         log: The run.
         band: [mm] of pose error within which it counts as settled.
     """
     rotation, position = error_norms(log)
-    length = log.scenario.robot.characteristic_length
-    pose = np.hypot(1e3 * length * np.radians(rotation), position)
-    late = second_half(log)
+    pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
     return {
         **measure(log),
-        "pose_rmse_mm": rms(pose[late]),
-        "worst_half_rmse_deg": worst_half_rms(log.time, rotation, log.scenario.duration),
-        "worst_half_rmse_mm": worst_half_rms(log.time, position, log.scenario.duration),
         "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
-        "torque_rms": rms(log["torque_applied"][late]),
-        "torque_change_rms": torque_change_rms(log, late),
-        "trace": {
-            "time": _thinned(log.time, np.max),
-            "pose_mm": _thinned(pose, np.max),
-        },
+        "trace": {"time": _thinned(log.time, np.max), "pose_mm": _thinned(pose, np.max)},
     }
 
 
-def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> dict[str, Any]:
+def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
     """Amplitude ratio and phase over the end of a run.
 
     Args:
@@ -58,8 +40,7 @@ def measure_band(log: SimulationLog, frequency: float, axis: int, window: float)
         axis: 0..5.
         window: [s] of the end; whole periods.
     """
-    empty: dict[str, Any] = dict.fromkeys(("ratio", "phase_deg", "rest"))
-    row = {"end_time": log.end_time, "leg": log.leg, **empty}
+    row = outcome(log) | dict.fromkeys(("ratio", "phase_deg", "rest"))
     if not log.reached_end:
         return row
     rows = log.time > log.time[-1] - window + 1e-9

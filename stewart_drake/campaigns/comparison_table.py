@@ -2,75 +2,45 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stewart_drake.campaigns.comparison_file import Comparison
 from stewart_drake.campaigns.one_run import Row, not_finite
-from stewart_drake.campaigns.sweep_table import NOT_FINITE_COLUMN
+from stewart_drake.campaigns.tables import markdown
+from stewart_drake.logs.metric_table import OUTCOME, Column
+from stewart_drake.logs.metric_table import columns as run_columns
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-FORMAT_KEY = b"stewart_drake.comparison"
 SMALLEST = 1e-5
 """What is smaller is not written out."""
-VERSION = 1
-
 _LATE = "over the second half of the planned duration"
 
-NAMES: Mapping[str, tuple[str, str, str]] = {
-    "controller": ("text", "", "its name"),
-    "chosen": ("text", "", "of a best of several: which it is here"),
-    "reference": ("text", "", "its name; of a band, the axis"),
-    "condition": ("text", "", "its name"),
-    "seed": ("whole", "", "what {seed} stood for"),
-    "status": ("text", "", "completed, stopped, lost, failed, rejected, raised or crashed, as in a sweep"),
-    "reason": ("text", "", "stable name of what happened, null for completed"),
-    "message": ("text", "", "one line on it"),
-    "outcome_time": ("number", "s", "when that was decided, null for completed"),
-    "safety": ("text", "", "monitor of the safety layer that tripped first, null for none"),
-    "warnings": ("text", "", "names of the warnings, null for none"),
-    "end_time": ("number", "s", "simulated time reached"),
-    "leg": ("whole", "", "leg 0..5 to which a failure belongs"),
-    "not_finite": NOT_FINITE_COLUMN,
-}
-"""First columns of both tables: name -> (kind, unit, explanation)."""
+NAMES = (
+    Column("controller", "", "its name", "text"),
+    Column("chosen", "", "of a best of several: which it is here", "text"),
+    Column("reference", "", "its name; of a band, the axis", "text"),
+    Column("condition", "", "its name", "text"),
+    Column("seed", "", "what {seed} stood for", "whole"),
+)
+"""First columns of both tables."""
 
-COLUMNS: Mapping[str, tuple[str, str, str]] = {
-    **NAMES,
-    "rmse_deg": ("number", "deg", f"RMS length of the roll, pitch, yaw error, {_LATE}"),
-    "rmse_mm": ("number", "mm", f"RMS length of the position error, {_LATE}"),
-    "worst_half_rmse_deg": ("number", "deg", "the larger of both halves' RMS"),
-    "worst_half_rmse_mm": ("number", "mm", "the larger of both halves' RMS"),
-    "peak_deg": ("number", "deg", f"largest length of the roll, pitch, yaw error, {_LATE}"),
-    "peak_mm": ("number", "mm", f"largest length of the position error, {_LATE}"),
-    "pose_rmse_mm": ("number", "mm", f"RMS of both together, rotations times the characteristic length, {_LATE}"),
-    "settling_s": ("number", "s", "after which the pose error stays within the comparison's band; null: it does not"),
-    "torque_rms": ("number", "N m", f"of all motors, within their limits, {_LATE}"),
-    "torque_change_rms": ("number", "N m", f"of the torque asked for, from tick to tick, {_LATE}"),
-    "torque_peak": ("number", "N m", "of all motors, within their limits, over the whole run"),
-    "saturated_fraction": ("number", "1", "share of torques at the limit, of ticks and motors"),
-    "loop_gap_max_m": ("number", "m", "largest distance from a rod end to its platform joint"),
-    "finite": ("flag", "", "every number of the log is finite"),
-}
+SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: it does not")
+COLUMNS = (*NAMES, *run_columns(), SETTLING)
 """Columns of the table."""
 
-BANDS: Mapping[str, tuple[str, str, str]] = {
-    **NAMES,
-    "frequency_hz": ("number", "Hz", "of the sine that is tracked"),
-    "amplitude": ("number", "rad or m", "of that sine"),
-    "ratio": ("number", "1", "amplitude of the pose over that of the reference"),
-    "phase_deg": ("number", "deg", "of the pose to the reference, negative for a lag"),
-    "rest": ("number", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
-}
+BANDS = (
+    *NAMES,
+    *OUTCOME,
+    Column("frequency_hz", "Hz", "of the sine that is tracked"),
+    Column("amplitude", "rad or m", "of that sine"),
+    Column("ratio", "1", "amplitude of the pose over that of the reference"),
+    Column("phase_deg", "deg", "of the pose to the reference, negative for a lag"),
+    Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
+)
 """Columns of the table of bands."""
 
 
@@ -91,9 +61,8 @@ class Sheet:
     brief: tuple[int, ...]
 
     def markdown(self) -> str:
-        """The table as GitHub shows it; names to the left, the rest to the right."""
-        lines = [f"**{self.title}**", "", f"| {' | '.join(self.header)} |", f"|{'---|' * len(self.header)}"]
-        return "\n".join(lines + [f"| {' | '.join(row)} |" for row in self.rows]) + "\n"
+        """The table as GitHub shows it."""
+        return "\n".join([f"**{self.title}**", "", *markdown(self.header, self.rows)]) + "\n"
 
 
 def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
@@ -132,36 +101,6 @@ def band_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
         if cell.frequency is not None:
             flat.append({**_flat(comparison, row), "frequency_hz": cell.frequency, "amplitude": cell.amplitude})
     return flat
-
-
-def to_arrow(
-    comparison: Comparison,
-    rows: Sequence[Row],
-    columns: Mapping[str, tuple[str, str, str]],
-    versions: Mapping[str, str | None],
-) -> pa.Table:
-    """A table with unit and explanation in each field's metadata, the comparison in the table's.
-
-    Nothing in it depends on where, when or with how many workers it was made.
-    """
-    import pyarrow as pa
-
-    types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string()}
-    fields, arrays = [], []
-    for name, (kind, unit, text) in columns.items():
-        fields.append(pa.field(name, types[kind], metadata={"unit": unit, "text": text}))
-        arrays.append(pa.array([row.get(name) for row in rows], type=types[kind]))
-    about = {"version": VERSION, "comparison": comparison.to_dict(), "versions": dict(versions)}
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={FORMAT_KEY: json.dumps(about).encode()}))
-
-
-def to_csv(table: pa.Table) -> bytes:
-    """The table as a CSV file, without its metadata."""
-    from pyarrow import csv
-
-    stream = io.BytesIO()
-    csv.write_csv(table, stream)
-    return stream.getvalue()
 
 
 def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) -> list[Sheet]:
@@ -247,20 +186,21 @@ def number(value: float | None) -> str:
     return format(Decimal(f"{value:.2e}"), "f")
 
 
-_LIST: Sequence[tuple[str, str, Callable[[float | None], str]]] = (
-    ("RMSE [deg]", "rmse_deg", number),
-    ("RMSE [mm]", "rmse_mm", number),
-    ("worst half [mm]", "worst_half_rmse_mm", number),
-    ("peak [mm]", "peak_mm", number),
+_Show = Callable[[float | None], str]
+_LIST: Sequence[tuple[str, str, _Show]] = (
+    ("RMSE [deg]", "rmse_norm_deg", number),
+    ("RMSE [mm]", "rmse_norm_mm", number),
+    ("worst half [mm]", "worst_half_rmse_norm_mm", number),
+    ("peak [mm]", "peak_norm_mm", number),
     ("settled [s]", "settling_s", lambda value: _text(value, ".2f")),
-    ("torque RMS [N m]", "torque_rms", lambda value: _text(value, ".3f")),
+    ("torque RMS [N m]", "torque_rms_second_half", lambda value: _text(value, ".3f")),
     ("change per tick [N m]", "torque_change_rms", number),
     ("at the limit", "saturated_fraction", lambda value: _text(value, ".1%")),
 )
+"""Heading, column and form of what the list shows of a run."""
 
 
 def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
-    columns = [(name, n) for n, name in enumerate(("controller", "motion", "condition"))]
     lines = []
     for key, group in groups.items():
         failure = _failure(group)
@@ -269,9 +209,8 @@ def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence
             figures = [failure] + (figures[1:] if _only_lost(group) else ["-"] * (len(_LIST) - 1))
         lines.append((key[0] + _chosen(group), *key[1:], *figures))
     title = f"{comparison.name}: RMSE and peak of the length of the error, {_LATE}"
-    return Sheet(
-        title, (*(name for name, _ in columns), *(name for name, _, _ in _LIST)), tuple(lines), (0, 1, 2, 3, 4, 8)
-    )
+    header = ("controller", "motion", "condition", *(heading for heading, _, _ in _LIST))
+    return Sheet(title, header, tuple(lines), (0, 1, 2, 3, 4, 8))
 
 
 def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
@@ -288,7 +227,7 @@ def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
                     line.append("")
                     continue
                 all_of += list(group)
-                rotation, position = number(_worst(group, "rmse_deg")), number(_worst(group, "rmse_mm"))
+                rotation, position = number(_worst(group, "rmse_norm_deg")), number(_worst(group, "rmse_norm_mm"))
                 failure, figures = _failure(group), f"{rotation}° {position} mm{_chosen(group)}"
                 line.append(
                     failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
@@ -298,7 +237,7 @@ def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
             line.append(
                 "-" if None in settling or not done else f"{max(float(value or 0.0) for value in settling):.2f}"
             )
-            line.append(number(_worst(done, "torque_rms")) if done else "-")
+            line.append(number(_worst(done, "torque_rms_second_half")) if done else "-")
             line.append(number(_worst(done, "torque_change_rms")) if done else "-")
             line.append(_text(_worst(done, "saturated_fraction"), ".1%") if done else "-")
             line.append(f"{len(all_of) - len(done)} of {len(all_of)}")

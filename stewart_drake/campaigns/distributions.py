@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, cast
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.logs.metric_table import Kind
 from stewart_drake.section import SECTION, Count, Flag, Real
 from stewart_drake.wording import explain
 
@@ -22,7 +23,6 @@ _LOWEST = 2.0**-54
 
 Bound = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 Whole = Annotated[Count, Field(ge=-(2**53), le=2**53)]
-Column = Literal["number", "whole", "flag", "text", "json"]
 
 
 class _Distribution(BaseModel):
@@ -32,7 +32,7 @@ class _Distribution(BaseModel):
     """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
     where it is a list."""
 
-    column: ClassVar[Column] = "number"
+    column: ClassVar[Kind] = "number"
 
     @abstractmethod
     def at(self, quantile: float) -> Any:
@@ -125,7 +125,7 @@ class Integers(_Distribution):
     low: Whole
     high: Whole
 
-    column: ClassVar[Column] = "whole"
+    column: ClassVar[Kind] = "whole"
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -199,7 +199,7 @@ def parse_distribution(key: str, data: Any) -> Distribution:
         raise ConfigurationError(f"{key}.{error.key}", error.value, error.allowed) from None
 
 
-def column_of(distribution: Distribution) -> Column:
+def column_of(distribution: Distribution) -> Kind:
     """What a column must be to hold the values of a distribution as they are."""
     if not isinstance(distribution, Choice):
         return distribution.column

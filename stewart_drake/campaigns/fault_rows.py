@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -13,61 +13,48 @@ from stewart_drake.campaigns.fault_catalogue import FAULTS
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metric_table import Column, Kind
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix, twist_jacobian
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario
 
 
+def _column(unit: str, text: str, kind: Kind = "number", **default: Any) -> Any:
+    return field(metadata={"unit": unit, "text": text, "kind": kind}, **({"default": None} | default))
+
+
 @dataclass(frozen=True)
 class FaultRow:
-    """A row.
+    """A row; see `COLUMNS` for what each column says."""
 
-    Attributes:
-        fault: Name in `catalogue.FAULTS`.
-        motion: Name in `fault.MOTIONS`.
-        reaction: See `fault.Reaction`; `broke` where the run ended without the safety layer.
-        monitor: That tripped first, or None.
-        cause: Of the trip, where an estimator or controller failed.
-        leg: Of the trip, or None.
-        latency_ms: [ms] from the fault to the trip, or None.
-        status: Of the run.
-        reason: Of its end, or None.
-        end_time: [s] or None.
-        peak_error_deg: [deg] largest angle from the reference after the fault, while the controller was in charge.
-        peak_error_mm: [mm] largest distance likewise.
-        travel_deg: [deg] largest angle turned after the layer took over, or None.
-        travel_mm: [mm] largest distance moved likewise.
-        peak_torque: [N m] largest torque given to a motor after the fault, within its limit.
-        holds_weight: Whether the motors that are left carry the robot's weight at rest, or None without a dead motor.
-        support_newton: [N] smallest outside force with which they would.
-        force_newton: [N] largest outside force that they hold; None where not even the weight.
-        moment_newton_metre: [N m] likewise.
-        message: One line, or None.
-        warnings: Names of the run's warnings, or None.
-    """
-
-    fault: str
-    motion: str
-    reaction: str
-    monitor: str | None = None
-    cause: str | None = None
-    leg: int | None = None
-    latency_ms: float | None = None
-    status: str | None = None
-    reason: str | None = None
-    end_time: float | None = None
-    peak_error_deg: float | None = None
-    peak_error_mm: float | None = None
-    travel_deg: float | None = None
-    travel_mm: float | None = None
-    peak_torque: float | None = None
-    holds_weight: bool | None = None
-    support_newton: float | None = None
-    force_newton: float | None = None
-    moment_newton_metre: float | None = None
-    message: str | None = None
-    warnings: str | None = None
+    fault: str = _column("", "name in fault_catalogue.FAULTS", "text", default=MISSING)
+    motion: str = _column("", "name in fault.MOTIONS", "text", default=MISSING)
+    reaction: str = _column(
+        "", "see fault.Reaction; broke where the run ended without the safety layer", "text", default=MISSING
+    )
+    safety_monitor: str | None = _column("", "monitor that tripped first, null for none", "text")
+    safety_cause: str | None = _column("", "of the trip, where an estimator or controller failed", "text")
+    safety_leg: int | None = _column("", "leg 0..5 to which the trip belongs", "whole")
+    latency_ms: float | None = _column("ms", "from the fault to the trip")
+    status: str | None = _column("", "of the run", "text")
+    reason: str | None = _column("", "stable name of what ended it", "text")
+    end_time: float | None = _column("s", "simulated time reached")
+    peak_error_deg: float | None = _column(
+        "deg", "largest angle from the reference after the fault, while the controller was in charge"
+    )
+    peak_error_mm: float | None = _column("mm", "largest distance likewise")
+    travel_deg: float | None = _column("deg", "largest angle turned after the safety layer took over")
+    travel_mm: float | None = _column("mm", "largest distance moved likewise")
+    peak_torque: float | None = _column("N m", "largest torque given to a motor after the fault, within its limit")
+    holds_weight: bool | None = _column(
+        "", "whether the motors that are left carry the robot's weight at rest; null without a dead motor", "flag"
+    )
+    support_newton: float | None = _column("N", "smallest outside force with which they would")
+    force_newton: float | None = _column("N", "largest outside force that they hold; null where not even the weight")
+    moment_newton_metre: float | None = _column("N m", "largest outside moment likewise")
+    message: str | None = _column("", "one line on it", "text")
+    warnings: str | None = _column("", "names of the warnings, null for none", "text")
 
     def plain(self) -> dict[str, Any]:
         """Column -> value."""
@@ -76,8 +63,11 @@ class FaultRow:
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> FaultRow:
         """Inverse of `plain`; other keys are left aside."""
-        return cls(**{field.name: values[field.name] for field in fields(cls)})
+        return cls(**{each.name: values[each.name] for each in fields(cls)})
 
+
+COLUMNS = tuple(Column(each.name, **each.metadata) for each in fields(FaultRow))
+"""Columns of the table."""
 
 _WORST: dict[str, Reaction] = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 
@@ -136,9 +126,9 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         fault.name,
         motion,
         reaction,
-        monitor=None if trip is None else trip["monitor"],
-        cause=None if trip is None else trip["cause"],
-        leg=None if trip is None else trip["leg"],
+        safety_monitor=None if trip is None else trip["monitor"],
+        safety_cause=None if trip is None else trip["cause"],
+        safety_leg=None if trip is None else trip["leg"],
         latency_ms=None if trip is None else 1e3 * (trip["time"] - fault.since),
         status=log.status,
         reason=log.reason,

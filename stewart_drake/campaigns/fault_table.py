@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass
@@ -13,10 +12,11 @@ from typing import Any
 from stewart_drake.campaigns.executors import LocalProcesses
 from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_catalogue import FAULTS
-from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, named_row
+from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
 from stewart_drake.campaigns.one_run import Row
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.run_store import WORKER_GONE
+from stewart_drake.campaigns.tables import VERSION, markdown, to_arrow, write_table
 from stewart_drake.errors import StewartDrakeError
 from stewart_drake.files.whole import plain_json, write_atomically
 from stewart_drake.logs.versions import collect_versions
@@ -77,7 +77,8 @@ def make_table(
             if progress is not None:
                 progress(float(len(done)))
         rows = tuple(FaultRow.from_plain(done[index]) for index in wanted)
-        write_atomically(parquet, _parquet(rows))
+        table = to_arrow(COLUMNS, [row.plain() for row in rows], "faults", {"versions": collect_versions()})
+        write_table(table, folder, "faults")
         write_atomically(markdown, markdown_table(rows).encode())
     return FaultTable(rows, parquet, markdown)
 
@@ -115,6 +116,7 @@ def _identity() -> dict[str, Any]:
     """What the rows depend on."""
     versions = collect_versions()
     return {
+        "columns": VERSION,
         "faults": hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24],
         "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
     }
@@ -155,7 +157,7 @@ def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
         for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
             values = [value for row in mine if (value := getattr(row, figure)) is not None]
             figures.append(f"{max(values):.2f}" if values else "-")
-        words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "monitor"))
+        words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
         told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
         lines.append((name, *told, "-".join(ends), *figures))
     return lines
@@ -187,9 +189,7 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "Peak error: how far the true pose was from the reference while the controller was in charge. Travel: how far",
         "it went after the safety layer took over. The worst of the motions counts.",
         "",
-        "| " + " | ".join(HEADERS) + " |",
-        "|" + " --- |" * len(HEADERS),
-        *("| " + " | ".join(line) + " |" for line in short_rows(rows)),
+        *markdown(HEADERS, short_rows(rows)),
         "",
         "With a dead motor, the wrench that the other five hold at rest:",
         "",
@@ -213,12 +213,12 @@ def _told(fault: Fault) -> str:
 def _end(row: FaultRow) -> str:
     status = "" if row.status is None else f": {row.status}"
     status += "" if row.warnings is None else f", {row.warnings.replace('_', ' ')}"
-    if row.monitor is None or row.latency_ms is None:
+    if row.safety_monitor is None or row.latency_ms is None:
         return f"{row.reaction}{status}"
-    leg = "" if row.leg is None else f", leg {row.leg}"
+    leg = "" if row.safety_leg is None else f", leg {row.safety_leg}"
     # What chance brings, such as ticks lost in a row, has a time but no latency.
     when = f", {row.latency_ms:.0f} ms" if _begins(row.fault) else ""
-    return f"{row.reaction} ({row.monitor}{when}{leg}){status}"
+    return f"{row.reaction} ({row.safety_monitor}{when}{leg}){status}"
 
 
 def _begins(name: str) -> bool:
@@ -233,19 +233,3 @@ def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
         if values:
             parts.append(f"{max(values):.2f} {units[name.rpartition('_')[2]]}")
     return ", ".join(parts) or "-"
-
-
-def _parquet(rows: Sequence[FaultRow]) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    kinds: dict[str, Any] = {"leg": pa.int64(), "holds_weight": pa.bool_()}
-    texts = ("fault", "motion", "reaction", "monitor", "cause", "status", "reason", "message", "warnings")
-    plain = [row.plain() for row in rows]
-    columns = list(plain[0])
-    schema = pa.schema(
-        [pa.field(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in columns]
-    )
-    stream = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist(plain, schema=schema), stream, compression="zstd")
-    return stream.getvalue()

@@ -15,6 +15,8 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs import versions
+from stewart_drake.logs.metric_table import flat
+from stewart_drake.logs.metrics import run_metrics
 
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
@@ -106,7 +108,10 @@ def execute(function: RunFunction, task: Task) -> Row:
     """
     warm_up(task.source)
     start = time.perf_counter()
-    row = plain_json(_outcome(function, task))
+    found = _outcome(function, task)
+    named = found.pop(NOT_FINITE, {})
+    row = plain_json(found)
+    row[NOT_FINITE] = {**named, **row.get(NOT_FINITE, {})}
     return {**row, "wall_s": time.perf_counter() - start, "host": socket.gethostname(), "worker": os.getpid()}
 
 
@@ -124,46 +129,28 @@ def empty_row(task: Task, status: str, reason: str | None, message: str | None) 
 
 
 def not_finite(row: Mapping[str, Any]) -> str | None:
-    """Which figures of a row are null because they are no finite numbers, and what they are; None for none."""
+    """Which columns of a row are null because they are no finite numbers, and what they are; None for none."""
     found = {name: value for name, value in row.get(NOT_FINITE, {}).items() if "." not in name}
     return ", ".join(f"{name} {value}" for name, value in found.items()) or None
 
 
-_FROM_METRICS = (
-    "outcome_time", "end_time", "leg", "error_max_deg", "error_max_mm", "motion_ratio", "torque_rms", "torque_peak",
-    "saturated_fraction", "loop_gap_max_m", "omega_ratio", "finite",
-)  # fmt: skip
-"""Keys of `run_metrics` that are figures of a row under the same name."""
+def outcome(log: SimulationLog) -> Row:
+    """How a run ended, see `metric_table.OUTCOME`, but for status, reason and message."""
+    safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
+    return {
+        "outcome_time": log.outcome_time,
+        "safety_monitor": safety["monitor"],
+        "safety_time": safety["time"],
+        "safety_level": safety["worst"],
+        "warnings": ", ".join(warning["name"] for warning in log.warnings) or None,
+        "end_time": log.end_time,
+        "leg": log.leg,
+    }
 
 
-def measure(log: SimulationLog) -> dict[str, Any]:
-    """Figures of a run, flat; see `table.OUTCOME` for what each is."""
-    from stewart_drake.logs.metrics import run_metrics
-
-    metrics = run_metrics(log)
-    row: dict[str, Any] = {name: metrics[name] for name in _FROM_METRICS} | {"simulation_s": log.wall_time}
-    safety = metrics["safety"] or dict.fromkeys(("monitor", "time", "worst"))
-    row |= {"safety": safety["monitor"], "safety_time": safety["time"], "safety_level": safety["worst"]}
-    row["warnings"] = ", ".join(warning["name"] for warning in metrics["warnings"]) or None
-    for figure in ("rmse", "peak"):
-        for unit, axes in (("deg", ("roll", "pitch", "yaw")), ("mm", ("x", "y", "z"))):
-            values = metrics[f"{figure}_{unit}"] or (None, None, None)
-            row |= {f"{figure}_{axis}_{unit}": value for axis, value in zip(axes, values, strict=True)}
-            row[f"{figure}_{unit}"] = metrics[f"{figure}_norm_{unit}"]
-    return {**row, NOT_FINITE: _flat_names(metrics[NOT_FINITE])}
-
-
-def _flat_names(found: Mapping[str, str]) -> dict[str, str]:
-    """Names of figures as a row has them: `rmse_mm.2` is rmse_z_mm, and `rmse_norm_mm` rmse_mm."""
-    axes = {"deg": ("roll", "pitch", "yaw"), "mm": ("x", "y", "z")}
-    names = {}
-    for name, value in found.items():
-        key, _, index = name.partition(".")
-        figure, _, unit = key.rpartition("_")
-        if index and unit in axes:
-            key = f"{figure}_{axes[unit][int(index)]}_{unit}"
-        names[key.replace("_norm_", "_")] = value
-    return names
+def measure(log: SimulationLog) -> Row:
+    """How a run ended, and its metrics by column."""
+    return {**outcome(log), **flat(run_metrics(log)), "simulation_s": log.wall_time}
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:

@@ -17,7 +17,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder, read_checked, seal, unseal, write_atomically
 from stewart_drake.runs.outputs import prepare_folder
 
-ROWS, HEADER, TABLE = "rows.jsonl", "sweep.json", "sweep.parquet"
+ROWS, HEADER = "rows.jsonl", "sweep.json"
+TABLES = ("sweep.parquet", "sweep.csv")
 CAMPAIGN = "campaign"
 """Key of a kept row: checksum of the identity that it belongs to."""
 
@@ -43,7 +44,7 @@ class RowStore:
     """
 
     def __init__(
-        self, folder: Path, identity: Mapping[str, Any], restart: bool = False, products: Sequence[str] = (TABLE,)
+        self, folder: Path, identity: Mapping[str, Any], restart: bool = False, products: Sequence[str] = TABLES
     ) -> None:
         self.folder, self._identity, self._restart = folder, json.loads(json.dumps(identity)), restart
         self._campaign, self._products = checksum(self._identity), products
@@ -122,6 +123,9 @@ class RowStore:
         """In words, what tells the folder from one of this identity; empty where nothing does."""
         if kept is not None:
             names = _unequal(kept, self._identity)
+            versions = [name for name in names if name == "columns" or name.startswith("versions.")]
+            if versions:
+                return f"it was made by another version ({', '.join(versions)})"
             return f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
         campaigns = {str(line.get(CAMPAIGN)) for line in self._lines()}
         there = [name for name in self._products if os.path.lexists(self.folder / name)]

@@ -24,13 +24,14 @@ from stewart_drake.campaigns.one_run import (
     simulate_figures,
     warm_up,
 )
-from stewart_drake.campaigns.row_store import TABLE, RowStore
+from stewart_drake.campaigns.row_store import TABLES, RowStore
 from stewart_drake.campaigns.run_store import weights_text
 from stewart_drake.campaigns.sweep_file import Sweep, vary
-from stewart_drake.campaigns.sweep_table import BEFORE, INCIDENTAL, OUTCOME, to_arrow, to_parquet, varied_columns
+from stewart_drake.campaigns.sweep_table import BEFORE, INCIDENTAL, sweep_table, varied_columns
+from stewart_drake.campaigns.tables import VERSION, write_table
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import AnnTuner, Scenario
 
@@ -139,16 +140,17 @@ def run_sweep(
         StewartDrakeError: There are no workers (any more); rows done are kept.
         KeyboardInterrupt: Rows done are kept.
     """
-    fixed = {*BEFORE, *OUTCOME, *INCIDENTAL}
-    for name in varied_columns(sweep):
-        if name in fixed:
-            raise ConfigurationError(f"distributions.{name}", name, "a key that is no column of the table already")
+    fixed = {column.name for column in (*BEFORE, *run_columns(), *INCIDENTAL)}
+    for column in varied_columns(sweep):
+        if column.name in fixed:
+            allowed = "a key that is no column of the table already"
+            raise ConfigurationError(f"distributions.{column.name}", column.name, allowed)
     versions = collect_versions()
     with RowStore(folder, _identity(sweep, versions), restart) as store:
         rows = run_plan(sweep, store, where, progress, function)
-        table = to_arrow(sweep, rows, versions)
-        write_atomically(folder / TABLE, to_parquet(table))
-    return SweepResult(table, rows, folder / TABLE)
+        table = sweep_table(sweep, rows, versions)
+        write_table(table, folder, "sweep")
+    return SweepResult(table, rows, folder / TABLES[0])
 
 
 class _Job:
@@ -333,6 +335,7 @@ def _identity(sweep: Sweep, versions: Mapping[str, str | None]) -> dict[str, Any
     texts = sorted({weights_text(tuner) for tuner in tuners if isinstance(tuner, AnnTuner)})
     return {
         **data,
+        "columns": VERSION,
         "files": file_digests(data),
         "weights": [hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts],
         "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},

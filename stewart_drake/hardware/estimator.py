@@ -159,7 +159,7 @@ def estimate(
         difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
         rate = rate + options.smoothing(period) * (difference - rate)
     try:
-        twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
+        twist = np.linalg.solve(lines, robot.crank_lengths * legs.transmission * rate)
     except np.linalg.LinAlgError:
         raise SingularPoseError("parallel", pose, 0.0, 0.0) from None
     return np.concatenate([pose, twist_to_pose_rate(pose, twist), angles, rate, [0.0, sign, 1.0]])

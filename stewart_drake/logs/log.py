@@ -111,7 +111,7 @@ def _state_column(name: str) -> tuple[str, str, str]:
     return unit, "rod in crank, from home", "angle or speed of the joint between crank and rod"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulationLog:
     """Signals of one run and how it ended.
 
@@ -197,19 +197,56 @@ class SimulationLog:
         ]
         return pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=pa.schema(fields))
 
+    def __repr__(self) -> str:
+        """Whose run it is, how it ended and what is in it, in five lines."""
+        ended = self.status if self.reason is None else f"{self.status}, {self.reason}"
+        tick, row = self.scenario.controller.period, self.scenario.effective_log_period
+        return (
+            f"SimulationLog of {self.scenario.name}: {ended} at t = {self.end_time:.3f} s\n"
+            f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s\n"
+            f"  {len(self.signals.get('time', ()))} rows, every {row:g} s\n"
+            f"  signals: {', '.join(self.signals)}\n"
+            f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}"
+        )
+
+    def to_pandas(self) -> Any:
+        """The signals as a pandas.DataFrame, a column per component.
+
+        Raises:
+            ConfigurationError: pandas is not installed.
+        """
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            allowed = "an installation with pandas: pip install pandas; table() gives the same as an Arrow table"
+            raise ConfigurationError("to_pandas", "no pandas", allowed) from None
+        return self.table().to_pandas()
+
     def to_parquet(self) -> bytes:
         """The log as a Parquet file with a checksum."""
         stream = io.BytesIO()
         write_log(self, [self.table()], stream)
         return stream.getvalue()
 
+    def to_csv(self) -> bytes:
+        """The signals as a CSV file; of scenario and outcome it says nothing, so `load_log` does not read it."""
+        from pyarrow import csv
+
+        stream = io.BytesIO()
+        csv.write_csv(self.table(), stream)
+        return stream.getvalue()
+
     def save(self, path: str | Path) -> None:
-        """Writes `to_parquet` to a file.
+        """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
 
         Raises:
-            ConfigurationError: The folder is missing or not writable.
+            ConfigurationError: Another ending; the folder is missing or not writable.
         """
-        write_atomically(Path(path), self.to_parquet())
+        formats = {".parquet": self.to_parquet, ".csv": self.to_csv}
+        ending = Path(path).suffix
+        if ending not in formats:
+            raise ConfigurationError("log file", str(path), "a name that ends in .parquet or .csv")
+        write_atomically(Path(path), formats[ending]())
 
 
 _OUTCOME = (

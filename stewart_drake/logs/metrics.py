@@ -1,4 +1,4 @@
-"""Numbers from a log."""
+"""Numbers from a log: its metrics, and what plots and tables make of its rows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metric_table import METRICS
 from stewart_drake.logs.tally import Tally
 
 
@@ -48,9 +49,9 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         "leg": log.leg,
         "warnings": [dict(each) for each in log.warnings],
         "safety": None if log.safety is None else dict(log.safety),
-        **{name: value for name, value in figures.items() if name != "events"},
+        **{metric.name: figures.get(metric.name) for metric in METRICS},
+        NOT_FINITE: figures.get(NOT_FINITE, {}),
     }
-    metrics.setdefault(NOT_FINITE, {})
     metrics["real_time_factor"] = log.end_time / log.wall_time if log.wall_time > 0.0 else None
     versions = dict(log.versions)
     metrics["git_revision"] = versions.pop("git_revision", None)
@@ -73,25 +74,6 @@ def error_norms(log: SimulationLog) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.linalg.norm(error[:, :3], axis=1)), 1e3 * np.linalg.norm(error[:, 3:], axis=1)
 
 
-def rms(values: np.ndarray) -> float | None:
-    """Root mean square over everything; None for nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else None
-
-
-def worst_half_rms(time: np.ndarray, values: np.ndarray, duration: float) -> float | None:
-    """The larger RMS of the two halves of `duration`; None where the run did not reach the second.
-
-    Args:
-        time: (n,) [s].
-        values: (n,).
-        duration: [s] planned.
-    """
-    late = time >= 0.5 * duration - 1e-9
-    halves = [rms(values[~late]), rms(values[late])]
-    found = [half for half in halves if half is not None]
-    return None if halves[1] is None else max(found)
-
-
 def settling_time(time: np.ndarray, size: np.ndarray, band: float, start: float = 0.0) -> float | None:
     """Time from `start` (of the run, or of a step) after which `size` stays within `band` to the end.
 
@@ -110,26 +92,6 @@ def settling_time(time: np.ndarray, size: np.ndarray, band: float, start: float 
         return None
     last = np.flatnonzero(outside)
     return float(time[last[-1] + 1] - start) if len(last) else 0.0
-
-
-def torque_change_rms(log: SimulationLog, rows: np.ndarray | None = None) -> float | None:
-    """[N m] RMS change from tick to tick of the torques asked for, within the motors' limit.
-
-    Args:
-        log: A run.
-        rows: (n,) mask of the rows to look at; None for all.
-
-    Returns:
-        None where the log does not have every tick, or fewer than two.
-    """
-    ratio = log.scenario.controller.period / log.scenario.effective_log_period
-    stride = round(ratio)
-    if stride < 1 or abs(ratio - stride) > 1e-9 * ratio:
-        return None
-    limit = log.scenario.robot.effort_limit
-    ticks = np.clip(log["torque"], -limit, limit)[::stride]
-    mask = np.ones(len(ticks), dtype=bool) if rows is None else rows[::stride]
-    return rms(np.diff(ticks[mask], axis=0))
 
 
 def sine_response(

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import second_half, tracking_error
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import Scenario
 
 
@@ -34,15 +32,9 @@ def tracking_score(log: SimulationLog) -> TrackingScore | None:
     """The score of a run; None where it ended early, for then there is no second half to speak of."""
     if not log.reached_end:
         return None
-    rows = second_half(log)
-    squared = np.mean(tracking_error(log)[rows] ** 2, axis=0)
-    rotation, position = float(np.sqrt(squared[:3].sum())), float(np.sqrt(squared[3:].sum()))
-    return TrackingScore(
-        pose_mm=1e3 * float(np.hypot(log.scenario.robot.characteristic_length * rotation, position)),
-        rotation_deg=float(np.degrees(rotation)),
-        position_mm=1e3 * position,
-        torque_rms=float(np.sqrt(np.mean(log["torque_applied"][rows] ** 2))),
-    )
+    metrics = run_metrics(log)
+    names = ("pose_rmse_mm", "rmse_norm_deg", "rmse_norm_mm", "torque_rms_second_half")
+    return TrackingScore(*(metrics[name] for name in names))
 
 
 def refusal(scenario: Scenario) -> str | None:

@@ -182,7 +182,7 @@ def _leg_margins(
         twist = pose_rate_to_twist(pose[regular], pose_rate[regular])
         along_rod = np.einsum("nji,nj->ni", wrench_map[regular], twist)
         margins["crank_speed"] = np.full((len(pose), LEGS), -np.inf)
-        speed = along_rod / (robot.crank_length * legs.transmission[regular])
+        speed = along_rod / (robot.crank_lengths * legs.transmission[regular])
         margins["crank_speed"][regular] = bounds["crank_speed"] - np.abs(speed)
     if "torque" in bounds:
         torque = inverse_dynamics(robot, pose[regular], pose_rate[regular], pose_acceleration[regular], gravity)
@@ -207,7 +207,7 @@ def _joint_swing(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray) ->
 
 def _link_distance(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray) -> np.ndarray:
     """Distance (n, 60) [m] between the surfaces of links of different legs; negative where they overlap."""
-    tips = robot.shaft_positions + robot.crank_length * legs.crank
+    tips = robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank
     start = np.concatenate([np.broadcast_to(robot.shaft_positions, tips.shape), tips], axis=-2)
     end = np.concatenate([tips, legs.arm + pose[:, None, 3:]], axis=-2)
     one, other = _PAIRS.T

@@ -213,7 +213,7 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
     platform = plant.GetFrameByName("platform")
     zero, resistance = np.zeros(3), np.full(3, options.platform_joint_damping)
     for leg, (rotation, joint) in enumerate(zip(home_frames(robot).rod_rotation, robot.platform_joints, strict=True)):
-        at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_length])
+        at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_lengths[leg]])
         rod = plant.GetFrameByName(f"rod_{leg}")
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))

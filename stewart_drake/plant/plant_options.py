@@ -74,5 +74,5 @@ def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> flo
         [N m s/rad].
     """
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
-    fastest = max(2.0 / rod_inertia, 12.0 / min(robot.platform_inertia))
+    fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)
     return 1.0 / (options.time_step * fastest)

@@ -48,7 +48,7 @@ class HomeFrames:
 
     Attributes:
         crank_angles: (6,) [rad] theta_i at home.
-        crank_rotation: (6, 3, 3) [-] R_BC: x along the crank, y = z cross h_i, so the motor axis is -y.
+        crank_rotation: (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
         crank_tips: (6, 3) [m] origins of the rod frames in B.
         rod_rotation: (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
     """
@@ -66,9 +66,8 @@ class HomeFrames:
 
 
 def crank_lateral(robot: RobotParameters) -> np.ndarray:
-    """Lateral axes y = z cross h_i of the cranks, opposite to the motor axes; (6, 3) [-], the same at every pose."""
-    h = robot.crank_zero_directions
-    return np.stack([-h[:, 1], h[:, 0], h[:, 2]], axis=-1)
+    """Lateral axes y of the cranks, quarter x zero, opposite to the motor axes; (6, 3) [-], the same at every pose."""
+    return cross(robot.crank_quarter_directions, robot.crank_zero_directions)
 
 
 def home_frames(robot: RobotParameters) -> HomeFrames:
@@ -81,7 +80,7 @@ def home_frames(robot: RobotParameters) -> HomeFrames:
     return HomeFrames(
         crank_angles=legs.crank_angles,
         crank_rotation=np.stack([legs.crank, lateral, legs.e_n], axis=-1),
-        crank_tips=robot.shaft_positions + robot.crank_length * legs.crank,
+        crank_tips=robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank,
         rod_rotation=np.stack([x, cross(legs.e_l, x), legs.e_l], axis=-1),
     )
 
@@ -116,7 +115,7 @@ def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", colli
         _rod(model, robot, frames, leg, collision)
     _platform(model, robot, collision)
     for leg in range(LEGS):
-        _motor(model, robot, leg)
+        _motor(model, robot, frames, leg)
     for leg in range(LEGS):
         _rod_joint(model, leg, rod_joint)
     _closures(model, robot)
@@ -158,21 +157,22 @@ def _base(model: ET.Element, robot: RobotParameters, frames: HomeFrames, collisi
     r = robot.link_radius
     _note(model, "Frame B is the world. The base stands at the height of the motor shafts (assumed) and never moves.")
     link = _add(model, "link", name="base")
-    _inertial(link, robot.base_mass, robot.base_inertia, (0.0, 0.0, robot.shaft_height))
-    plate_z = robot.shaft_height - (_HOUSING_RADIUS + 0.5 * _PLATE_THICKNESS) * r
-    plate = _cylinder(robot.shaft_circle_radius, _PLATE_THICKNESS * r)
+    _inertial(link, robot.base_mass, robot.base_inertia, (0.0, 0.0, robot.base_height))
+    plate_z = robot.base_height - (_HOUSING_RADIUS + 0.5 * _PLATE_THICKNESS) * r
+    plate = _cylinder(robot.base_radius, _PLATE_THICKNESS * r)
     _shape(link, "plate", plate, (0.0, 0.0, plate_z), colour="plate")
     if collision:
-        _disc_collision(link, "plate", robot.shaft_circle_radius, _PLATE_THICKNESS * r, plate_z)
-    # The two motors of a pair stand back to back between their cranks.
-    gap = robot.shaft_circle_radius * np.sin(robot.shaft_half_angle)
-    length = max(gap - 2.0 * r, r)
-    towards_partner = frames.crank_rotation[:, :, 1] * np.where(np.arange(LEGS) % 2 == 0, 1.0, -1.0)[:, None]
-    centres = robot.shaft_positions + (gap - 0.5 * length) * towards_partner
-    housing = _cylinder(_HOUSING_RADIUS * r, length)
-    for leg, centre in enumerate(centres):
-        turn = (0.5 * np.pi, 0.0, robot.pair_angles[leg])
-        _shape(link, f"motor_{leg}", housing, centre, turn, colour="motor")
+        _disc_collision(link, "plate", robot.base_radius, _PLATE_THICKNESS * r, plate_z)
+    for leg in range(LEGS):
+        centre, length = _housing(robot, frames, leg)
+        _shape(
+            link,
+            f"motor_{leg}",
+            _cylinder(_HOUSING_RADIUS * r, length),
+            centre,
+            _motor_turn(robot, frames, leg),
+            colour="motor",
+        )
         if collision:
             _collision(link, f"motor_{leg}", _sphere(_HOUSING_RADIUS * r), centre)
     weld = _add(model, "joint", name="base_weld", type="fixed")
@@ -180,13 +180,47 @@ def _base(model: ET.Element, robot: RobotParameters, frames: HomeFrames, collisi
     _add(weld, "child", "base")
 
 
+def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> tuple[np.ndarray, float]:
+    """Centre (3,) [m] and length [m] of a motor's housing, on its axis and beside its crank.
+
+    Coaxial motors of a pair stand back to back between their cranks; any other behind its crank, seen from outside.
+    """
+    r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
+    partner = robot.shaft_positions[leg ^ 1] - shaft
+    apart = float(partner @ axis)
+    if abs(apart) > 0.99 * float(np.linalg.norm(partner)):
+        gap, side = 0.5 * abs(apart), math.copysign(1.0, apart)
+        length = max(gap - 2.0 * r, r)
+    else:
+        gap, length, side = (
+            2.0 * _HOUSING_RADIUS * r,
+            (2.0 * _HOUSING_RADIUS - 2.0) * r,
+            -math.copysign(1.0, float(shaft @ axis)),
+        )
+    return shaft + side * (gap - 0.5 * length) * axis, length
+
+
+def _upright(robot: RobotParameters, leg: int) -> bool:
+    """Whether a crank turns in a vertical plane, from the horizontal up."""
+    return bool((robot.crank_quarter_directions[leg] == (0.0, 0.0, 1.0)).all())
+
+
+def _motor_turn(robot: RobotParameters, frames: HomeFrames, leg: int) -> tuple[float, ...]:
+    """Roll, pitch, yaw [rad] that turn z into a crank's lateral axis, which a cylinder may have either way."""
+    if _upright(robot, leg):
+        return (0.5 * np.pi, 0.0, robot.crank_yaws[leg])
+    x, y, z = frames.crank_rotation[leg, :, 1]
+    return (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))
+
+
 def _crank(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int, collision: bool) -> None:
-    a, r = robot.crank_length, robot.link_radius
+    a, r = float(robot.crank_lengths[leg]), robot.link_radius
     if leg == 0:
         _note(model, "Cranks: x along the crank, the motor axis is -y, centre of mass at mid-length (assumed).")
     link = _add(model, "link", name=f"crank_{leg}")
-    # R_BC = Rz(c_k) Ry(-theta): no rounding of a matrix on the way.
-    turn = (0.0, -frames.crank_angles[leg], robot.pair_angles[leg])
+    # Of an upright crank R_BC = Rz(yaw) Ry(-theta): no rounding of a matrix on the way.
+    upright = (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
+    turn = upright if _upright(robot, leg) else roll_pitch_yaw(frames.crank_rotation[leg])
     _add(link, "pose", _numbers((*robot.shaft_positions[leg], *turn)))
     middle = (0.5 * a, 0.0, 0.0)
     _inertial(link, robot.crank_mass, robot.crank_inertia, middle)
@@ -198,7 +232,7 @@ def _crank(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: i
 
 
 def _rod(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int, collision: bool) -> None:
-    length, r = robot.rod_length, robot.link_radius
+    length, r = float(robot.rod_lengths[leg]), robot.link_radius
     if leg == 0:
         _note(model, "Rods: origin at the crank tip, z along the rod, centre of mass at mid-length (assumed).")
     link = _add(model, "link", name=f"rod_{leg}")
@@ -216,24 +250,28 @@ def _platform(model: ET.Element, robot: RobotParameters, collision: bool) -> Non
     _note(model, "End effector: a disc on its joint circle; centre of mass at the circle's centre (assumed).")
     link = _add(model, "link", name="platform")
     _add(link, "pose", _numbers((0.0, 0.0, robot.home_height, 0.0, 0.0, 0.0)))
-    _inertial(link, robot.platform_mass, robot.platform_inertia, (0.0, 0.0, 0.0))
-    disc = _cylinder(robot.platform_joint_radius, thickness)
+    centre, products = robot.platform_center_of_mass, robot.platform_products
+    _inertial(link, robot.platform_mass, robot.platform_inertia, centre, products)
+    disc = _cylinder(robot.platform_radius, thickness)
     _shape(link, "disc", disc, (0.0, 0.0, 0.0), colour="disc")
     if collision:
-        _disc_collision(link, "disc", robot.platform_joint_radius, thickness, 0.0)
+        _disc_collision(link, "disc", robot.platform_radius, thickness, 0.0)
     _note(link, "A surgical tool, and a bead towards x that makes yaw visible: pictures only.")
     top, tool = 0.5 * thickness, _TOOL_LENGTH * r
     _shape(link, "tool_holder", _cylinder(3.0 * r, 2.0 * r), (0.0, 0.0, top + r), colour="joint")
     _shape(link, "tool_shaft", _cylinder(0.6 * r, tool), (0.0, 0.0, top + 0.5 * tool), colour="tool")
     _shape(link, "tool_tip", _ellipsoid(0.6 * r, 0.6 * r, 2.0 * r), (0.0, 0.0, top + tool), colour="tool")
-    _shape(link, "bead", _sphere(r), (robot.platform_joint_radius - 3.0 * r, 0.0, top), colour="crank")
+    _shape(link, "bead", _sphere(r), (robot.platform_radius - 3.0 * r, 0.0, top), colour="crank")
 
 
-def _motor(model: ET.Element, robot: RobotParameters, leg: int) -> None:
+def _motor(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int) -> None:
     if leg == 0:
         _note(model, "Motors: the only actuated joints; the effort limit is RobotParameters.effort_limit (assumed).")
     joint = _joint(model, f"motor_{leg}", "revolute", "base", f"crank_{leg}")
-    _axis(joint, "axis", (0.0, -1.0, 0.0), robot.effort_limit)
+    stops = robot.crank_angle_ranges[leg] - frames.crank_angles[leg]
+    _axis(joint, "axis", (0.0, -1.0, 0.0), robot.effort_limit, stops)
+    if robot.rotor_inertia > 0.0:
+        _add(joint, "drake:rotor_inertia", _numbers((robot.rotor_inertia,)))
 
 
 def _rod_joint(model: ET.Element, leg: int, rod_joint: RodJoint) -> None:
@@ -251,7 +289,7 @@ def _closures(model: ET.Element, robot: RobotParameters) -> None:
     for leg in range(LEGS):
         constraint = _add(model, "drake:ball_constraint")
         _add(constraint, "drake:ball_constraint_body_A", f"rod_{leg}")
-        _add(constraint, "drake:ball_constraint_p_AP", _numbers((0.0, 0.0, robot.rod_length)))
+        _add(constraint, "drake:ball_constraint_p_AP", _numbers((0.0, 0.0, robot.rod_lengths[leg])))
         _add(constraint, "drake:ball_constraint_body_B", "platform")
         _add(constraint, "drake:ball_constraint_p_BQ", _numbers(robot.platform_joints[leg]))
 
@@ -273,21 +311,33 @@ def _joint(model: ET.Element, name: str, kind: str, parent: str, child: str) -> 
     return joint
 
 
-def _axis(joint: ET.Element, tag: str, direction: Iterable[float], effort: float) -> None:
+def _axis(
+    joint: ET.Element, tag: str, direction: Iterable[float], effort: float, stops: Iterable[float] = (-np.inf, np.inf)
+) -> None:
     axis = _add(joint, tag)
     _add(axis, "xyz", _numbers(direction))
-    _add(_add(axis, "limit"), "effort", _numbers((effort,)))
+    limit = _add(axis, "limit")
+    for name, stop in zip(("lower", "upper"), stops, strict=True):
+        if np.isfinite(stop):
+            _add(limit, name, _numbers((stop,)))
+    _add(limit, "effort", _numbers((effort,)))
 
 
-def _inertial(link: ET.Element, mass: float, moments: Iterable[float], centre: Iterable[float]) -> None:
+def _inertial(
+    link: ET.Element,
+    mass: float,
+    moments: Iterable[float],
+    centre: Iterable[float],
+    products: Iterable[float] = (0.0, 0.0, 0.0),
+) -> None:
     inertial = _add(link, "inertial")
     _add(inertial, "pose", _numbers((*centre, 0.0, 0.0, 0.0)))
     _add(inertial, "mass", _numbers((mass,)))
     inertia = _add(inertial, "inertia")
     for tag, moment in zip(("ixx", "iyy", "izz"), moments, strict=True):
         _add(inertia, tag, _numbers((moment,)))
-    for tag in ("ixy", "ixz", "iyz"):
-        _add(inertia, tag, "0.0")
+    for tag, product in zip(("ixy", "ixz", "iyz"), products, strict=True):
+        _add(inertia, tag, _numbers((product,)))
 
 
 def _shape(

@@ -1,1 +1,1 @@
-"""One run of a scenario, and what it leaves."""
+"""One run: simulation, log, metrics, results folder, replay."""

@@ -188,7 +188,7 @@ def _release(loop: ClosedLoop) -> None:
     """
     waiting: list[Any] = [loop]
     while waiting:
-        peers = getattr(waiting.pop(), _PEERS, set())
+        peers: set[Any] = getattr(waiting.pop(), _PEERS, set())
         waiting.extend(peers)
         peers.clear()
 

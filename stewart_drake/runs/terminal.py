@@ -12,6 +12,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
+from stewart_drake.logs.metric_table import METRICS
+
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
     from stewart_drake.planning.feasibility import FeasibilityReport
@@ -118,35 +120,15 @@ def print_margins(title: str, report: FeasibilityReport) -> None:
 
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
     """How a run went, as a table."""
-
-    def numbers(values: list[float | None] | None, unit: str, form: str = "{:.4g}") -> str:
-        shown = ["-" if v is None else form.format(v) for v in values or ()]
-        return f"{'  '.join(shown)} {unit}" if shown else "-"
-
-    def figures(form: str, *names: str, unit: str = "") -> str:
-        return ", ".join("-" if metrics[name] is None else form.format(metrics[name]) for name in names) + unit
-
     rows = [
         ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
         ("simulated time", f"{log.end_time:.3f} s"),
-        ("RMSE roll pitch yaw, second half", numbers(metrics["rmse_deg"], "deg")),
-        ("RMSE X Y Z, second half", numbers(metrics["rmse_mm"], "mm")),
-        ("peak roll pitch yaw, second half", numbers(metrics["peak_deg"], "deg")),
-        ("peak X Y Z, second half", numbers(metrics["peak_mm"], "mm")),
-        (
-            "largest error, whole run",
-            f"{figures('{:.4g} deg', 'error_max_deg')}, {figures('{:.4g} mm', 'error_max_mm')}",
-        ),
-        ("integral states at 5 s", numbers(metrics["integral_at_5s"], "rad s, m s", "{:.2g}")),
     ]
-    if len(log.time):
-        rows += [
-            ("torque RMS, peak", figures("{:.3f}", "torque_rms", "torque_peak", unit=" N m")),
-            ("share of torques at the limit", figures("{:.2%}", "saturated_fraction")),
-            ("largest loop gap", figures("{:.2e}", "loop_gap_max_m", unit=" m")),
-        ]
-    if "weights" in log.signals:
-        rows.append(("omega_Q, omega_R, mean", figures("{:.3g}", "omega_q", "omega_r")))
+    for metric in METRICS:
+        value = metrics[metric.name]
+        # A second half that was not reached is told; weights that there are none of are not.
+        if metric.label and (value is not None or metric.over.startswith("late")):
+            rows.append((metric.label, metric.shown(value)))
     rows += [(f"warning: {w['name']}", f"{w['text']}, t = {w['time']:.3f} s") for w in metrics["warnings"]]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(folder))]

@@ -86,4 +86,4 @@ class SafetyOptions(Section, key="safety"):
 
     def largest_damping(self, robot: RobotParameters, period: float) -> float:
         """[N m s/rad] that a crank alone, its rod broken off, bears in torques held over a period."""
-        return 2.0 * robot.crank_axis_inertia / period
+        return 2.0 * float(robot.crank_axis_inertias.min()) / period

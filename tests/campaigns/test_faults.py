@@ -25,10 +25,10 @@ def bad_ending(fault, row):
     """What of a row is not as the catalogue says; None where all is."""
     if row.reaction not in fault.expected:
         return f"{row.reaction}, not {fault.expected}: {row.message}"
-    if row.monitor is None:
+    if row.safety_monitor is None:
         return None
-    if row.monitor not in fault.monitors:
-        return f"{row.monitor}, not {fault.monitors}"
+    if row.safety_monitor not in fault.monitors:
+        return f"{row.safety_monitor}, not {fault.monitors}"
     if not row.latency_ms >= -1e-6:
         return f"tripped {row.latency_ms} ms before the fault"
     late = fault.within is not None and row.latency_ms > 1e3 * fault.within + 1e-6
@@ -58,7 +58,7 @@ def test_a_fault_ends_as_the_catalogue_says(fault, motion):
     else:
         assert row.status == ("stopped" if row.reaction == "ramped" else "failed")
         # A crank that has lost its rod may spin up until the solver gives up.
-        assert row.reason == row.monitor or (fault.name, row.reason) == ("broken_rod_2", "drake_check")
+        assert row.reason == row.safety_monitor or (fault.name, row.reason) == ("broken_rod_2", "drake_check")
     if row.reaction == "ridden through":
         # It would have tripped otherwise.
         assert row.peak_error_deg < np.degrees(0.1)
@@ -83,7 +83,7 @@ def test_without_a_fault_nothing_trips_and_the_error_is_that_of_the_controller()
     for motion in MOTIONS:
         none = dataclasses.replace(BY_NAME["push_5N"], name="none", changes={"duration": 1.0})
         row = fault_row(none, motion)
-        assert (row.reaction, row.monitor) == ("ridden through", None)
+        assert (row.reaction, row.safety_monitor) == ("ridden through", None)
         assert row.peak_error_mm < 0.05
 
 
@@ -138,13 +138,13 @@ def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
     name, mutation = NEEDED[monitor]
     fault = BY_NAME.get(name) or OTHERS[name]
     row = fault_row(fault, "hold")
-    assert row.monitor == monitor
+    assert row.safety_monitor == monitor
     assert bad_ending(fault, row) is None
     changes = {**fault.changes, **{f"safety.{key}": value for key, value in mutation.items()}}
     mutant = dataclasses.replace(fault, changes=changes)
     broken = fault_row(mutant, "hold")
     assert broken.reaction != "refused"
-    assert broken.monitor != monitor
+    assert broken.safety_monitor != monitor
     assert bad_ending(fault, broken) is not None
 
 
@@ -162,7 +162,7 @@ def test_a_rows_figures_are_those_of_its_log():
     assert row.travel_mm == pytest.approx(1e3 * moved.max())
     assert row.peak_torque == np.abs(log["torque_applied"][after]).max()
     assert row.latency_ms == pytest.approx(1e3 * (log.safety["time"] - ONSET))
-    assert (row.latency_ms, row.reaction, row.leg) == (pytest.approx(0.0, abs=1e-6), "ramped", 3)
+    assert (row.latency_ms, row.reaction, row.safety_leg) == (pytest.approx(0.0, abs=1e-6), "ramped", 3)
 
 
 def test_a_run_that_breaks_without_the_layer_is_told_apart():
@@ -173,7 +173,14 @@ def test_a_run_that_breaks_without_the_layer_is_told_apart():
 
 def made_row(fault, motion):
     return FaultRow(
-        fault, motion, "held", monitor="deadline", leg=2, latency_ms=3.0, peak_error_mm=1.25, peak_torque=0.5
+        fault,
+        motion,
+        "held",
+        safety_monitor="deadline",
+        safety_leg=2,
+        latency_ms=3.0,
+        peak_error_mm=1.25,
+        peak_torque=0.5,
     )
 
 
@@ -206,7 +213,7 @@ def test_the_table_has_a_row_a_run_and_a_line_a_fault(tmp_path):
     read = pq.read_table(table.parquet)
     assert read.num_rows == len(all_rows())
     assert read.column_names == [field.name for field in dataclasses.fields(FaultRow)]
-    assert read.column("leg").to_pylist() == [2] * len(all_rows())
+    assert read.column("safety_leg").to_pylist() == [2] * len(all_rows())
     text = table.markdown.read_text()
     for fault in FAULTS:
         assert f"| {fault.name} | held (deadline" in text
@@ -258,7 +265,8 @@ def test_the_command_prints_the_short_table(tmp_path):
     done = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick"])
     assert done.exit_code == 0, done.output
     assert "push_5N" in done.output.replace("\n", "")
-    assert {path.name for path in tmp_path.iterdir()} == {"faults.parquet", "faults.md", "rows.jsonl", "sweep.json"}
+    tables = {"faults.parquet", "faults.csv", "faults.md"}
+    assert {path.name for path in tmp_path.iterdir()} == tables | {"rows.jsonl", "sweep.json"}
     quiet = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick", "--quiet"])
     assert (quiet.exit_code, quiet.stdout) == (0, "")
 
@@ -273,12 +281,16 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_anything_runs(tmp_pa
 
 def test_a_terse_line_sets_side_by_side_what_differs():
     rows = [
-        FaultRow("dead_motor_0", "hold", "ended", monitor="following_error", latency_ms=81.0, peak_error_mm=9.0),
-        FaultRow("dead_motor_0", "paper", "ended", monitor="following_error", latency_ms=74.4, peak_error_mm=9.125),
+        FaultRow("dead_motor_0", "hold", "ended", safety_monitor="following_error", latency_ms=81.0, peak_error_mm=9.0),
+        FaultRow(
+            "dead_motor_0", "paper", "ended", safety_monitor="following_error", latency_ms=74.4, peak_error_mm=9.125
+        ),
         FaultRow("encoder_frozen", "hold", "unnoticed", status="lost"),
-        FaultRow("encoder_frozen", "paper", "ended", monitor="sensor_failed", latency_ms=54.0, status="failed"),
+        FaultRow("encoder_frozen", "paper", "ended", safety_monitor="sensor_failed", latency_ms=54.0, status="failed"),
         # There from the start: a time of its trip is no latency.
-        FaultRow("dropped_10_percent", "hold", "held", monitor="deadline", latency_ms=1181.0, status="completed"),
+        FaultRow(
+            "dropped_10_percent", "hold", "held", safety_monitor="deadline", latency_ms=1181.0, status="completed"
+        ),
     ]
     assert terse_rows(rows) == [
         ("dead_motor_0", "ended", "-", "following_error", "74-81", "-", "9.12", "-"),

@@ -18,11 +18,13 @@ import pytest
 from sweep_functions import deadly, faulty, killed_once, number, slow
 
 from stewart_drake.campaigns import one_run
+from stewart_drake.campaigns import sweep as sweep_module
 from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.sweep import run_sweep
 from stewart_drake.campaigns.sweep_file import Sweep
-from stewart_drake.campaigns.sweep_table import FORMAT_KEY, INCIDENTAL, summary, to_parquet
+from stewart_drake.campaigns.sweep_table import INCIDENTAL, summary
+from stewart_drake.campaigns.tables import to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
 from stewart_drake.logs.metrics import run_metrics
@@ -55,7 +57,7 @@ def sweep(**changes):
 
 def same(result):
     """The part of a table that must not depend on where it was made."""
-    return result.table.drop(list(INCIDENTAL))
+    return result.table.drop([column.name for column in INCIDENTAL])
 
 
 def assert_same(one, other):
@@ -108,34 +110,34 @@ def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
         assert json.loads(row["limits.clearance"]) == log.scenario.limits.clearance
         assert [row[f"rmse_{a}_deg"] for a in ("roll", "pitch", "yaw")] == metrics["rmse_deg"]
         assert [row[f"peak_{a}_mm"] for a in "xyz"] == metrics["peak_mm"]
-        assert row["rmse_mm"] == pytest.approx(np.linalg.norm(metrics["rmse_mm"]))
-        assert max(metrics["peak_deg"]) <= row["peak_deg"] <= np.linalg.norm(metrics["peak_deg"]) * (1.0 + 1e-12)
+        assert row["rmse_norm_mm"] == pytest.approx(np.linalg.norm(metrics["rmse_mm"]))
+        assert max(metrics["peak_deg"]) <= row["peak_norm_deg"] <= np.linalg.norm(metrics["peak_deg"]) * (1.0 + 1e-12)
         for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m", "end_time", "leg"):
             assert row[name] == metrics[name]
         assert row["finite"] is True
         assert row["wall_s"] > row["simulation_s"] > 0.0
         assert (row["host"], row["worker"]) == (os.uname().nodename, os.getpid())
-    assert len(set(reference.table.column("rmse_deg").to_pylist())) == 6
+    assert len(set(reference.table.column("rmse_norm_deg").to_pylist())) == 6
 
 
 def test_the_file_is_the_table_and_says_what_it_is(reference):
     table = pq.read_table(reference.path)
     assert table.equals(reference.table, check_metadata=True)
-    about = json.loads(table.schema.metadata[FORMAT_KEY])
+    about = json.loads(table.schema.metadata[b"stewart_drake.sweep"])
     assert about["sweep"] == sweep().to_dict()
     assert about["versions"]["drake"] == "1.51.1"
     assert all(field.metadata[b"text"] for field in table.schema)
-    assert table.schema.field("rmse_mm").metadata[b"unit"] == b"mm"
+    assert table.schema.field("rmse_norm_mm").metadata[b"unit"] == b"mm"
 
 
 def test_the_summary_counts_and_ranks(reference):
     lines = dict(summary(reference.rows))
     assert (lines["runs"], lines["completed"]) == ("6", "6")
-    values = sorted(reference.table.column("rmse_deg").to_pylist())
+    values = sorted(reference.table.column("rmse_norm_deg").to_pylist())
     shown = lines["RMSE of rotation, percentiles 50 95 99, largest"].split()
     assert float(shown[0]) == pytest.approx((values[2] + values[3]) / 2, rel=1e-3)
     assert float(shown[3]) == pytest.approx(values[-1], rel=1e-3)
-    assert summary([{**reference.rows[0], "rmse_deg": None, "rmse_mm": None}])[-1] == ("completed", "1")
+    assert summary([{**reference.rows[0], "rmse_norm_deg": None, "rmse_norm_mm": None}])[-1] == ("completed", "1")
 
 
 # --- the same table from any executor ------------------------------------------------------------------------------
@@ -188,7 +190,7 @@ def test_what_a_run_raises_is_its_row(reference, tmp_path):
     assert re.fullmatch(r"mine \(sweep_functions\.py, line \d+\)", messages[0])
     assert re.fullmatch(r"7 \(sweep_functions\.py, line \d+\)", messages[1])
     assert messages[2] == "MemoryError"
-    assert serial.table.column("rmse_deg").to_pylist()[1:5] == [None] * 4
+    assert serial.table.column("rmse_norm_deg").to_pylist()[1:5] == [None] * 4
     assert (
         serial.table.column("initial_offset[0]").to_pylist() == reference.table.column("initial_offset[0]").to_pylist()
     )
@@ -296,13 +298,13 @@ def test_a_finite_blow_up_and_a_signal_that_is_not_finite_are_told_apart(tmp_pat
 
     result = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=broken)
     assert result.table.column("finite").to_pylist() == [False, True, True]
-    rmse = result.table.column("rmse_deg").to_pylist()
+    rmse = result.table.column("rmse_norm_deg").to_pylist()
     assert rmse[:2] == [None, None]
     assert np.isfinite(rmse[2])
     first, second, third = result.table.column("not_finite").to_pylist()
     assert third is None
-    assert {"rmse_deg nan", "peak_roll_deg nan"} <= set(first.split(", "))
-    assert {"rmse_deg inf", "rmse_roll_deg inf"} <= set(second.split(", "))
+    assert {"rmse_norm_deg nan", "peak_roll_deg nan"} <= set(first.split(", "))
+    assert {"rmse_norm_deg inf", "rmse_roll_deg inf"} <= set(second.split(", "))
     # Nothing that the table says depends on whether its rows come from the workers or from the disk.
     again = run_sweep(sweep(runs=3), tmp_path, SerialExecutor(), function=lambda _: pytest.fail("ran"))
     assert again.path.read_bytes() == pq_bytes(result)
@@ -407,7 +409,10 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
     refused("distributions.initial_offset[0].high", distributions=other)
     with monkeypatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "changed")
-        refused("versions.source")
+        refused("made by another version (versions.source)")
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep_module, "VERSION", 1)  # of the columns
+        refused("made by another version (columns)")
     header = (tmp_path / "sweep.json").read_bytes()
     for broken in (b"{", header.replace(b'"seed": 5', b'"seed": 6'), None):
         (tmp_path / "sweep.json").unlink()

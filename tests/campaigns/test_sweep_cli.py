@@ -61,6 +61,7 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert process.returncode == 0, err
     assert {path.name for path in (tmp_path / "runs" / "tiny").iterdir()} == {
         "sweep.parquet",
+        "sweep.csv",
         "sweep.json",
         "rows.jsonl",
     }
@@ -131,7 +132,10 @@ def test_on_a_dask_cluster_the_table_is_the_same(call, tmp_path):
     assert status == 0
     assert "completed" in out
     assert call("tiny.yaml", "--workers", 1, "--out", "local", "--quiet") == (0, "", "")
-    dask, local = (pq.read_table(f"{name}/sweep.parquet").drop(list(INCIDENTAL)) for name in ("dask", "local"))
+    dask, local = (
+        pq.read_table(f"{name}/sweep.parquet").drop([column.name for column in INCIDENTAL])
+        for name in ("dask", "local")
+    )
     assert dask.equals(local, check_metadata=True)
 
 

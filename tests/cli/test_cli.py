@@ -28,7 +28,7 @@ QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
 
 WITHOUT_PICTURES = """
 import functools
-from stewart_drake import outputs
+from stewart_drake.runs import outputs
 from stewart_drake.cli.app import main
 outputs.ResultsFolder.finish = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
 main()

@@ -1,6 +1,8 @@
+import csv
 import dataclasses
 import io
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -238,3 +240,34 @@ def test_files_of_the_scenario_are_known_by_their_content(log, tmp_path):
     files = {"/somewhere/net.json": "ab12", "/gone.csv": None}
     replace(log, files=files).save(tmp_path / "log.parquet")
     assert load_log(tmp_path / "log.parquet").files == files
+
+
+def test_a_log_shows_itself_in_five_lines(log):
+    lines = repr(log).splitlines()
+    assert len(lines) == 5
+    assert max(map(len, lines)) < 300
+    assert "failed, crank_dead_centre at t = 0.650 s" in lines[0]
+    assert "saturation" in lines[4]
+
+
+def test_the_ending_of_the_name_is_the_format(log, tmp_path):
+    log.save(tmp_path / "log.csv")
+    with (tmp_path / "log.csv").open() as stream:
+        rows = list(csv.reader(stream))
+    assert rows[0] == log.table().column_names
+    np.testing.assert_array_equal(np.array(rows[1:], dtype=float)[:, 0], log.time)
+    for name in ("log", "log.xlsx", "log.parquet.gz", "parquet"):
+        with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet or \.csv"):
+            log.save(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_a_log_becomes_a_frame_of_pandas_and_without_pandas_the_remedy_is_named(log, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ConfigurationError, match="pip install pandas"):
+        log.to_pandas()
+    monkeypatch.undo()
+    pandas = pytest.importorskip("pandas")
+    frame = log.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    np.testing.assert_array_equal(frame["pose.x"], log["pose"][:, 3])

@@ -5,18 +5,17 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metric_table import METRICS, columns, flat
 from stewart_drake.logs.metrics import (
     error_norms,
     integral_at,
-    rms,
     run_metrics,
     second_half,
     settling_time,
     sine_response,
-    torque_change_rms,
     tracking_error,
-    worst_half_rms,
 )
+from stewart_drake.logs.tally import Tally
 from stewart_drake.scenario import Scenario
 
 PROMISED = {
@@ -163,12 +162,53 @@ def test_norms_of_the_error_are_lengths_in_degrees_and_millimetres():
 
 
 def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reached():
-    time, values = 0.1 * np.arange(101), np.ones(101)
-    values[:50] = 3.0
-    assert worst_half_rms(time, values, 10.0) == pytest.approx(3.0)
-    assert worst_half_rms(time, values[::-1], 10.0) == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
-    assert worst_half_rms(time[:50], values[:50], 10.0) is None
-    assert rms(np.empty(0)) is None
+    pose = np.zeros((101, 6))
+    pose[:, 3] = 0.001
+    pose[:50, 3] = 0.003
+    assert run_metrics(made_log(pose=pose))["worst_half_rmse_norm_mm"] == pytest.approx(3.0)
+    backwards = run_metrics(made_log(pose=pose[::-1]))["worst_half_rmse_norm_mm"]
+    assert backwards == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
+    assert run_metrics(made_log(rows=50, pose=pose[:50]))["worst_half_rmse_norm_mm"] is None
+
+
+def test_torque_of_the_second_half_has_a_name_of_its_own():
+    torque = np.zeros((101, 6))
+    torque[50:] = 1.0
+    metrics = run_metrics(made_log(torque_applied=torque))
+    assert metrics["torque_rms_second_half"] == 1.0
+    assert metrics["torque_rms"] == pytest.approx(np.sqrt(51 / 101))
+
+
+def test_every_metric_says_what_it_is_and_each_name_means_one_thing():
+    names = [column.name for column in columns()]
+    assert len(set(names)) == len(names)
+    assert not {metric.name for metric in METRICS if metric.parts} & set(names)
+    assert all(column.text for column in columns())
+    assert set(flat(run_metrics(made_log()))) <= set(names)
+    # A metric that looks at the second half alone says so.
+    assert all("second half" in c.text for m in METRICS for c in m.columns() if m.over.startswith("late"))
+
+
+@pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
+def test_every_metric_is_the_same_whether_the_run_comes_whole_or_in_parts(metric):
+    rng = np.random.default_rng(3)
+    signals = {name: rng.normal(size=(101, 6)) for name in ("pose", "reference", "torque", "integral")}
+    log = made_log(
+        **signals,
+        torque_applied=np.clip(signals["torque"], -1.0, 1.0),
+        loop_gap=rng.uniform(0.0, 1e-6, (101, 6)),
+        weights=rng.uniform(0.1, 10.0, (101, 2)),
+        scenario={"controller": {"period": 0.1}, "plant": {"time_step": 0.1}},
+    )
+    tally = Tally(log.scenario)
+    for rows in np.split(np.arange(101), [1, 2, 50, 51, 77]):
+        tally.add({name: values[rows] for name, values in log.signals.items()})
+    whole = run_metrics(log)[metric.name]
+    assert whole is not None
+    assert tally.figures()[metric.name] == pytest.approx(whole, rel=1e-12)
+    # As it is shown, with its unit.
+    assert metric.unit in ("", "1") or metric.shown(whole).endswith(metric.unit)
+    assert metric.shown(None) == "-"
 
 
 @pytest.mark.parametrize("rate", [0.5, 2.0])
@@ -188,22 +228,22 @@ def test_settling_counts_the_last_time_outside_the_band():
     assert settling_time(time, np.zeros(6), 1.0, start=9.0) is None
 
 
-def test_torque_change_is_taken_from_tick_to_tick_within_the_limit():
+def test_torque_change_is_taken_from_tick_to_tick_of_the_second_half_within_the_limit():
+    def change(torque, **scenario):
+        return run_metrics(made_log(torque=torque, scenario=scenario))["torque_change_rms"]
+
     torque = np.zeros((101, 6))
     torque[::2] = 0.5
-    scenario = {"controller": {"period": 0.1}, "plant": {"time_step": 0.1}}
-    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(0.5)
+    torque[:50] *= 7.0
+    every = {"controller": {"period": 0.1}, "plant": {"time_step": 0.1}}
+    assert change(torque, **every) == pytest.approx(0.5)
     torque[::2] = 1e9
-    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(5.0)
+    assert change(torque, **every) == pytest.approx(5.0)
     # Two rows a tick: the torque stands still between them, and that is no tick.
-    scenario = {"controller": {"period": 0.2}, "plant": {"time_step": 0.1}, "log_period": 0.1}
     torque = np.repeat(np.arange(51.0) % 2.0, 2)[:101, None] * np.ones(6)
-    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) == pytest.approx(1.0)
+    assert change(torque, controller={"period": 0.2}, plant={"time_step": 0.1}, log_period=0.1) == pytest.approx(1.0)
     # Every second tick is not every tick.
-    scenario = {"controller": {"period": 0.05}, "plant": {"time_step": 0.05}, "log_period": 0.1}
-    assert torque_change_rms(made_log(torque=torque, scenario=scenario)) is None
-    rows = np.zeros(101, dtype=bool)
-    assert torque_change_rms(made_log(torque=torque), rows) is None
+    assert change(torque, controller={"period": 0.05}, plant={"time_step": 0.05}, log_period=0.1) is None
 
 
 @pytest.mark.parametrize(("ratio", "lag"), [(1.0, 0.0), (0.25, 2.0), (1.3, -0.4)])

@@ -1,0 +1,79 @@
+"""Tables of campaigns: for programs with unit and text of each column, as Parquet and CSV; for readers as Markdown."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.logs.metric_table import Column
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION = 2
+"""Of the columns; what an earlier one has left in a folder is not gone on with."""
+
+
+def to_arrow(
+    columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
+) -> pa.Table:
+    """A table with unit and text in each field's metadata; nothing in it depends on where or when it was made.
+
+    Args:
+        columns: In order.
+        rows: Column -> plain value; what is not there is null.
+        key: Of the table's metadata, under which `about` stands, as `stewart_drake.KEY`.
+        about: What it is a table of, in plain values.
+    """
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string(), "json": pa.string()}
+    fields, arrays, rows = [], [], list(rows)
+    for column in columns:
+        values = [row.get(column.name) for row in rows]
+        if column.kind == "json":
+            values = [json.dumps(value) for value in values]
+        elif column.kind == "number":
+            values = [None if value is None else float(value) for value in values]
+        metadata = {"unit": column.unit, "text": column.text}
+        fields.append(pa.field(column.name, types[column.kind], metadata=metadata))
+        arrays.append(pa.array(values, type=types[column.kind]))
+    text = json.dumps({"version": VERSION, **about})
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={f"stewart_drake.{key}": text}))
+
+
+def to_parquet(table: pa.Table) -> bytes:
+    """The table as a Parquet file."""
+    import pyarrow.parquet as pq
+
+    stream = io.BytesIO()
+    pq.write_table(table, stream, compression="zstd")
+    return stream.getvalue()
+
+
+def to_csv(table: pa.Table) -> bytes:
+    """The table as a CSV file, without its metadata."""
+    from pyarrow import csv
+
+    stream = io.BytesIO()
+    csv.write_csv(table, stream)
+    return stream.getvalue()
+
+
+def write_table(table: pa.Table, folder: Path, name: str) -> None:
+    """Writes NAME.parquet and NAME.csv.
+
+    Raises:
+        ConfigurationError: The disk is full, or the like.
+    """
+    write_atomically(folder / f"{name}.parquet", to_parquet(table))
+    write_atomically(folder / f"{name}.csv", to_csv(table))
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table as GitHub shows it."""
+    return [f"| {' | '.join(each)} |" for each in (header, ["---"] * len(header), *rows)]

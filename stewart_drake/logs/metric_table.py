@@ -1,0 +1,243 @@
+"""The table of metrics: what each is called, its unit, what it says and how it is computed. A line here is a metric.
+
+`metrics.json`, the terminal and the tables of sweeps and comparisons draw from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from stewart_drake.files.whole import NOT_FINITE
+
+if TYPE_CHECKING:
+    from stewart_drake.logs.tally import Tally
+
+Kind = Literal["number", "whole", "flag", "text", "json"]
+Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: Of the column.
+        unit: 1 for a ratio, empty for what has none.
+        text: What it says.
+        kind: What its values are; `json` for values that are lists, written as text.
+    """
+
+    name: str
+    unit: str
+    text: str
+    kind: Kind = "number"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure of a run.
+
+    Attributes:
+        name: Key of metrics.json, and column of tables; it means the same everywhere.
+        unit: Of its numbers, separated by commas where they differ.
+        text: What it says; which part of the run it is of follows from `over`.
+        of: Computes it, in plain values; called only where there is something to compute it from.
+        over: Which rows it is of, a count of the tally; without any it is None.
+        parts: Columns of a metric that is a list, one for each of its numbers.
+        label: In tables that are read; empty for those that are not shown there.
+        form: How its numbers are shown.
+        kind: Of its values.
+    """
+
+    name: str
+    unit: str
+    text: str
+    of: Callable[[Tally], Any]
+    over: Over = "late_ticks"
+    parts: tuple[str, ...] = ()
+    label: str = ""
+    form: str = ".4g"
+    kind: Kind = "number"
+
+    def value(self, tally: Tally) -> Any:
+        """The metric of a run, None where there is nothing to compute it from."""
+        return self.of(tally) if getattr(tally, self.over) else None
+
+    def columns(self) -> tuple[Column, ...]:
+        """Its columns in a table."""
+        half = ", second half of the planned duration" if self.over.startswith("late") else ""
+        if not self.parts:
+            return (Column(self.name, self.unit, self.text + half, self.kind),)
+        units = self.unit.split(", ") if "," in self.unit else [self.unit]
+        each = [unit for unit in units for _ in range(len(self.parts) // len(units))]
+        return tuple(
+            Column(part, unit, f"{self.text}, {part.split('_')[1]}{half}")
+            for part, unit in zip(self.parts, each, strict=True)
+        )
+
+    def shown(self, value: Any) -> str:
+        """A value of the metric as text, with its unit."""
+        values = value if isinstance(value, list) else [value]
+        if value is None or not values:
+            return "-"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
+
+
+_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
+
+
+def _each(form: str, axes: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(form.format(axis) for axis in axes)
+
+
+def _list(values: np.ndarray) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _torque_change(tally: Tally) -> float | None:
+    squares, count = tally.torque_change
+    return float(np.sqrt(squares / count)) if count else None
+
+
+def _mean_weight(index: int) -> Callable[[Tally], float | None]:
+    return lambda tally: None if tally.weights is None else float(tally.weights[index] / tally.ticks)
+
+
+METRICS: tuple[Metric, ...] = (
+    Metric(
+        "rmse_deg", "deg", "root mean square error", lambda t: _list(np.degrees(t.late_rms[:3])),
+        parts=_each("rmse_{}_deg", _ANGLES), label="RMSE roll pitch yaw, second half",
+    ),
+    Metric(
+        "rmse_mm", "mm", "root mean square error", lambda t: _list(1e3 * t.late_rms[3:]),
+        parts=_each("rmse_{}_mm", _LENGTHS), label="RMSE X Y Z, second half",
+    ),
+    Metric(
+        "peak_deg", "deg", "largest error", lambda t: _list(np.degrees(t.late_peaks[:3])), "late_steps",
+        parts=_each("peak_{}_deg", _ANGLES), label="peak roll pitch yaw, second half",
+    ),
+    Metric(
+        "peak_mm", "mm", "largest error", lambda t: _list(1e3 * t.late_peaks[3:]), "late_steps",
+        parts=_each("peak_{}_mm", _LENGTHS), label="peak X Y Z, second half",
+    ),
+    Metric(
+        "rmse_norm_deg", "deg", "RMS length of the roll, pitch, yaw error",
+        lambda t: float(np.degrees(t.late_rms_norms[0])),
+    ),
+    Metric("rmse_norm_mm", "mm", "RMS length of the position error", lambda t: float(1e3 * t.late_rms_norms[1])),
+    Metric(
+        "worst_half_rmse_norm_deg", "deg", "RMS length of the roll, pitch, yaw error, the larger of both halves",
+        lambda t: float(np.degrees(t.worst_half_rms[0])),
+    ),
+    Metric(
+        "worst_half_rmse_norm_mm", "mm", "RMS length of the position error, the larger of both halves",
+        lambda t: float(1e3 * t.worst_half_rms[1]),
+    ),
+    Metric(
+        "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
+        lambda t: float(1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0])),
+    ),
+    Metric(
+        "peak_norm_deg", "deg", "largest length of the roll, pitch, yaw error",
+        lambda t: float(np.degrees(t.late_norms[0])), "late_steps",
+    ),
+    Metric(
+        "peak_norm_mm", "mm", "largest length of the position error",
+        lambda t: float(1e3 * t.late_norms[1]), "late_steps",
+    ),
+    Metric(
+        "error_max_deg", "deg", "largest angle from the reference while the controller was in charge, whole run",
+        lambda t: float(np.degrees(t.largest["rotation"])), "steps", label="largest angle from the reference",
+    ),
+    Metric(
+        "error_max_mm", "mm", "largest distance from the reference while the controller was in charge, whole run",
+        lambda t: 1e3 * t.largest["position"], "steps", label="largest distance from it",
+    ),
+    Metric("motion_ratio", "1", "size of the platform's motion over that of its reference", lambda t: t.motion_ratio),
+    Metric(
+        "torque_rms", "N m", "of all motors, within their limits, whole run",
+        lambda t: float(np.sqrt(t.torque_squares.sum() / (6 * t.ticks))), "ticks", label="torque RMS", form=".3f",
+    ),
+    Metric(
+        "torque_rms_second_half", "N m", "of all motors, within their limits",
+        lambda t: float(np.sqrt(t.torque_squares[1] / (6 * t.late_ticks))),
+    ),
+    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", _torque_change),
+    Metric(
+        "torque_peak", "N m", "of all motors, within their limits, whole run", lambda t: t.torque_peak, "steps",
+        label="torque peak", form=".3f",
+    ),
+    Metric(
+        "saturated_fraction", "1", "share of torques at the limit, of ticks and motors",
+        lambda t: t.at_limit / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+    ),
+    Metric(
+        "loop_gap_max_m", "m", "largest distance from a rod end to its platform joint",
+        lambda t: t.largest["loop_gap"], "steps", label="largest loop gap", form=".2e",
+    ),
+    Metric("omega_q", "1", "mean of omega_Q", _mean_weight(0), "ticks", label="omega_Q, mean", form=".3g"),
+    Metric("omega_r", "1", "mean of omega_R", _mean_weight(1), "ticks", label="omega_R, mean", form=".3g"),
+    Metric(
+        "omega_ratio", "1", "geometric mean of omega_Q / omega_R",
+        lambda t: None if t.weights is None else float(np.exp(t.log_ratio / t.ticks)), "ticks",
+    ),
+    Metric(
+        "integral_at_5s", "rad s, m s", "integral state at 5 s", lambda t: t.integral, "ticks",
+        parts=_each("integral_{}_at_5s", _ANGLES + _LENGTHS), label="integral states at 5 s", form=".2g",
+    ),
+    Metric("finite", "", "every number of the log is finite", lambda t: t.finite, "steps", kind="flag"),
+)  # fmt: skip
+"""Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
+
+METRIC: Mapping[str, Metric] = {metric.name: metric for metric in METRICS}
+"""By name."""
+
+_NAMED = {f"{metric.name}.{index}": part for metric in METRICS for index, part in enumerate(metric.parts)}
+
+
+def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Metrics by column, from `metrics.run_metrics`; and `not_finite`, named likewise."""
+    row: dict[str, Any] = {}
+    for metric in METRICS:
+        value = metrics[metric.name]
+        row |= (
+            dict(zip(metric.parts, value or [None] * len(metric.parts), strict=True))
+            if metric.parts
+            else {metric.name: value}
+        )
+    return {**row, NOT_FINITE: {_NAMED.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
+
+
+STATUS = Column(
+    "status",
+    "",
+    "completed: the controller was in charge to the end and the motion was followed; stopped: the safety layer held "
+    "the robot at the end; lost: the motion was not followed; failed: broke midway, and what was measured until then "
+    "is there; rejected: refused before the run; raised: an exception that is no verdict on the run; crashed: took its "
+    "worker process with it",
+    "text",
+)
+OUTCOME: tuple[Column, ...] = (
+    STATUS,
+    Column("reason", "", "stable name of what happened, null for completed", "text"),
+    Column("message", "", "one line on it", "text"),
+    Column("outcome_time", "s", "when that was decided, null for completed"),
+    Column("safety_monitor", "", "monitor of the safety layer that tripped first, null for none", "text"),
+    Column("safety_time", "s", "when it did"),
+    Column("safety_level", "", "how far the safety layer went: hold, ramp, safe_hold or end", "text"),
+    Column("warnings", "", "names of the warnings, null for none", "text"),
+    Column("end_time", "s", "simulated time reached"),
+    Column("leg", "", "leg 0..5 to which the outcome belongs", "whole"),
+    Column(NOT_FINITE, "", "metrics that are null because they are no finite numbers, with what they are", "text"),
+)
+"""How a run ended, before the metrics."""
+
+
+def columns() -> tuple[Column, ...]:
+    """All that is told of a run in a table: how it ended, and its metrics."""
+    return (*OUTCOME, *(column for metric in METRICS for column in metric.columns()))
