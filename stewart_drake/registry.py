@@ -1,4 +1,4 @@
-"""Every kind of controller, tuner, sensor, reference and disturbance: its section, and the LeafSystem that runs it.
+"""Every kind of controller, tuner, sensor, reference, disturbance: its section, and the LeafSystem that runs it.
 
 A kind is one line here. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor
 what the scenario does not name. `Family.add` takes a kind from outside of the package.
@@ -56,6 +56,11 @@ class Family:
         """Names of the kinds."""
         return [kind for kind in self._lines if kind not in self._without]
 
+    @property
+    def words(self) -> list[str]:
+        """The kinds, and how a user's own is written."""
+        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
+
     def add(self, section: type[Section], system: Any = None) -> None:
         """Adds a kind: its section, whose `kind` has its name as the default, and what runs it."""
         self._lines[section.__pydantic_fields__["kind"].default] = (section, system)
@@ -105,12 +110,12 @@ class Family:
             if section is not None:
                 return section.__pydantic_validator__.validate_python(value)
             missing = "kind" not in value
-            allowed = f"{either(self.kinds)}; this key is required" if missing else chosen(value["kind"], self.kinds)
+            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
             raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
         if section is not None:
             return value
         if isinstance(value, Section):
-            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.kinds)))
+            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
         raise PydanticCustomError("section", "a section")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
@@ -163,9 +168,13 @@ class UserMade(Section):
         return self.source.construct(self.arguments, {})
 
 
-def given_again(section: Any) -> dict[str, Any]:
+def given_again(section: Any) -> Any:
     """A section in plain values, but for what was given in Python and has no other form."""
-    data: dict[str, Any] = to_plain(section)
+    if isinstance(section, (list, tuple)):
+        return [given_again(each) for each in section]
+    if not isinstance(section, Section):
+        return to_plain(section)
+    data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
     if "given" in vars(section):
         data = {**{key: value for key, value in data.items() if key != "system"}, "kind": vars(section)["given"]}
     return data
@@ -257,6 +266,8 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
+MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),

@@ -230,3 +230,33 @@ def test_a_sensor_and_a_controller_with_sections_of_their_own(tmp_path):
     with pytest.raises(ConfigurationError, match=r"did you mean toy_law\?"):
         scenario.replace({"controller": {"kind": "toy_lw"}})
     assert "ToySensorOptions" in json.dumps(scenario_schema())
+
+
+class ToyMonitor:
+    """Trips where the platform is too low."""
+
+    def __init__(self, lowest=0.3):
+        self.lowest = lowest
+
+    def look(self, inputs):
+        if self.lowest < 0.0:
+            raise ZeroDivisionError("blind")
+        return -1 if inputs.pose[5] < self.lowest else None
+
+
+@pytest.mark.parametrize("given", [ToyMonitor, ToyMonitor(), {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}])
+def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(given, tmp_path):
+    base = {**SHORT, "duration": 1.0, "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.302]}}
+    push = {"kind": "step", "wrench": [0, 0, 0, 0, 0, -30.0], "time": 0.05}
+    scenario = Scenario.from_dict({**base, "safety": {"monitors": [given]}})
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    assert log.safety is None
+    pushed = scenario.replace({"disturbances": [push], "safety.following_error": None})
+    log = run(pushed)
+    assert (log.status, log.reason) == ("stopped", "ToyMonitor")
+    assert log.safety["monitor"] == "ToyMonitor"
+    assert log["pose"][log.time < log.safety["time"], 5].min() > 0.2999
+    with pytest.raises(ConfigurationError, match=r"^safety\.monitors\.0: got 'ToyMonitor'"):
+        check_scenario(scenario.replace({"reference.pose": [0, 0, 0, 0, 0, 0.299]}))
+    with pytest.raises(ConfigurationError, match=r"^safety\.monitors: .*blind"):
+        check_scenario(scenario.replace({"safety": {"monitors": [ToyMonitor(-1.0)]}}))

@@ -84,21 +84,30 @@ class UserClass:
     def _module(self) -> str:
         return self.path.rpartition(":")[0]
 
-    def load(self) -> type:
-        """The class; it is not called.
+    def named(self) -> Any:
+        """What the path names, whatever it is.
 
         Raises:
             ConfigurationError: Its module is no file of the user's and of no installed package, and then not imported;
-                it cannot be imported; the class is not there.
+                it cannot be imported; it does not have the name.
         """
-        if self.given is not None:
-            return self.given if isinstance(self.given, type) else type(self.given)
         _, _, name = self.path.rpartition(":")
         source = self.code
         with self._refused(f"a module that can be imported, with a class {name}"):
             module = importlib.import_module(self._module) if self.file is None else _load_file(Path(source))
-            found = getattr(module, name)
+            return getattr(module, name)
+
+    def load(self) -> type:
+        """The class; it is not called.
+
+        Raises:
+            ConfigurationError: See `named`; it is not a class.
+        """
+        if self.given is not None:
+            return self.given if isinstance(self.given, type) else type(self.given)
+        found = self.named()
         if not isinstance(found, type):
+            name = self.path.rpartition(":")[2]
             raise ConfigurationError(self.key, self.path, f"a class; {name} is a {type(found).__name__}")
         return found
 

@@ -27,7 +27,7 @@ from stewart_drake.errors import (
     raised_at,
 )
 from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.user_errors import ControllerStop
+from stewart_drake.files.user_errors import ControllerError, ControllerStop
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows, RowsInMemory
@@ -268,8 +268,12 @@ def check_scenario(scenario: Scenario) -> None:
     """
     motion_report(scenario).raise_if_infeasible()
     if scenario.safety is not None:
-        with _quiet():
-            _check_safety(scenario, scenario.safety)
+        try:
+            with user_code(scenario), _quiet():
+                _check_safety(scenario, scenario.safety)
+        except ControllerError as error:
+            names = ", ".join(scenario.safety.monitor_names)
+            raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
     with _quiet():
         try:
             checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])
