@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test lint bench picture format clean
+.PHONY: demo install test lint bench picture plan format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -34,6 +34,10 @@ bench: install
 picture: install
 	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.replay import render_png; \
 	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
+
+# The README's plan of the rooms.
+plan: install
+	$(BIN)/python docs/draw_plan.py
 
 format: install
 	$(BIN)/ruff check --fix .

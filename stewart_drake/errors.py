@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import reprlib
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -53,16 +53,34 @@ class ConfigurationError(StewartDrakeError):
         key: Dotted name of the scenario key, parameter or file.
         value: What was given.
         allowed: What would have been accepted.
+        others: Further problems of the same file or section; each has a line of its own in the message.
     """
 
     reason = "configuration"
 
     def __init__(self, key: str, value: Any, allowed: str) -> None:
         self.key, self.value, self.allowed = key, value, allowed
+        self.others: tuple[ConfigurationError, ...] = ()
+        self._left_out = 0
         shown = " ".join(_SHORT.repr(value).split())
         if len(shown) > 120:
             shown = shown[:117] + "..."
         super().__init__(f"{key}: got {shown}; allowed: {allowed}")
+
+    def __str__(self) -> str:
+        rest = [f"and {self._left_out} more problems"] if self._left_out > 0 else []
+        return "\n".join([super().__str__(), *map(str, self.others), *rest])
+
+    def with_others(self, others: Sequence[ConfigurationError], most: int = 20) -> ConfigurationError:
+        """The same error with further problems, of which so many are shown."""
+        self.others, self._left_out = tuple(others[:most]), len(others) - most
+        return self
+
+    def within(self, place: str) -> ConfigurationError:
+        """The same problems, with the place where they were found before each key."""
+        made = ConfigurationError(f"{place}{self.key}", self.value, self.allowed)
+        made.others, made._left_out = tuple(each.within(place) for each in self.others), self._left_out
+        return made
 
 
 class InfeasibleReferenceError(ConfigurationError):

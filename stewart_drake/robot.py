@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,13 +12,44 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import SECTION, Count, Positive, Real, Vector3, is_finite, plain
+from stewart_drake.section import SECTION, Count, NotNegative, Positive, Real, Vector3, is_finite, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6
 """Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
+
+
+_PARALLEL = 1e-6
+"""How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegParameters:
+    """What one leg has of its own; null is that of the symmetric robot."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+
+    shaft_position: Vector3 | None = None
+    """[m] centre of the motor shaft in B."""
+    crank_zero_direction: Vector3 | None = None
+    """[-] unit vector in B along which the crank points at theta = 0."""
+    crank_quarter_direction: Vector3 | None = None
+    """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
+    platform_joint: Vector3 | None = None
+    """[m] joint centre in P."""
+    crank_length: Positive | None = None
+    """[m] shaft to crank tip."""
+    rod_length: Positive | None = None
+    """[m] crank tip to platform joint."""
+    branch: Count | None = None
+    """Sign of the acos in the inverse kinematics: -1 or +1."""
+    crank_angle_range: tuple[Real, Real] | None = None
+    """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
+
+
+Legs = tuple[LegParameters, LegParameters, LegParameters, LegParameters, LegParameters, LegParameters]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,11 +60,14 @@ class RobotParameters:
     c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Lengths, radii,
     masses and inertias are those of Table I; the joint positions are our own, because the paper gives none.
 
+    The parameters describe a symmetric robot; `legs` gives single legs values of their own. Mechanics, plant and
+    pictures read neither: they read the arrays of all six legs, `shaft_positions` to `crank_angle_ranges`.
+
     Deviation: crank Izz is 5.9e-5 kg m^2, not the printed 6.0e-5, which breaks the triangle inequality.
 
     Raises:
-        ConfigurationError: A value is not finite, not positive where it must be, an inertia is not that of a body, or
-            the home pose cannot be assembled.
+        ConfigurationError: A value is not finite, not positive where it must be, an inertia is not that of a body,
+            directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
@@ -43,6 +78,8 @@ class RobotParameters:
     """[m] z of the motor shafts in B."""
     shaft_half_angle: Positive = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
+    crank_plane_angle: Real = 0.0
+    """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
     platform_joint_radius: Positive = 0.11
     """[m] radius of the circle of the platform's joints."""
     platform_half_angle: Positive = math.radians(52.0)
@@ -55,6 +92,8 @@ class RobotParameters:
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Count = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
+    legs: Legs | None = None
+    """Six sections with what each leg has of its own; null for none."""
 
     rod_mass: Positive = 0.08
     """[kg]"""
@@ -67,7 +106,13 @@ class RobotParameters:
     platform_mass: Positive = 1.0
     """[kg]"""
     platform_inertia: Vector3 = (0.003, 0.003, 0.006)
-    """[kg m^2] about P in P."""
+    """[kg m^2] Ixx, Iyy, Izz about its centre of mass, along the axes of P."""
+    platform_products: Vector3 = (0.0, 0.0, 0.0)
+    """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
+    platform_center_of_mass: Vector3 = (0.0, 0.0, 0.0)
+    """[m] in P."""
+    rotor_inertia: NotNegative = 0.0
+    """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
     base_mass: Positive = 7.0
     """[kg]; welded to the world, so it never acts."""
     base_inertia: Vector3 = (0.027, 0.027, 0.054)
@@ -83,38 +128,55 @@ class RobotParameters:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             given = plain(getattr(self, field.name))
+            if field.name == "legs":
+                given = given if given is None else _legs(given)
+            else:
+                _check(f"robot.{field.name}", given, signed=field.name in _SIGNED, zero=field.name == "rotor_inertia")
             # Lists and numpy's numbers will do, and become what can be hashed and written to a file.
             object.__setattr__(self, field.name, given)
-            values = given if isinstance(given, tuple) else (given,)
-            signed = field.name in {"shaft_height", "branch"}
-            low = -LARGEST if signed else SMALLEST
-            if not all(is_finite(value) and low <= value <= LARGEST for value in values):
-                allowed = (
-                    f"finite numbers from {low:g} to {LARGEST:g}" if signed else f"positive numbers to {LARGEST:g}"
-                )
-                raise ConfigurationError(f"robot.{field.name}", given, allowed)
         if self.branch not in (-1, 1):
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
-            if not isinstance(inertia, tuple) or len(inertia) != 3:
-                raise ConfigurationError(f"robot.{name}", inertia, "three moments Ixx, Iyy, Izz")
+            _check_three(name, inertia, "three moments Ixx, Iyy, Izz")
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
                 raise ConfigurationError(f"robot.{name}", inertia, "no moment above the sum of the other two")
+        _check_three("platform_products", self.platform_products, "three products Ixy, Ixz, Iyz")
+        _check_three("platform_center_of_mass", self.platform_center_of_mass, "three coordinates")
+        principal = np.linalg.eigvalsh(self._central_inertia)
+        if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
+            allowed = "products with which the principal moments are positive and none is above the sum of the others"
+            raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
         if self.rod_inertia[0] != self.rod_inertia[1]:
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")
         for name in ("shaft_half_angle", "platform_half_angle"):
             if getattr(self, name) >= math.pi / 3.0:
                 raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
+        _check_directions(self)
         # A robot that cannot stand at home has no SDF.
         margin = self.reach_margin(self.platform_joints + self.home_pose[3:] - self.shaft_positions)
         if margin.min() <= 0.0:
+            leg = int(margin.argmin())
             raise ConfigurationError(
                 "robot.home_height",
                 self.home_height,
-                f"a height to which cranks of {self.crank_length:g} m and rods of {self.rod_length:g} m reach "
-                f"(leg {int(margin.argmin())} has margin {margin.min():.3g})",
+                f"a height to which cranks of {self.crank_lengths[leg]:g} m and rods of {self.rod_lengths[leg]:g} m "
+                f"reach (leg {leg} has margin {margin.min():.3g})",
             )
+
+    @classmethod
+    def symmetric(cls, **parameters: Any) -> RobotParameters:
+        """A robot whose six legs are alike.
+
+        Args:
+            **parameters: Any but `legs`, such as `crank_plane_angle=math.pi / 2`.
+
+        Raises:
+            ConfigurationError: As for the class; `legs` among them.
+        """
+        if parameters.get("legs") is not None:
+            raise ConfigurationError("robot.legs", parameters["legs"], "null: a symmetric robot has none of its own")
+        return cls(**parameters)
 
     @cached_property
     def home_pose(self) -> np.ndarray:
@@ -127,28 +189,98 @@ class RobotParameters:
         return _frozen(_PAIR * (2.0 * math.pi / 3.0))
 
     @cached_property
+    def crank_yaws(self) -> np.ndarray:
+        """(6,) [rad] about z, from x to each crank's direction at zero, where that is horizontal."""
+        own = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEGS
+        symmetric = self.pair_angles + _SIDE * self.crank_plane_angle
+        return _frozen([at if h is None else math.atan2(h[1], h[0]) for h, at in zip(own, symmetric, strict=True)])
+
+    @cached_property
     def shaft_positions(self) -> np.ndarray:
         """(6, 3) [m] motor shaft centres P_i in B."""
         angle = self.pair_angles + _SIDE * self.shaft_half_angle
         r = self.shaft_circle_radius
-        return _frozen(np.stack([r * np.cos(angle), r * np.sin(angle), np.full(LEGS, self.shaft_height)], axis=-1))
+        circle = np.stack([r * np.cos(angle), r * np.sin(angle), np.full(LEGS, self.shaft_height)], axis=-1)
+        return self._of_legs("shaft_position", circle)
 
     @cached_property
     def platform_joints(self) -> np.ndarray:
         """(6, 3) [m] joint centres p_i in P."""
         angle = self.pair_angles + _SIDE * self.platform_half_angle
         r = self.platform_joint_radius
-        return _frozen(np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(LEGS)], axis=-1))
+        circle = np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(LEGS)], axis=-1)
+        return self._of_legs("platform_joint", circle)
 
     @cached_property
     def crank_zero_directions(self) -> np.ndarray:
-        """(6, 3) [-] horizontal unit vectors h_i in B along which the cranks point at theta = 0."""
-        return _frozen(np.stack([np.cos(self.pair_angles), np.sin(self.pair_angles), np.zeros(LEGS)], axis=-1))
+        """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
+        yaw = self.pair_angles + _SIDE * self.crank_plane_angle
+        return self._of_legs("crank_zero_direction", np.stack([np.cos(yaw), np.sin(yaw), np.zeros(LEGS)], axis=-1))
 
-    @property
-    def crank_axis_inertia(self) -> float:
-        """[kg m^2] inertia of a crank about its motor axis."""
-        return self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_length) ** 2
+    @cached_property
+    def crank_quarter_directions(self) -> np.ndarray:
+        """(6, 3) [-] unit vectors in B along which the cranks point at theta = pi/2."""
+        given = self._of_legs("crank_quarter_direction", np.tile([0.0, 0.0, 1.0], (LEGS, 1)))
+        h = self.crank_zero_directions
+        across = given - np.sum(given * h, axis=-1, keepdims=True) * h
+        return _frozen(across / np.linalg.norm(across, axis=-1, keepdims=True))
+
+    @cached_property
+    def crank_lengths(self) -> np.ndarray:
+        """(6,) [m] |a| of each leg."""
+        return self._of_legs("crank_length", np.full(LEGS, self.crank_length))
+
+    @cached_property
+    def rod_lengths(self) -> np.ndarray:
+        """(6,) [m] rod of each leg."""
+        return self._of_legs("rod_length", np.full(LEGS, self.rod_length))
+
+    @cached_property
+    def branches(self) -> np.ndarray:
+        """(6,) [-] branch of each leg, -1.0 or 1.0."""
+        return self._of_legs("branch", np.full(LEGS, float(self.branch)))
+
+    @cached_property
+    def crank_angle_ranges(self) -> np.ndarray:
+        """(6, 2) [rad] lowest and highest theta of each leg; infinite where there is no stop."""
+        return self._of_legs("crank_angle_range", np.tile([-np.inf, np.inf], (LEGS, 1)))
+
+    @cached_property
+    def crank_axis_inertias(self) -> np.ndarray:
+        """(6,) [kg m^2] inertia of each crank about its motor axis, rotor included."""
+        own = self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_lengths) ** 2
+        return _frozen(own + self.rotor_inertia)
+
+    @cached_property
+    def platform_moment(self) -> np.ndarray:
+        """(3,) [kg m] mass times centre of mass of the platform, in P."""
+        return _frozen(self.platform_mass * np.array(self.platform_center_of_mass))
+
+    @cached_property
+    def platform_inertia_about_origin(self) -> np.ndarray:
+        """(3, 3) [kg m^2] inertia of the platform about the origin of P, along its axes."""
+        c = np.array(self.platform_center_of_mass)
+        return _frozen(self._central_inertia + self.platform_mass * ((c @ c) * np.eye(3) - np.outer(c, c)))
+
+    @cached_property
+    def smallest_platform_inertia(self) -> float:
+        """[kg m^2] smallest principal moment of the platform about its centre of mass."""
+        return float(np.linalg.eigvalsh(self._central_inertia)[0])
+
+    @cached_property
+    def base_radius(self) -> float:
+        """[m] of the circle about z that holds all motor shafts."""
+        return float(np.hypot(self.shaft_positions[:, 0], self.shaft_positions[:, 1]).max())
+
+    @cached_property
+    def base_height(self) -> float:
+        """[m] z of the lowest motor shaft in B."""
+        return float(self.shaft_positions[:, 2].min())
+
+    @cached_property
+    def platform_radius(self) -> float:
+        """[m] of the circle about z of P that holds all platform joints."""
+        return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
     def crank_equation(self, span: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A, B and C / sqrt(A^2 + B^2) of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
@@ -160,10 +292,10 @@ class RobotParameters:
             A (..., 6) [m^2], B (..., 6) [m^2] and the ratio (..., 6) [-], infinite where the platform joint lies on the
             motor axis.
         """
-        a = self.crank_length
+        a = self.crank_lengths
         along = 2.0 * a * np.sum(span * self.crank_zero_directions, axis=-1)
-        up = 2.0 * a * span[..., 2]
-        constant = np.sum(span * span, axis=-1) + a * a - self.rod_length**2
+        up = 2.0 * a * np.sum(span * self.crank_quarter_directions, axis=-1)
+        constant = np.sum(span * span, axis=-1) + a * a - self.rod_lengths**2
         size = np.hypot(along, up)
         return along, up, np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
 
@@ -182,6 +314,80 @@ class RobotParameters:
             if name not in known:
                 raise ConfigurationError(f"robot.{name}", value, "one of " + ", ".join(sorted(known)))
         return dataclasses.replace(self, **changes)
+
+    @property
+    def _central_inertia(self) -> np.ndarray:
+        xy, xz, yz = self.platform_products
+        return np.diag(self.platform_inertia) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+
+    def _of_legs(self, name: str, symmetric: np.ndarray) -> np.ndarray:
+        """The symmetric robot's values, overwritten by those that legs have of their own."""
+        for leg, own in enumerate(self.legs or ()):
+            value = getattr(own, name)
+            if value is not None:
+                symmetric[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
+        return _frozen(symmetric)
+
+
+_SIGNED = {"shaft_height", "branch", "crank_plane_angle", "platform_products", "platform_center_of_mass"}
+
+
+def _check(key: str, given: Any, *, signed: bool, zero: bool = False) -> None:
+    low = -LARGEST if signed else 0.0 if zero else SMALLEST
+    values = given if isinstance(given, tuple) else (given,)
+    if not all(is_finite(value) and low <= value <= LARGEST for value in values):
+        kind = f"finite numbers from {low:g} to {LARGEST:g}" if signed or zero else f"positive numbers to {LARGEST:g}"
+        raise ConfigurationError(key, given, kind)
+
+
+def _check_three(name: str, value: Any, allowed: str) -> None:
+    if not isinstance(value, tuple) or len(value) != 3:
+        raise ConfigurationError(f"robot.{name}", value, allowed)
+
+
+def _legs(given: Any) -> Legs:
+    """Six checked legs out of sections, mappings or null.
+
+    Raises:
+        ConfigurationError: Not six; or a value that no robot can have.
+    """
+    if not isinstance(given, tuple) or len(given) != LEGS:
+        raise ConfigurationError("robot.legs", given, f"null, or {LEGS} sections")
+    return tuple(_leg(f"robot.legs.{leg}", each) for leg, each in enumerate(given))  # type: ignore[return-value]
+
+
+def _leg(key: str, given: Any) -> LegParameters:
+    known = [field.name for field in dataclasses.fields(LegParameters)]
+    if isinstance(given, LegParameters):
+        given = {name: getattr(given, name) for name in known}
+    given = {} if given is None else given
+    if not isinstance(given, Mapping) or not set(given) <= set(known):
+        raise ConfigurationError(key, given, f"a section with keys such as {', '.join(known)}")
+    values = {name: plain(value) for name, value in given.items() if value is not None}
+    for name, value in values.items():
+        size = {"branch": 1, "crank_length": 1, "rod_length": 1, "crank_angle_range": 2}.get(name, 3)
+        if (len(value) if isinstance(value, tuple) else 1) != size:
+            raise ConfigurationError(f"{key}.{name}", value, f"{size} numbers" if size > 1 else "a number")
+        _check(f"{key}.{name}", value, signed=not name.endswith("length"))
+    if values.get("branch", 1) not in (-1, 1):
+        raise ConfigurationError(f"{key}.branch", values["branch"], "-1 or 1")
+    low, high = values.get("crank_angle_range", (-math.pi, math.pi))
+    if not low < high <= low + 2.0 * math.pi:
+        raise ConfigurationError(f"{key}.crank_angle_range", (low, high), "two angles, rising, within one turn")
+    return LegParameters(**values)
+
+
+def _check_directions(robot: RobotParameters) -> None:
+    """Refuses cranks' directions that are not perpendicular unit vectors."""
+    for leg, own in enumerate(robot.legs or ()):
+        for name in ("crank_zero_direction", "crank_quarter_direction"):
+            given = getattr(own, name)
+            if given is not None and abs(math.hypot(*given) - 1.0) > _PARALLEL:
+                raise ConfigurationError(f"robot.legs.{leg}.{name}", given, "a vector of length 1")
+        quarter = (0.0, 0.0, 1.0) if own.crank_quarter_direction is None else own.crank_quarter_direction
+        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > _PARALLEL:
+            allowed = "a direction at a right angle to crank_zero_direction"
+            raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
 
 
 def _frozen(values: Any) -> np.ndarray:

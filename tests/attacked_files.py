@@ -24,8 +24,8 @@ from stewart_drake.campaigns.sweep_file import load_sweep
 from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, construct
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import parquet_files
 from stewart_drake.files.named_files import digest
-from stewart_drake.files.whole import parquet_files
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.references import RecordedReference

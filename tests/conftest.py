@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -34,6 +35,11 @@ def python(*arguments):
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def field_of(error):
+    """Key of a ConfigurationError without the places in lists at its end."""
+    return re.sub(r"(\.\d+)+$", "", error.key)
 
 
 def make_network(seed=0, window=49, density="magnitude", gain=1.0):

@@ -165,7 +165,17 @@ def flatten(key, value, found):
         found[key] = value
 
 
-TELLS_ABOUT_THE_MACHINE = ("versions", "wall", "files", "seconds", "git_revision", "source", "speed", "realtime")
+TELLS_ABOUT_THE_MACHINE = (
+    "versions",
+    "wall",
+    "files",
+    "seconds",
+    "git_revision",
+    "source",
+    "_s[",
+    "worker",
+    "real_time_factor",
+)
 
 
 def compare(old, new):

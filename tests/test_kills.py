@@ -85,7 +85,7 @@ def module(key):
 reproduce.SECTIONS = ("tiny_a", "tiny_b")
 reproduce.check_base = lambda base: None
 for key in reproduce.SECTIONS:
-    sys.modules[f"{{reproduce.__package__}}.{{key}}"] = module(key)
+    sys.modules[f"{{reproduce.__package__}}.{{key}}_section"] = module(key)
 {MAIN}
 """
 CAMPAIGNS = {

@@ -4,13 +4,16 @@ import math
 import numpy as np
 import pydantic
 import pytest
+from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import LegParameters, RobotParameters
+from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()
-NUMBERS = [f.name for f in dataclasses.fields(RobotParameters) if f.name != "branch"]
+NUMBERS = [f.name for f in dataclasses.fields(RobotParameters) if f.name not in ("branch", "legs")]
+ANY_SIGN = {"crank_plane_angle", "platform_products", "platform_center_of_mass"}
 
 
 def turn(angle):
@@ -54,7 +57,7 @@ def test_home_is_the_stated_pose():
 
 
 def test_crank_inertia_about_the_motor_axis_by_the_parallel_axis_theorem():
-    assert ROBOT.crank_axis_inertia == pytest.approx(5.8e-5 + 0.04 * 0.055**2, rel=1e-15)
+    assert ROBOT.crank_axis_inertias == pytest.approx(5.8e-5 + 0.04 * 0.055**2, rel=1e-15)
 
 
 def test_robots_are_values():
@@ -84,6 +87,7 @@ def test_replace_validates_and_names_a_typo():
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0])
 def test_unusable_numbers_are_refused_by_name(name, bad):
+    bad = 1e7 if bad == -1.0 and name in ANY_SIGN else bad
     value = getattr(ROBOT, name)
     changed = (bad, *value[1:]) if isinstance(value, tuple) else bad
     with pytest.raises(ConfigurationError) as caught:
@@ -145,3 +149,86 @@ def test_numbers_of_numpy_and_lists_are_as_good_as_pythons():
 def test_what_is_no_three_moments_is_refused(value):
     with pytest.raises(ConfigurationError, match="platform_inertia"):
         RobotParameters(platform_inertia=value)
+
+
+# --- legs of their own -----------------------------------------------------------------------------------------------
+
+
+def test_cranks_in_tangential_planes_are_a_mirrored_robot_of_three_alike_pairs():
+    for leg in range(6):
+        across = TANGENTIAL.crank_zero_directions[leg] @ TANGENTIAL.crank_zero_directions[leg - leg % 2]
+        assert across == pytest.approx(1.0 if leg % 2 == 0 else -1.0)
+        pair = [np.cos(TANGENTIAL.pair_angles[leg]), np.sin(TANGENTIAL.pair_angles[leg]), 0.0]
+        assert TANGENTIAL.crank_zero_directions[leg] @ pair == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_leg_takes_from_the_symmetric_robot_what_it_has_not_of_its_own():
+    robot = RobotParameters(legs=[{"rod_length": 0.41}, None, LegParameters(branch=1), {}, {}, {}], crank_length=0.1)
+    np.testing.assert_array_equal(robot.rod_lengths, [0.41, *[0.404] * 5])
+    np.testing.assert_array_equal(robot.branches, [-1, -1, 1, -1, -1, -1])
+    np.testing.assert_array_equal(robot.crank_lengths, 0.1)
+    for name in ("shaft_positions", "platform_joints", "crank_zero_directions", "crank_quarter_directions"):
+        np.testing.assert_array_equal(getattr(robot, name), getattr(ROBOT, name))
+    assert hash(robot) == hash(robot.replace())
+    assert robot.replace(rod_length=0.4).rod_lengths.tolist() == [0.41, *[0.4] * 5]
+
+
+def test_legs_are_read_from_plain_values_and_written_back():
+    for robot in ROBOTS.values():
+        adapter = pydantic.TypeAdapter(RobotParameters)
+        again = adapter.validate_json(adapter.dump_json(robot))
+        assert again == robot
+        assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
+
+
+def test_directions_are_made_perpendicular_to_the_last_bit():
+    h, q = UNEQUAL.crank_zero_directions, UNEQUAL.crank_quarter_directions
+    np.testing.assert_allclose(np.sum(h * q, axis=-1), 0.0, atol=1e-16)
+    np.testing.assert_allclose([np.linalg.norm(h, axis=-1), np.linalg.norm(q, axis=-1)], 1.0, rtol=1e-15)
+
+
+def test_inertia_about_the_origin_of_the_platforms_frame_is_that_of_a_body_of_points():
+    robot = RobotParameters(
+        platform_inertia=(0.003, 0.004, 0.005), platform_products=(2e-4, 3e-4, -1e-4),
+        platform_center_of_mass=(0.1, -0.2, 0.3), platform_mass=2.0,
+    )  # fmt: skip
+    # Points at +-x along the principal axes have the central inertia; shifted, all of it about the origin.
+    central = np.array([[0.003, 2e-4, 3e-4], [2e-4, 0.004, -1e-4], [3e-4, -1e-4, 0.005]])
+    moments, axes = np.linalg.eigh(central)
+    squares = 0.5 * moments.sum() - moments
+    at = [
+        np.array([0.1, -0.2, 0.3]) + side * math.sqrt(3.0 * square / 2.0) * axis
+        for square, axis in zip(squares, axes.T, strict=True)
+        for side in (-1.0, 1.0)
+    ]
+    inertia = sum(2.0 / 6.0 * (p @ p * np.eye(3) - np.outer(p, p)) for p in at)
+    np.testing.assert_allclose(robot.platform_inertia_about_origin, inertia, rtol=1e-12)
+    np.testing.assert_allclose(robot.platform_moment, [0.2, -0.4, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("legs", "key"),
+    [
+        ([{}] * 5, "robot.legs"),
+        (3, "robot.legs"),
+        ([{"rod": 1.0}] + [{}] * 5, "robot.legs.0"),
+        ([{}] * 5 + [{"rod_length": -1.0}], "robot.legs.5.rod_length"),
+        ([{"branch": 2}] + [{}] * 5, "robot.legs.0.branch"),
+        ([{"crank_zero_direction": (1.0, 1.0, 0.0)}] + [{}] * 5, "robot.legs.0.crank_zero_direction"),
+        ([{"crank_zero_direction": (0.0, 0.0, 1.0)}] + [{}] * 5, "robot.legs.0.crank_quarter_direction"),
+        ([{"platform_joint": (1.0, 1.0)}] + [{}] * 5, "robot.legs.0.platform_joint"),
+        ([{"crank_angle_range": (1.0, -1.0)}] + [{}] * 5, "robot.legs.0.crank_angle_range"),
+        ([{"rod_length": 0.2}] + [{}] * 5, "robot.home_height"),
+    ],
+)
+def test_legs_that_cannot_be_built_are_refused_by_name(legs, key):
+    with pytest.raises(ConfigurationError) as caught:
+        RobotParameters(legs=legs)
+    assert caught.value.key == key
+
+
+def test_products_of_no_body_are_refused():
+    with pytest.raises(ConfigurationError, match=r"robot\.platform_products"):
+        RobotParameters(platform_products=(0.004, 0.0, 0.0))
+    with pytest.raises(ConfigurationError, match=r"robot\.legs"):
+        RobotParameters.symmetric(legs=[{}] * 6)

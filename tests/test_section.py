@@ -1,76 +1,262 @@
+import dataclasses
+import math
+import pickle
+from typing import Annotated, Literal, get_args
+
 import numpy as np
 import pytest
+from conftest import field_of
+from pydantic import Field
 
+from stewart_drake.control.tuners import Tuner
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS, Family
+from stewart_drake.scenario import Scenario
 from stewart_drake.section import (
     MAX_SEED,
-    check_choice,
-    check_fraction,
-    check_leg,
-    check_numbers,
-    check_positive,
-    check_positive_pair,
-    check_real,
-    check_seed,
-    check_whole,
+    Count,
+    Flag,
+    Fraction,
+    Leg,
+    Natural,
+    NotNegative,
+    Positive,
+    PositivePair,
+    Real,
+    Section,
+    Seed,
+    Share,
+    Text,
+    check_value,
 )
+from stewart_drake.wording import describe
+
+NEEDED = {
+    "sine_bursts": {"frequency": (1.0,), "amplitude": ((0.0,) * 6,)},
+    "minimum_jerk": {"poses": ((0.0,) * 6,) * 2, "durations": (1.0,)},
+    "spline": {"poses": ((0.0,) * 6,) * 2, "times": (0.0, 1.0)},
+    "recorded": {"motion_file": "x.csv"},
+    "sum": {"parts": ({"kind": "tremor"},)},
+    "adjusted": {"motion": {"kind": "tremor"}},
+    "python": {"system": "mine:Mine"},
+    "block": {"q_pose": 1.0, "q_rate": 1.0, "q_integral": 1.0},
+    "constant": {"wrench": (0.0,) * 6},
+    "step": {"wrench": (0.0,) * 6, "time": 0.0},
+    "impulse": {"impulse": (0.0,) * 6, "time": 0.0},
+    "sine wrench": {"wrench": (0.0,) * 6, "frequency": 1.0},
+    "noise": {"rms": (0.0,) * 6},
+    "DeadMotor": {"leg": 0},
+    "MotorFault": {"kind": "reversed", "leg": 0},
+    "EncoderFault": {"kind": "nan", "leg": 0},
+    "PoseFault": {"kind": "nan"},
+    "CommandFault": {"kind": "nan"},
+    "BrokenRod": {"leg": 0, "time": 0.0},
+}
 
 
-@pytest.mark.parametrize("seed", [-1, MAX_SEED + 1, 1.0, True, None])
-def test_a_bad_seed_is_named(seed):
-    with pytest.raises(ConfigurationError, match=r"x\.seed"):
-        check_seed("x.seed", seed)
+def sections_in(annotation):
+    """Classes of sections in a type, and in theirs."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+        for field in annotation.__pydantic_fields__.values():
+            yield from sections_in(field.annotation if field.annotation is not Tuner else None)
+    for part in get_args(annotation):
+        yield from sections_in(part)
 
 
-@pytest.mark.parametrize("leg", [-1, 6, 1.0, True, None])
-def test_a_bad_leg_is_named(leg):
-    with pytest.raises(ConfigurationError, match="leg"):
-        check_leg("leg", leg)
+FAMILIES = {"reference": REFERENCES, "controller": CONTROLLERS, "tuner": TUNERS, "sensors": SENSORS}
+EVERY = dict.fromkeys(
+    found
+    for start in (
+        Scenario,
+        *(f.section(kind) for f in (*FAMILIES.values(), DISTURBANCES) for kind in f.kinds),
+    )
+    for found in sections_in(start)
+)
+FIELDS = [(section, name) for section in EVERY for name in section.__pydantic_fields__]
 
 
-@pytest.mark.parametrize("value", [-1e-300, np.nan, np.inf, True, "1", None])
-def test_a_bad_number_is_named(value):
-    with pytest.raises(ConfigurationError, match="key"):
-        check_real("key", value)
-    with pytest.raises(ConfigurationError, match="key"):
-        check_positive("key", value)
-    check_real("key", 0)
-    with pytest.raises(ConfigurationError):
-        check_positive("key", 0)
-    with pytest.raises(ConfigurationError):
-        check_real("key", 2.0, 0.0, "at most 1", 1.0)
-    check_real("key", 1.0, 0.0, "at most 1", 1.0)
+def valid(section):
+    kind = getattr(section, "kind", None)
+    if kind == "sine" and section.section_key == "disturbances":
+        kind = "sine wrench"
+    return section(**NEEDED.get(kind, NEEDED.get(section.__name__, {})))
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, np.nan, True, "0.5", None])
-def test_the_ends_are_no_fraction(value):
-    with pytest.raises(ConfigurationError, match="between 0 and 1"):
-        check_fraction("key", value)
-    check_fraction("key", 0.5)
+def test_every_section_is_looked_at():
+    assert len(EVERY) > 30
+    assert {section.section_key for section in EVERY} >= {"", *FAMILIES, "disturbances", "link", "safety", "plant"}
 
 
-@pytest.mark.parametrize("value", [0, 11, 5.0, True, "5", None])
-def test_a_bad_whole_number_is_named(value):
-    with pytest.raises(ConfigurationError, match=r"key.*a whole number from 1 to 10"):
-        check_whole("key", value, 1, 10)
-    for good in (1, 10):
-        check_whole("key", good, 1, 10)
+@pytest.mark.parametrize(("section", "name"), FIELDS, ids=lambda x: x if isinstance(x, str) else x.__name__)
+def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section, name):
+    good, key = valid(section), ".".join(filter(None, (section.section_key, name)))
+    for junk in (
+        math.nan,
+        math.inf,
+        -1e300,
+        "1",
+        True,
+        3,
+        (),
+        ("x",),
+        {},
+        b"1",
+        None,
+        10**400,
+        np.zeros((2, 2)),
+        object(),
+    ):
+        try:
+            made = dataclasses.replace(good, **{name: junk})
+        except ConfigurationError as refused:
+            error = refused
+        else:
+            # What is taken can be written and read again.
+            assert type(made).from_dict(made.to_dict()) == made
+            assert junk != b"1"
+            continue
+        assert field_of(error).startswith(key) or error.key.rpartition(".")[0] == section.section_key, error
+        assert all(line.isprintable() and len(line) < 1000 for line in str(error).split("\n"))
 
 
-@pytest.mark.parametrize("value", ["green", "", None, ["red"], np.array(["red", "blue"])])
-def test_what_may_be_chosen_is_named(value):
-    with pytest.raises(ConfigurationError, match=r"key.*red, yellow or blue"):
-        check_choice("key", value, "red", "yellow", "blue")
-    check_choice("key", "blue", "red", "yellow", "blue")
+def test_no_field_takes_junk_unless_it_says_so():
+    """Number of fields that take each; a constraint that is lost shows here."""
+    taken = {}
+    for section, name in FIELDS:
+        for label, junk in {"nan": math.nan, "infinite": math.inf, "text": "1e-3", "true": True, "list": ()}.items():
+            try:
+                dataclasses.replace(valid(section), **{name: junk})
+            except ConfigurationError:
+                continue
+            taken.setdefault(label, set()).add(name)
+    assert "nan" not in taken
+    assert "infinite" not in taken
+    assert taken["text"] == {"name", "motion_file", "weights_file"}
+    assert taken["list"] <= {"dwell", "dropped", "late", "faults", "disturbances", "premature_beats"}
+    booleans = {name for section, name in FIELDS if section.__pydantic_fields__[name].annotation is bool}
+    assert taken["true"] == booleans
 
 
-@pytest.mark.parametrize("values", [(1.0,), (1.0, 2.0, 3.0), (1.0, np.inf), (1.0, True), None, 2.0, "12"])
-def test_vectors_are_so_many_finite_numbers(values):
-    with pytest.raises(ConfigurationError, match="2 finite numbers"):
-        check_numbers("key", values, 2)
-    with pytest.raises(ConfigurationError, match="two above 0"):
-        check_positive_pair("key", values, "two above 0")
-    for pair in ((-1.0, 0.0), (1.0, 0.0), [1.0, 0.0], np.array([1.0, 0.0])):
-        check_numbers("key", pair, 2)
-        with pytest.raises(ConfigurationError):
-            check_positive_pair("key", pair, "two above 0")
+@pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
+def test_a_section_is_frozen_hashable_and_comes_back_from_a_file_and_from_a_worker(section):
+    made = valid(section)
+    with pytest.raises(Exception, match=r"frozen|immutable|cannot assign"):
+        made.kind = "other"
+    assert section.from_dict(made.to_dict()) == made
+    assert pickle.loads(pickle.dumps(made)) == made
+    if section is not CONTROLLERS.section("python"):
+        assert hash(made) == hash(valid(section))
+    for name, field in section.__pydantic_fields__.items():
+        text = " ".join((field.description or "").split())
+        assert text or name == "kind", f"{section.__name__}.{name} has no text"
+        assert f"{name}: {text}".rstrip(": ") in section.__doc__
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad", "words"),
+    [
+        (Real, (0, -1.5), (math.nan, "1", True, None), "a number"),
+        (Positive, (1e-300, 1), (0, -1, 5e-324, math.inf), "a positive number"),
+        (NotNegative, (0, 1.0), (-1e-300,), "a number, zero or positive"),
+        (Fraction, (0.5,), (0, 1), "a number between 0 and 1"),
+        (Share, (0, 1), (-0.1, 1.1), "a number from 0 to 1"),
+        (Count, (-3,), (1.0, True), "a whole number"),
+        (Natural, (0,), (-1, 0.0), "a whole number, zero or positive"),
+        (Seed, (0, MAX_SEED), (-1, MAX_SEED + 1), f"a whole number from 0 to {MAX_SEED}"),
+        (Leg, (0, 5), (-1, 6, 1.0), "a leg from 0 to 5"),
+        (Flag, (True, False), (1, "yes"), "true or false"),
+        (Text, ("",), (3, None), "a text"),
+        (PositivePair, ([1, 2], np.ones(2)), ((1.0,), 3, (0.0, 1.0)), "positive number"),
+        (Literal["red", "blue"], ("red",), ("green", ["red"], None), "red or blue"),
+        (Annotated[Positive, Field(le=2.0)], (2,), (2.1,), "a number above 0, at most 2"),
+        (Annotated[Natural, Field(ge=1, le=9)], (1, 9), (0, 10), "a whole number from 1 to 9"),
+        (
+            Annotated[tuple[Real, ...], Field(min_length=1, max_length=2)],
+            ([1],),
+            ([],),
+            "a list of at least 1 and at most 2",
+        ),
+    ],
+)
+def test_a_type_takes_what_it_says(kind, good, bad, words):
+    for value in good:
+        check_value("key", value, kind)
+    for value in bad:
+        with pytest.raises(ConfigurationError) as caught:
+            check_value("key", value, kind)
+        assert field_of(caught.value) == "key"
+        assert words.split("number")[0] in caught.value.allowed
+    assert words in describe(kind)
+
+
+class Inner(Section, key="inner"):
+    """A section inside."""
+
+    size: Positive = 1.0
+    """[m, s] size."""
+    mode: Literal["fast", "slow"] = "fast"
+    """How."""
+
+    def rules(self):
+        if self.size > 2.0 and self.mode == "slow":
+            raise ConfigurationError("size", self.size, "at most 2 where it is slow")
+
+
+class Outer(Section):
+    """A section outside."""
+
+    inner: Inner = Inner()
+    """Inside."""
+    many: tuple[Inner, ...] = ()
+    """More."""
+
+
+@pytest.mark.parametrize(
+    ("make", "lines"),
+    [
+        (lambda: Inner(size=3, mode="slow"), ["inner.size: got 3.0; allowed: at most 2 where it is slow"]),
+        (lambda: Inner(mode="slwo"), ["inner.mode: got 'slwo'; allowed: fast or slow; did you mean slow?"]),
+        (
+            lambda: Outer.from_dict({"many": [{}, {"size": 3, "mode": "slow"}]}),
+            ["many.1.size: got 3.0; allowed: at most 2"],
+        ),
+        (
+            lambda: Outer(inner=3, many=({"size": "1"},)),
+            ["inner: got 3; ", "many.0.size: got '1'; allowed: a positive"],
+        ),
+        (lambda: Outer(iner={}, many=3), ["iner: got {}; allowed: no such key, did you mean inner?", "many: got 3; "]),
+        (lambda: Outer(inner=Outer()), ["inner: got Outer("]),
+    ],
+)
+def test_every_problem_has_its_line_and_its_place(make, lines):
+    with pytest.raises(ConfigurationError) as caught:
+        make()
+    found = str(caught.value).split("\n")
+    assert len(found) == len(lines)
+    for line, start in zip(found, lines, strict=True):
+        assert line.startswith(start)
+
+
+def test_a_family_takes_a_kind_from_outside_of_the_package():
+    family = Family({})
+
+    class Mine(Section):
+        """Mine."""
+
+        kind: Literal["mine"] = "mine"
+        size: Positive = 1.0
+        """[m]"""
+
+    family.add(Mine, print)
+
+    class Holder(Section):
+        """Holder."""
+
+        part: Annotated[Section, family]
+        """One of the family."""
+
+    assert Holder(part={"kind": "mine", "size": 2}).part == Mine(size=2.0)
+    assert family.system("mine") is print
+    with pytest.raises(ConfigurationError, match=r"^part\.kind: .*did you mean mine"):
+        Holder(part={"kind": "mne"})

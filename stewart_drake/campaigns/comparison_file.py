@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StrictStr, ValidationError
+from pydantic import Field
 
 from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
 from stewart_drake.campaigns.one_run import Measure
@@ -24,7 +24,8 @@ from stewart_drake.files.named_files import anchor_files
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import SECTION, Count, Real, explain, shown
+from stewart_drake.section import NAME, NAME_WORDS, NotNegative, Positive, Section, Seed, Text
+from stewart_drake.wording import shown
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
@@ -32,84 +33,75 @@ MAX_RUNS = 10_000
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
 _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
-_MODEL = cast(ConfigDict, {**SECTION, "frozen": True})
 _NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
 
 
-class BestOf(BaseModel):
+class BestOf(Section):
     """A row for the best of some controllers, picked anew for each reference and condition."""
 
-    model_config = _MODEL
-
-    of: tuple[StrictStr, ...]
+    of: tuple[Text, ...]
     """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
 
 
-class Product(BaseModel):
+class Product(Section):
     """Every one of these controllers with every one of these references under every one of these conditions."""
 
-    model_config = _MODEL
-
-    controllers: tuple[StrictStr, ...]
-    references: tuple[StrictStr, ...]
-    conditions: tuple[StrictStr, ...]
+    controllers: tuple[Text, ...]
+    references: tuple[Text, ...]
+    conditions: tuple[Text, ...]
 
 
-class Bands(BaseModel):
+class Bands(Section):
     """Closed-loop amplitude and phase, one run for each controller, axis and frequency."""
 
-    model_config = _MODEL
-
-    controllers: tuple[StrictStr, ...]
+    controllers: tuple[Text, ...]
     """Names of controllers."""
-    condition: StrictStr
+    condition: Text
     """Name of a condition."""
     axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
     """One after the other."""
-    frequencies: tuple[Annotated[Real, Field(gt=0.0, le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+    frequencies: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
     """[Hz]"""
-    largest_angle: Annotated[Real, Field(gt=0.0)] = 0.05
+    largest_angle: Positive = 0.05
     """[rad] amplitude, where half of the largest feasible one is not less."""
-    largest_travel: Annotated[Real, Field(gt=0.0)] = 0.005
+    largest_travel: Positive = 0.005
     """[m] amplitude, where half of the largest feasible one is not less."""
-    transient: Annotated[Real, Field(ge=0.0)] = 3.0
+    transient: NotNegative = 3.0
     """[s] before the fit begins."""
-    window: Annotated[Real, Field(gt=0.0)] = 1.0
+    window: Positive = 1.0
     """[s] of the fit at least, in whole periods."""
 
 
-class CompareFile(BaseModel):
+class CompareFile(Section):
     """Keys of a comparison file."""
 
-    model_config = _MODEL
-
-    name: Annotated[StrictStr, Field(min_length=1, max_length=80, pattern=r"^\w[\w .+-]*$")] = "comparison"
+    name: Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS] = "comparison"
     """Used for the output folder and titles."""
-    scenario: StrictStr
+    scenario: Text
     """What is changed: a file, relative to the comparison file, or the name of a shipped scenario."""
-    set: Any = {}
+    set: Any = Field(default_factory=dict)
     """Scenario key -> value, in every run."""
     controllers: Any
     """Name -> (scenario key -> value)."""
     references: Any
     """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
-    conditions: Any = {"nominal": {}}
+    conditions: Any = Field(default_factory=lambda: {"nominal": {}})
     """Name -> (scenario key -> value), changed last."""
-    best_of: dict[StrictStr, BestOf] = {}
+    best_of: dict[Text, BestOf] = Field(default_factory=dict)
     """Name -> the controllers that it is the best of."""
     runs: tuple[Product, ...] | None = None
     """What is run, at least one; null for all controllers on all references under all conditions."""
-    seeds: Annotated[tuple[Annotated[Count, Field(ge=0, lt=2**63)], ...], Field(min_length=1)] = (0,)
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
     """A run with the text {seed} among its values is done once with each, any other once with the first."""
     layout: Literal["rows", "grid"] = "rows"
     """Of the Markdown: a row a run, or a table for each condition with a column for each reference."""
-    band: Annotated[Real, Field(gt=0.0)] = 0.5
+    band: Positive = 0.5
     """[mm] of pose error, rotations times the characteristic length, within which a run counts as settled."""
-    traced: StrictStr | None = None
+    traced: Text | None = None
     """Reference whose error over time is drawn; null for the first."""
     bands: Bands | None = None
     """Tracked frequencies; null for none."""
-    quick: Annotated[Real, Field(gt=0.0)] = 1.5
+    quick: Positive = 1.5
     """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
 
 
@@ -167,10 +159,7 @@ class Comparison:
         if not isinstance(data, Mapping):
             raise ConfigurationError("comparison", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        try:
-            file = CompareFile.model_validate(dict(data))
-        except ValidationError as error:
-            raise explain(CompareFile, error, data) from None
+        file = CompareFile.from_dict(dict(data))
         fixed = _keys("set", file.set, folder)
         base = vary(_load_base(file.scenario, folder), fixed, "set.")
         parts = {kind: _entries(kind, getattr(file, kind), folder) for kind in _KINDS}

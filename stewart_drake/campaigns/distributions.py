@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metric_table import Kind
-from stewart_drake.section import SECTION, Count, Flag, Real, explain
+from stewart_drake.section import SECTION, Count, Flag, Real
+from stewart_drake.wording import explain
 
 LARGEST = 1e100
 """Bounds beyond this are slips of the pen; differences of them could leave floating point."""

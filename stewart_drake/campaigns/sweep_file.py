@@ -12,17 +12,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StrictStr, ValidationError
+from pydantic import Field
 
 from stewart_drake.campaigns.distributions import Choice, Distribution, Grid, column_of, parse_distribution
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.named_files import anchor_files
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import SECTION, Count, Flag, explain, shown
+from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, Section, Seed, Text
+from stewart_drake.wording import shown
 
 MAX_RUNS = 1_000_000
 Sampler = Literal["random", "sobol"]
@@ -30,18 +31,16 @@ Sampler = Literal["random", "sobol"]
 _KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
 
-class SweepFile(BaseModel):
+class SweepFile(Section):
     """Keys of a sweep file."""
 
-    model_config = cast(ConfigDict, {**SECTION, "frozen": True})
-
-    name: Annotated[StrictStr, Field(min_length=1, max_length=80, pattern=r"^\w[\w .+-]*$")] = "sweep"
+    name: Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS] = "sweep"
     """Used for the output folder and titles."""
-    scenario: StrictStr
+    scenario: Text
     """What is varied: a file, relative to the sweep file, or the name of a shipped scenario."""
     runs: Annotated[Count, Field(ge=1, le=MAX_RUNS)] | None = None
     """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
-    seed: Annotated[Count, Field(ge=0, lt=2**63)] = 0
+    seed: Seed = 0
     """Everything random follows from it."""
     sampler: Sampler = "random"
     """random: every key of every run drawn by itself. sobol: a scrambled Sobol sequence over all keys that are not
@@ -49,7 +48,7 @@ class SweepFile(BaseModel):
     mismatch: Flag = False
     """The controller keeps believing in the robot of the scenario while `robot.*` varies: `model_robot` becomes that
     robot, where the scenario has none of its own."""
-    set: Any = {}
+    set: Any = Field(default_factory=dict)
     """Scenario key -> value, changed in every run."""
     distributions: Any
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
@@ -113,10 +112,7 @@ class Sweep:
         if not isinstance(data, Mapping):
             raise ConfigurationError("sweep", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        try:
-            given = SweepFile.model_validate(dict(data))
-        except ValidationError as error:
-            raise explain(SweepFile, error, data) from None
+        given = SweepFile.from_dict(dict(data))
         fixed = _mapping("set", given.set, "values")
         drawn = _mapping("distributions", given.distributions, "distributions")
         base = vary(_load_base(given.scenario, folder), {k: _anchored(k, v, folder) for k, v in fixed.items()}, "set.")

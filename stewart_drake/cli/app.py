@@ -102,7 +102,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     # Only now, with everything checked, does anything appear on the disk.
     with results:
         if not quiet:
-            announce_compilation(loaded.controller)
+            announce_compilation(loaded)
         viewer = None
         if meshcat:
             from pydrake.geometry import Meshcat

@@ -40,11 +40,11 @@ def acceleration_map(
 ) -> bool:  # fmt: skip
     """Transpose of M^-1 tau: row i is the acceleration of the pose per unit of motor i.
 
-    References `state_space.acceleration_map` (paper) and `rigid_body_model.pose_acceleration_map` (exact); out (6, 6).
+    References `state_space.acceleration_map` (paper) and `dynamics.pose_acceleration_map` (exact); out (6, 6).
     """
-    a = scalar(robot, CRANK_LENGTH)
     if not exact:
         for i in range(6):
+            a = robot[i, CRANK_LENGTH]
             force = legs[i, 12] / a if printed else 1.0 / (a * legs[i, 12])
             for k in range(3):
                 out[i, k] = lines[i, k] * force / scalar(robot, PLATFORM_INERTIA + k)
@@ -53,7 +53,7 @@ def acceleration_map(
     inertia, columns = np.empty((6, 6)), np.empty((6, 6))
     task_inertia(robot, legs, lines, turn, inertia)
     for i in range(6):
-        force = 1.0 / (a * legs[i, 12])
+        force = 1.0 / (robot[i, CRANK_LENGTH] * legs[i, 12])
         for k in range(6):
             columns[k, i] = lines[i, k] * force
     if solve(inertia, columns) == 0.0:

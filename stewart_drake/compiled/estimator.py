@@ -11,11 +11,12 @@ from stewart_drake.compiled.mechanism import (
     CRANK_LENGTH,
     NO_CONVERGENCE,
     OK,
+    QUARTER,
+    ZERO,
     euler_rates,
     forward_kinematics,
     leg_vectors,
     rod_lines,
-    scalar,
 )
 
 
@@ -49,16 +50,17 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
     for k in range(6):
         if not abs(pose[k] - memory[k]) <= numbers[3 if k < 3 else 4]:
             return NO_CONVERGENCE
-        along = 0.0
+        along, up = 0.0, 0.0
         for m in range(3):
-            along += legs[k, 3 + m] * robot[12 + k, m]
-        if not along * np.cos(angles[k]) + legs[k, 5] * np.sin(angles[k]) >= SAME_BRANCH:
+            along += legs[k, 3 + m] * robot[k, ZERO + m]
+            up += legs[k, 3 + m] * robot[k, QUARTER + m]
+        if not along * np.cos(angles[k]) + up * np.sin(angles[k]) >= SAME_BRANCH:
             return NO_CONVERGENCE
         result[18 + k] = memory[18 + k]
         if started:
             difference = (angles[k] - memory[12 + k]) / elapsed
             result[18 + k] = memory[18 + k] + numbers[1] * (difference - memory[18 + k])
-        twist[k, 0] = scalar(robot, CRANK_LENGTH) * legs[k, 12] * result[18 + k]
+        twist[k, 0] = robot[k, CRANK_LENGTH] * legs[k, 12] * result[18 + k]
     sign = solve(lines, twist)
     if sign == 0.0 or (started and sign != memory[25]):
         return NO_CONVERGENCE

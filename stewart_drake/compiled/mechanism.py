@@ -13,50 +13,53 @@ OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7
 AT_REFERENCE = 16
 """Added where it concerns the reference's pose, not the measured one."""
 
+SHAFT, JOINT, ZERO, QUARTER = 0, 3, 6, 9
+"""Where vectors begin in the row of a leg, and then its scalars:"""
+CRANK_LENGTH, ROD_LENGTH, BRANCH, CRANK_AXIS_INERTIA = 12, 13, 14, 15
 (
-    CRANK_LENGTH,
-    ROD_LENGTH,
-    BRANCH,
     ROD_MASS,
     ROD_INERTIA,
     CRANK_MASS,
-    CRANK_AXIS_INERTIA,
     PLATFORM_MASS,
     PLATFORM_INERTIA,
+    PLATFORM_TENSOR,
+    PLATFORM_MOMENT,
     LENGTH,
     EFFORT,
-) = (*range(8), 8, 11, 12)
-_SCALARS = 13
+) = (*range(4), 4, 7, 16, 19, 20)
+"""Of the scalars of the whole robot. PLATFORM_INERTIA begins the moments about the centre of mass, PLATFORM_TENSOR
+the nine entries of the tensor about P, PLATFORM_MOMENT mass times centre of mass."""
 
 
 def pack(robot: RobotParameters) -> np.ndarray:
-    """The numbers of a robot in one contiguous array (23, 3): joints of base and platform, crank directions, scalars.
-
-    Rows 0..5 shaft positions [m], 6..11 platform joints [m], 12..17 crank directions at zero, 18..22 scalars.
-    """
-    scalars = np.zeros(15)
-    scalars[:_SCALARS] = [
-        robot.crank_length,
-        robot.rod_length,
-        robot.branch,
+    """The numbers of a robot in one contiguous array (8, 16): a row for each leg, then two of scalars of the whole."""
+    legs = [
+        robot.shaft_positions,
+        robot.platform_joints,
+        robot.crank_zero_directions,
+        robot.crank_quarter_directions,
+        np.stack([robot.crank_lengths, robot.rod_lengths, robot.branches, robot.crank_axis_inertias], axis=-1),
+    ]
+    scalars = [
         robot.rod_mass,
         robot.rod_inertia[0],
         robot.crank_mass,
-        robot.crank_axis_inertia,
         robot.platform_mass,
         *robot.platform_inertia,
+        *robot.platform_inertia_about_origin.ravel(),
+        *robot.platform_moment,
         robot.characteristic_length,
         robot.effort_limit,
     ]
-    return np.concatenate(
-        [robot.shaft_positions, robot.platform_joints, robot.crank_zero_directions, scalars.reshape(5, 3)]
-    )
+    rows = np.zeros(32)
+    rows[: len(scalars)] = scalars
+    return np.concatenate([np.concatenate(legs, axis=-1), rows.reshape(2, 16)])
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def scalar(robot: np.ndarray, index: int) -> float:
-    """A scalar of `pack`."""
-    return robot[18 + index // 3, index % 3]
+    """A scalar of the whole robot in `pack`."""
+    return robot[6 + index // 16, index % 16]
 
 
 @njit(cache=True, error_model="numpy")
@@ -114,21 +117,21 @@ def leg_vectors(robot: np.ndarray, pose: np.ndarray, legs: np.ndarray) -> int:
     Returns:
         -1, or the leg with the worst margin where it is negative or not a number.
     """
-    a, length, branch = scalar(robot, CRANK_LENGTH), scalar(robot, ROD_LENGTH), scalar(robot, BRANCH)
     turn = np.empty((3, 3))
     rotation(pose[:3], turn)
     worst, bad = 0.0, -1
     for i in range(6):
-        s0, s1, s2, size = 0.0, 0.0, 0.0, 0.0
+        a, length, branch = robot[i, CRANK_LENGTH], robot[i, ROD_LENGTH], robot[i, BRANCH]
+        p0, p1, p2 = robot[i, JOINT], robot[i, JOINT + 1], robot[i, JOINT + 2]
         for k in range(3):
-            arm = turn[k, 0] * robot[6 + i, 0] + turn[k, 1] * robot[6 + i, 1] + turn[k, 2] * robot[6 + i, 2]
-            legs[i, k] = arm
-        s0 = legs[i, 0] + pose[3] - robot[i, 0]
-        s1 = legs[i, 1] + pose[4] - robot[i, 1]
-        s2 = legs[i, 2] + pose[5] - robot[i, 2]
-        h0, h1, h2 = robot[12 + i, 0], robot[12 + i, 1], robot[12 + i, 2]
+            legs[i, k] = turn[k, 0] * p0 + turn[k, 1] * p1 + turn[k, 2] * p2
+        s0 = legs[i, 0] + pose[3] - robot[i, SHAFT]
+        s1 = legs[i, 1] + pose[4] - robot[i, SHAFT + 1]
+        s2 = legs[i, 2] + pose[5] - robot[i, SHAFT + 2]
+        h0, h1, h2 = robot[i, ZERO], robot[i, ZERO + 1], robot[i, ZERO + 2]
+        q0, q1, q2 = robot[i, QUARTER], robot[i, QUARTER + 1], robot[i, QUARTER + 2]
         along = 2.0 * a * (s0 * h0 + s1 * h1 + s2 * h2)
-        up = 2.0 * a * s2
+        up = 2.0 * a * (s0 * q0 + s1 * q1 + s2 * q2)
         constant = s0 * s0 + s1 * s1 + s2 * s2 + a * a - length * length
         size = np.sqrt(along * along + up * up)
         ratio = constant / size if size > 0.0 else np.inf
@@ -140,8 +143,8 @@ def leg_vectors(robot: np.ndarray, pose: np.ndarray, legs: np.ndarray) -> int:
         height = branch * np.sqrt(max(0.0, (1.0 - ratio) * (1.0 + ratio)))
         cosine = (along * ratio - up * height) / size
         sine = (up * ratio + along * height) / size
-        c0, c1, c2 = cosine * h0, cosine * h1, cosine * h2 + sine
-        n0, n1, n2 = -sine * h0, -sine * h1, -sine * h2 + cosine
+        c0, c1, c2 = cosine * h0 + sine * q0, cosine * h1 + sine * q1, cosine * h2 + sine * q2
+        n0, n1, n2 = cosine * q0 - sine * h0, cosine * q1 - sine * h1, cosine * q2 - sine * h2
         legs[i, 3], legs[i, 4], legs[i, 5] = c0, c1, c2
         legs[i, 6], legs[i, 7], legs[i, 8] = n0, n1, n2
         l0, l1, l2 = (s0 - a * c0) / length, (s1 - a * c1) / length, (s2 - a * c2) / length
@@ -189,13 +192,11 @@ def forward_kinematics(
     Returns:
         [m] the largest rod-length error left; not below `tolerance` (or NaN) means no convergence.
     """
-    a, wanted = scalar(robot, CRANK_LENGTH), scalar(robot, ROD_LENGTH)
     turn, tips = np.empty((3, 3)), np.empty((6, 3))
     for i in range(6):
-        cosine, sine = a * np.cos(theta[i]), a * np.sin(theta[i])
+        cosine, sine = robot[i, CRANK_LENGTH] * np.cos(theta[i]), robot[i, CRANK_LENGTH] * np.sin(theta[i])
         for k in range(3):
-            tips[i, k] = robot[i, k] + cosine * robot[12 + i, k]
-        tips[i, 2] += sine
+            tips[i, k] = robot[i, SHAFT + k] + cosine * robot[i, ZERO + k] + sine * robot[i, QUARTER + k]
     rows, residual = np.empty((6, 6)), np.empty((6, 1))
     error = np.inf
     for iteration in range(iterations + 1):
@@ -204,13 +205,13 @@ def forward_kinematics(
         sy, cy = np.sin(pose[2]), np.cos(pose[2])
         error = 0.0
         for i in range(6):
-            p0, p1, p2 = robot[6 + i, 0], robot[6 + i, 1], robot[6 + i, 2]
+            p0, p1, p2 = robot[i, JOINT], robot[i, JOINT + 1], robot[i, JOINT + 2]
             a0 = turn[0, 0] * p0 + turn[0, 1] * p1 + turn[0, 2] * p2
             a1 = turn[1, 0] * p0 + turn[1, 1] * p1 + turn[1, 2] * p2
             a2 = turn[2, 0] * p0 + turn[2, 1] * p1 + turn[2, 2] * p2
             r0, r1, r2 = a0 + pose[3] - tips[i, 0], a1 + pose[4] - tips[i, 1], a2 + pose[5] - tips[i, 2]
             size = np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
-            residual[i, 0] = size - wanted
+            residual[i, 0] = size - robot[i, ROD_LENGTH]
             if not abs(residual[i, 0]) <= error:
                 error = abs(residual[i, 0])
             r0, r1, r2 = r0 / size, r1 / size, r2 / size
@@ -234,24 +235,26 @@ def forward_kinematics(
 
 @njit(cache=True, error_model="numpy")
 def task_inertia(robot: np.ndarray, legs: np.ndarray, lines: np.ndarray, turn: np.ndarray, out: np.ndarray) -> None:
-    """Reference `rigid_body_model.task_inertia`; lines (6, 6) from `rod_lines`, turn (3, 3) R_BP, out (6, 6)."""
-    a, length = scalar(robot, CRANK_LENGTH), scalar(robot, ROD_LENGTH)
+    """Reference `dynamics.task_inertia`; lines (6, 6) from `rod_lines`, turn (3, 3) R_BP, out (6, 6)."""
     rod_mass, rod_inertia = scalar(robot, ROD_MASS), scalar(robot, ROD_INERTIA)
-    crank_inertia, mass = scalar(robot, CRANK_AXIS_INERTIA), scalar(robot, PLATFORM_MASS)
     for j in range(6):
         for k in range(6):
             out[j, k] = 0.0
     for j in range(3):
         for k in range(3):
             for m in range(3):
-                out[j, k] += turn[j, m] * scalar(robot, PLATFORM_INERTIA + m) * turn[k, m]
-        out[3 + j, 3 + j] = mass
+                for n in range(3):
+                    out[j, k] += turn[j, m] * scalar(robot, PLATFORM_TENSOR + 3 * m + n) * turn[k, n]
+        out[3 + j, 3 + j] = scalar(robot, PLATFORM_MASS)
+    x, y, z = platform_moment(robot, turn)
+    out[0, 4], out[0, 5], out[1, 3], out[1, 5], out[2, 3], out[2, 4] = -z, y, z, -x, -y, x
     # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Written out
     # with the joint's Jacobian [-[arm] I] and the tip's a e_N J_i, all terms are dyads of few vectors.
-    across = rod_inertia / (length * length)
-    both, apart = 0.25 * rod_mass + across, 0.25 * rod_mass - across
     joint, tip, row = np.empty((3, 6)), np.empty((3, 6)), np.empty(6)
     for i in range(6):
+        a, length, crank_inertia = robot[i, CRANK_LENGTH], robot[i, ROD_LENGTH], robot[i, CRANK_AXIS_INERTIA]
+        across = rod_inertia / (length * length)
+        both, apart = 0.25 * rod_mass + across, 0.25 * rod_mass - across
         inverse = 1.0 / (a * legs[i, 12])
         x, y, z = legs[i, 0], legs[i, 1], legs[i, 2]
         joint[0, 0], joint[0, 1], joint[0, 2] = 0.0, z, -y
@@ -277,6 +280,17 @@ def task_inertia(robot: np.ndarray, legs: np.ndarray, lines: np.ndarray, turn: n
             out[j, k] = out[k, j]
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def platform_moment(robot: np.ndarray, turn: np.ndarray) -> tuple[float, float, float]:
+    """Mass times centre of mass of the platform in B [kg m]."""
+    m0, m1, m2 = scalar(robot, PLATFORM_MOMENT), scalar(robot, PLATFORM_MOMENT + 1), scalar(robot, PLATFORM_MOMENT + 2)
+    return (
+        turn[0, 0] * m0 + turn[0, 1] * m1 + turn[0, 2] * m2,
+        turn[1, 0] * m0 + turn[1, 1] * m1 + turn[1, 2] * m2,
+        turn[2, 0] * m0 + turn[2, 1] * m1 + turn[2, 2] * m2,
+    )
+
+
 @njit(cache=True, error_model="numpy")
 def inverse_dynamics(
     robot: np.ndarray,
@@ -288,38 +302,45 @@ def inverse_dynamics(
     gravity: float,
     torque: np.ndarray,
 ) -> bool:
-    """Reference `rigid_body_model.inverse_dynamics`, for twist and twist rate (6,) [rad, m]; torque (6,) out [N m].
+    """Reference `dynamics.inverse_dynamics`, for twist and twist rate (6,) [rad, m]; torque (6,) out [N m].
 
     Returns:
         False at a parallel singularity.
     """
-    a, length = scalar(robot, CRANK_LENGTH), scalar(robot, ROD_LENGTH)
-    rod_mass, rod_inertia = scalar(robot, ROD_MASS), scalar(robot, ROD_INERTIA)
-    crank_mass, crank_inertia = scalar(robot, CRANK_MASS), scalar(robot, CRANK_AXIS_INERTIA)
+    rod_mass, rod_inertia, crank_mass = scalar(robot, ROD_MASS), scalar(robot, ROD_INERTIA), scalar(robot, CRANK_MASS)
     mass = scalar(robot, PLATFORM_MASS)
     w0, w1, w2 = twist[0], twist[1], twist[2]
     d0, d1, d2 = twist_rate[0], twist_rate[1], twist_rate[2]
     wrench, matrix = np.zeros((6, 1)), np.empty((6, 6))
-    # Platform: I alpha + w x I w, in its own frame.
-    body_w, body_d = np.empty(3), np.empty(3)
+    # Platform: I alpha + w x I w about P, in its own frame; then what its centre of mass adds, in B.
+    body_w, body_d, spin, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
         body_w[k] = turn[0, k] * w0 + turn[1, k] * w1 + turn[2, k] * w2
         body_d[k] = turn[0, k] * d0 + turn[1, k] * d1 + turn[2, k] * d2
-    i0, i1, i2 = (
-        scalar(robot, PLATFORM_INERTIA),
-        scalar(robot, PLATFORM_INERTIA + 1),
-        scalar(robot, PLATFORM_INERTIA + 2),
-    )
-    m0 = i0 * body_d[0] + (i2 - i1) * body_w[1] * body_w[2]
-    m1 = i1 * body_d[1] + (i0 - i2) * body_w[2] * body_w[0]
-    m2 = i2 * body_d[2] + (i1 - i0) * body_w[0] * body_w[1]
+    for k in range(3):
+        spin[k], load[k] = 0.0, 0.0
+        for m in range(3):
+            entry = scalar(robot, PLATFORM_TENSOR + 3 * k + m)
+            spin[k] += entry * body_w[m]
+            load[k] += entry * body_d[m]
+    m0 = load[0] + body_w[1] * spin[2] - body_w[2] * spin[1]
+    m1 = load[1] + body_w[2] * spin[0] - body_w[0] * spin[2]
+    m2 = load[2] + body_w[0] * spin[1] - body_w[1] * spin[0]
+    c0, c1, c2 = platform_moment(robot, turn)
+    v0, v1, v2 = w1 * c2 - w2 * c1, w2 * c0 - w0 * c2, w0 * c1 - w1 * c0
+    a0, a1, a2 = twist_rate[3], twist_rate[4], twist_rate[5] + gravity
     for k in range(3):
         wrench[k, 0] = turn[k, 0] * m0 + turn[k, 1] * m1 + turn[k, 2] * m2
-        wrench[3 + k, 0] = mass * twist_rate[3 + k]
-    wrench[5, 0] += mass * gravity
-    across = rod_inertia / (length * length)
-    joint, speed, tip, load, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    wrench[0, 0] += c1 * a2 - c2 * a1
+    wrench[1, 0] += c2 * a0 - c0 * a2
+    wrench[2, 0] += c0 * a1 - c1 * a0
+    wrench[3, 0] = mass * a0 + d1 * c2 - d2 * c1 + w1 * v2 - w2 * v1
+    wrench[4, 0] = mass * a1 + d2 * c0 - d0 * c2 + w2 * v0 - w0 * v2
+    wrench[5, 0] = mass * a2 + d0 * c1 - d1 * c0 + w0 * v1 - w1 * v0
+    joint, speed, tip, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(6):
+        a, length, crank_inertia = robot[i, CRANK_LENGTH], robot[i, ROD_LENGTH], robot[i, CRANK_AXIS_INERTIA]
+        across = rod_inertia / (length * length)
         x, y, z = legs[i, 0], legs[i, 1], legs[i, 2]
         t = a * legs[i, 12]
         s0, s1, s2 = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
@@ -356,5 +377,5 @@ def inverse_dynamics(
     if solve(matrix, wrench) == 0.0:
         return False
     for i in range(6):
-        torque[i] += a * legs[i, 12] * wrench[i, 0]
+        torque[i] += robot[i, CRANK_LENGTH] * legs[i, 12] * wrench[i, 0]
     return True

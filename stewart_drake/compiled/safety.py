@@ -14,6 +14,7 @@ from stewart_drake.compiled.mechanism import (
     angular_velocity,
     leg_vectors,
     line_conditioning,
+    platform_moment,
     rod_lines,
     rotation,
     scalar,
@@ -77,13 +78,13 @@ def quiet_tick(
         return False
     if not (conditioning > numbers[16] and smallest > numbers[15]):
         return False
-    omega, a = np.empty(3), scalar(robot, CRANK_LENGTH)
+    omega = np.empty(3)
     angular_velocity(measured[:3], measured[6:9], omega)
     for i in range(6):
         along = 0.0
         for k in range(3):
             along += lines[i, k] * omega[k] + lines[i, 3 + k] * measured[9 + k]
-        if not abs(along / (a * legs[i, 12])) <= numbers[5]:
+        if not abs(along / (robot[i, CRANK_LENGTH] * legs[i, 12])) <= numbers[5]:
             return False
     half = 0.5 * scalar(robot, ROD_MASS) * numbers[10]
     transposed, forces = np.empty((6, 6)), np.zeros((6, 1))
@@ -92,14 +93,19 @@ def quiet_tick(
         forces[1, 0] -= half * legs[i, 0]
         for k in range(6):
             transposed[k, i] = lines[i, k]
+    rotation(ahead[:3], turn)
+    c0, c1, _ = platform_moment(robot, turn)
+    forces[0, 0] += numbers[10] * c1
+    forces[1, 0] -= numbers[10] * c0
     forces[5, 0] = scalar(robot, PLATFORM_MASS) * numbers[10] + 6.0 * half
     side = solve(transposed, forces)
     if side == 0.0 or (memory[25] != 0.0 and side != memory[25]):
         return False
-    own = a * (half + 0.5 * scalar(robot, CRANK_MASS) * numbers[10])
+    own = half + 0.5 * scalar(robot, CRANK_MASS) * numbers[10]
     for i in range(6):
+        a = robot[i, CRANK_LENGTH]
         result[i] = result[9 + i] = result[33 + i] = command[i]
-        result[15 + i] = a * legs[i, 12] * forces[i, 0] + own * legs[i, 8]
+        result[15 + i] = a * legs[i, 12] * forces[i, 0] + a * own * legs[i, 8]
     result[7], result[8] = 0.0, -1.0
     result[21] = max(0.0, memory[21] - numbers[14])
     result[22] = max(0.0, memory[22] - 1.0)

@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    NotNegative,
-    Positive,
-    check_choice,
-    check_fraction,
-    check_positive,
-    check_real,
-)
+from stewart_drake.section import NotNegative, Positive
 
 
-@dataclass(frozen=True, kw_only=True)
-class ComputedTorqueOptions:
+class ComputedTorqueOptions(OwnControllerOptions):
     """Options of the computed-torque controller; all six coordinates of the pose behave alike.
 
     The default feedback is what the exact-model LQI has on heave at home with weights 4e5, 30, 4e7, 1 and a weight
     length of 0.11 m.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["computed_torque"] = "computed_torque"
     period: Positive = 0.001
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
     natural_frequency: Positive = 93.8
     """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
     damping: Positive = 0.785
@@ -49,20 +32,6 @@ class ComputedTorqueOptions:
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
-    compiled: Flag = False
-    """The pose estimator beside the controller is compiled by numba."""
-
-    def __post_init__(self) -> None:
-        for name in ("period", "natural_frequency", "damping"):
-            check_positive(f"controller.{name}", getattr(self, name))
-        check_real("controller.integral_frequency", self.integral_frequency)
-        for name in ("min_transmission", "min_conditioning"):
-            check_fraction(f"controller.{name}", getattr(self, name))
-        check_choice("controller.saturation", self.saturation, "none", "clamp")
 
 
 class ComputedTorqueMemory(NamedTuple):

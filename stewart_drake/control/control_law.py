@@ -18,7 +18,7 @@ from stewart_drake.control.network import TunerNetwork
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import check_choice
+from stewart_drake.section import Window, check_value
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ class ControlLaw:
         density_kind: Kind of density.
         window: Window m [ticks].
         initial_weights: omega_Q, omega_R at the start, or q_e, q_v, q_z, r.
+        compiled: Ticks compiled by numba; needs `solver="split"`.
 
     Raises:
         ConfigurationError: A window below 1, a kind of density that is not the network's, four weights beside a
@@ -69,12 +70,14 @@ class ControlLaw:
     density_kind: DensityKind = "magnitude"
     window: int = 49
     initial_weights: tuple[float, ...] = (1.0, 1.0)
+    compiled: bool = False
 
     def __post_init__(self) -> None:
-        if type(self.window) is not int or self.window < 1:
-            raise ConfigurationError("window", self.window, "an integer >= 1")
-        check_choice("density_kind", self.density_kind, "magnitude", "signed")
+        check_value("window", self.window, Window)
+        check_value("density_kind", self.density_kind, DensityKind)
         block_weights(np.array(self.initial_weights))
+        if self.compiled:
+            self.options.check_compiled()
         if self.network is not None:
             if self.density_kind != self.network.density:
                 allowed = f"{self.network.density}, as the network was trained on"
@@ -99,7 +102,9 @@ class ControlLaw:
         Raises:
             RunFailure: See `lqi.held_tick`.
         """
-        output = held_tick(self.robot, self.options, self.gravity, measurement, setpoint, state.weights, state.lqi)
+        output = held_tick(
+            self.robot, self.options, self.gravity, measurement, setpoint, state.weights, state.lqi, self.compiled
+        )
         state = replace(state, lqi=output)
         if self.network is not None:
             sample = np.concatenate([output.error, output.torque])

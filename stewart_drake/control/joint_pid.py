@@ -2,47 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
-from stewart_drake.control.lqi_options import SATURATIONS, Saturation
+from stewart_drake.control.lqi_options import Saturation
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    NotNegative,
-    Positive,
-    check_choice,
-    check_fraction,
-    check_positive,
-    check_real,
-)
+from stewart_drake.section import NotNegative, Positive
 
 
-@dataclass(frozen=True, kw_only=True)
-class PidOptions:
+class PidOptions(OwnControllerOptions):
     """Options of the joint-space PID; the same gains for all six motors.
 
     The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
     with weights 4e5, 30, 4e7, 1 and a weight length of 0.11 m: for the inertia M of heave and J = d(theta)/dZ, a
     feedback k of acceleration is k M / (6 J^2) at each crank.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind"]}}
 
     kind: Literal["pid"] = "pid"
     period: Positive = 0.001
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
     kp: NotNegative = 37.3
     """[N m/rad]"""
     ki: NotNegative = 316.0
@@ -58,24 +42,11 @@ class PidOptions:
     grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
     reset_time: Positive = 0.05
     """[s] of back_calculation."""
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
-    compiled: Flag = False
-    """The pose estimator beside the controller is compiled by numba."""
 
-    def __post_init__(self) -> None:
-        for name in ("period", "reset_time"):
-            check_positive(f"controller.{name}", getattr(self, name))
-        for name in ("kp", "ki", "kd"):
-            check_real(f"controller.{name}", getattr(self, name))
-        for name in ("min_transmission", "min_conditioning"):
-            check_fraction(f"controller.{name}", getattr(self, name))
-        check_choice("controller.feedforward", self.feedforward, "none", "gravity")
-        check_choice("controller.saturation", self.saturation, *SATURATIONS)
-        if self.torque_limit is not None:
-            check_positive("controller.torque_limit", self.torque_limit)
+    @property
+    def results(self) -> Sequence[int]:
+        """See `ControllerOptions`."""
+        return (6,)
 
     def limit(self, robot: RobotParameters) -> float:
         """[N m] of a motor's torque."""

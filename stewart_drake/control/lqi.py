@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs, out_of_reach
-from stewart_drake.control.lqi_options import CHOICES, LqiOptions
+from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
 from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
 from stewart_drake.control.state_space import (
     AXES,
@@ -130,6 +130,7 @@ def lqi_tick(
     setpoint: Setpoint,
     weights: np.ndarray,
     memory: LqiMemory,
+    compiled: bool = False,
 ) -> LqiMemory:
     """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
 
@@ -143,6 +144,7 @@ def lqi_tick(
         setpoint: Reference now.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r; all > 0.
         memory: Of the tick before, see `initial_memory`.
+        compiled: By numba; needs `solver: split`.
 
     Raises:
         NotFiniteError: Measurement, setpoint or the torque that comes of them.
@@ -150,7 +152,7 @@ def lqi_tick(
             that is out of reach or exactly singular.
         RiccatiError: See `lqi_gain`.
     """
-    if options.compiled:
+    if compiled:
         tick = _compiled_tick(robot, options, gravity)
         weights = np.asarray(weights, dtype=float)
         return LqiMemory.from_flat(tick(np.concatenate(measurement), np.concatenate(setpoint), weights, memory.flat()))
@@ -211,6 +213,7 @@ def held_tick(
     setpoint: Setpoint,
     weights: np.ndarray,
     memory: LqiMemory,
+    compiled: bool = False,
 ) -> LqiMemory:
     """`lqi_tick`, where up to `hold_ticks` failures in a row are bridged by the last good gain and feedforward.
 
@@ -220,7 +223,7 @@ def held_tick(
         RunFailure: As `lqi_tick`, where no good tick came before or they failed too often in a row.
     """
     try:
-        return lqi_tick(robot, options, gravity, measurement, setpoint, weights, memory)
+        return lqi_tick(robot, options, gravity, measurement, setpoint, weights, memory, compiled)
     except RunFailure:
         if memory.weights[0] == 0.0 or memory.held >= options.hold_ticks:
             raise
@@ -237,9 +240,9 @@ def held_tick(
     return held._replace(torque=torque, error=error)
 
 
-def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float) -> FlatTick:
+def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float, compiled: bool = False) -> FlatTick:
     """`held_tick` on flat vectors: (measurement (12,), setpoint (18,), weights, memory (137,)) -> memory (137,)."""
-    fast = _compiled_tick(robot, options, gravity) if options.compiled else None
+    fast = _compiled_tick(robot, options, gravity) if compiled else None
 
     def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
         if fast is not None:
@@ -250,7 +253,7 @@ def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float) -> Fl
                     raise
         measurement, setpoint = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
         before = LqiMemory.from_flat(memory)
-        return held_tick(robot, options, gravity, measurement, setpoint, weights, before).flat()
+        return held_tick(robot, options, gravity, measurement, setpoint, weights, before, compiled).flat()
 
     return tick
 
@@ -292,10 +295,10 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         [
             options.model == "exact",
             options.force_map == "printed",
-            CHOICES["feedforward"].index(options.feedforward),
+            get_args(Feedforward).index(options.feedforward),
             options.feedforward_at == "reference",
             options.discretization == "exact",
-            CHOICES["saturation"].index(options.saturation),
+            get_args(Saturation).index(options.saturation),
             options.bumpless,
         ],
         dtype=np.int64,

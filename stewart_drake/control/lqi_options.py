@@ -2,59 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.robot import LARGEST
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    Natural,
-    Positive,
-    Real,
-    check_choice,
-    check_fraction,
-    check_positive,
-    check_positive_pair,
-    check_whole,
-)
+from stewart_drake.section import Flag, Natural, Positive, PositivePair
 
 Model = Literal["paper", "exact"]
 Feedforward = Literal["none", "gravity", "platform", "full"]
 FeedforwardAt = Literal["measured", "reference"]
 Saturation = Literal["none", "clamp", "back_calculation"]
 
-SATURATIONS: tuple[Saturation, ...] = ("none", "clamp", "back_calculation")
-CHOICES: dict[str, tuple[str, ...]] = {
-    "model": ("paper", "exact"),
-    "force_map": ("statics", "printed"),
-    "feedforward": ("none", "gravity", "platform", "full"),
-    "feedforward_at": ("measured", "reference"),
-    "discretization": ("exact", "euler"),
-    "solver": ("drake", "split"),
-    "saturation": SATURATIONS,
-}
 
-
-@dataclass(frozen=True, kw_only=True)
-class LqiOptions:
-    """Options of the LQI controller; the defaults are the paper's, with gravity compensated.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class LqiOptions(OwnControllerOptions):
+    """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
     """Taken where the key is absent."""
     period: Positive = 0.005
-    """[s] control period, > 0, a whole multiple of the plant's time step."""
     model: Model = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
     closed chain at the measured pose."""
@@ -66,45 +37,33 @@ class LqiOptions:
     reference's acceleration."""
     feedforward_at: FeedforwardAt = "measured"
     """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
-    weight_length: Positive = 1.0
+    weight_length: Annotated[Positive, Field(le=LARGEST)] = 1.0
     """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
     radius 0.11 makes an error of the joints count alike in both."""
     discretization: Discretization = "exact"
     """Zero-order hold of (25): exact, or first order (euler)."""
     solver: RiccatiSolver = "drake"
     """drake: one equation of 18 states. split: six of 3 states, without Drake."""
-    compiled: Flag = False
-    """Ticks compiled by numba, seventy times faster; needs `solver: split`. The first run on a machine compiles for
-    half a minute."""
     saturation: Saturation = "none"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
     back_calculation: it is limited, and z is led back by what was cut off."""
     reset_time: Positive = 0.05
     """[s] time in which back-calculation takes z back."""
-    integral_limit: tuple[Real, Real] | None = None
+    integral_limit: PositivePair | None = None
     """[rad s, m s] largest |z| of rotations and translations; null for none."""
     bumpless: Flag = False
     """When the weights change, z changes too, so that the torque by z does not."""
-    min_transmission: Fraction = 0.02
-    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
-    min_conditioning: Fraction = 0.005
-    """[-] sigma_min / sigma_max of tau_1 below this counts as a parallel singularity."""
-    hold_ticks: Natural = 0
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 0
     """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
     finite is bridged by the last good gain and torque, before the run ends."""
 
-    def __post_init__(self) -> None:
-        for name in ("period", "weight_length", "reset_time"):
-            check_positive(f"controller.{name}", getattr(self, name))
-        if self.weight_length > LARGEST:
-            raise ConfigurationError("controller.weight_length", self.weight_length, f"at most {LARGEST:g} m")
-        for name, choices in CHOICES.items():
-            check_choice(f"controller.{name}", getattr(self, name), *choices)
-        for name in ("min_transmission", "min_conditioning"):
-            check_fraction(f"controller.{name}", getattr(self, name))
-        if self.integral_limit is not None:
-            allowed = "two positive numbers [rad s, m s], or null"
-            check_positive_pair("controller.integral_limit", self.integral_limit, allowed)
-        check_whole("controller.hold_ticks", self.hold_ticks, 0, 1000)
-        if self.compiled and self.solver != "split":
-            raise ConfigurationError("controller.compiled", self.compiled, "true only with solver: split")
+    @property
+    def label(self) -> str:
+        """See `ControllerOptions`."""
+        model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
+        return f"{model}, feedforward {self.feedforward}"
+
+    def check_compiled(self) -> None:
+        """See `ControllerOptions`."""
+        if self.solver != "split":
+            raise ConfigurationError("compiled", True, "true only with controller.solver: split")

@@ -17,7 +17,7 @@ import numpy as np
 from stewart_drake.control.density import DensityKind
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
-from stewart_drake.section import check_choice
+from stewart_drake.section import Window, check_value
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT = "stewart-drake tuner"
@@ -78,9 +78,8 @@ class TunerNetwork:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_choice("density", self.density, "magnitude", "signed")
-        if type(self.window) is not int or self.window < 1:
-            raise ConfigurationError("window", self.window, "an integer >= 1")
+        check_value("density", self.density, DensityKind)
+        check_value("window", self.window, Window)
         for name, shape in _SHAPES.items():
             try:
                 array = np.asarray(getattr(self, name), dtype=float)

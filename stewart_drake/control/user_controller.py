@@ -11,27 +11,30 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
+from pydantic import Field
+
+from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.installed import distribution_of
 from stewart_drake.control.user_errors import UserCode, describe
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
-from stewart_drake.section import SECTION, Flag, Positive, check_positive
+from stewart_drake.section import Positive, Text
 
 MAX_BYTES = 1_000_000
 """Of a file with a controller."""
 _NAME = r"[A-Za-z_]\w*"
 _PATH = re.compile(rf"(?P<file>.+\.py):{_NAME}|(?P<module>{_NAME}(?:\.{_NAME})*):{_NAME}")
+CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
+CLASS_WORDS = "module:Class or path/to/file.py:Class"
 _FILES = "stewart_drake_user"
 """Package that modules made from a user's files count to; there is none of this name."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PythonOptions:
+class PythonOptions(ControllerOptions):
     """A user's LeafSystem by import path.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -40,34 +43,24 @@ class PythonOptions:
 
     Its continuous state, if any, is integrated by Runge and Kutta's method of third order in tenths of the plant's time
     step; time constants below a 25th of that step diverge.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = {**SECTION, "json_schema_extra": {"required": ["kind", "system"]}}
-
     kind: Literal["python"] = "python"
-    system: str
+    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
     class is a System of pydrake, and its code is run."""
-    arguments: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
-    compiled: Flag = False
-    """The pose estimator beside the controller is compiled by numba."""
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.system, str) or _PATH.fullmatch(self.system) is None:
-            raise ConfigurationError("controller.system", self.system, "module:Class or path/to/file.py:Class")
-        check_positive("controller.period", self.period)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         try:
             json.dumps(self.arguments, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
-            allowed = f"plain values, all numbers finite ({error})"
-            raise ConfigurationError("controller.arguments", self.arguments, allowed) from None
+            raise ConfigurationError("arguments", self.arguments, f"plain, finite values ({error})") from None
 
     @property
     def file(self) -> Path | None:
@@ -98,8 +91,8 @@ class PythonOptions:
         return self.system.rpartition(":")[0]
 
     @property
-    def _own(self) -> str:
-        """Package that the user's frames in a traceback are of."""
+    def own_module(self) -> str:
+        """See `ControllerOptions`."""
         return _FILES if self.file is not None else self._module.partition(".")[0]
 
 
@@ -139,9 +132,9 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
         return kind(**arguments)
 
 
-def user_code(options: object) -> UserCode:
+def user_code(options: ControllerOptions) -> UserCode:
     """The guard around what may call a controller of the user's, see `UserCode`; none for `options` of other kinds."""
-    return UserCode(options._own if isinstance(options, PythonOptions) else None)
+    return UserCode(options.own_module)
 
 
 @contextmanager
@@ -151,7 +144,7 @@ def _refused(options: PythonOptions, allowed: str) -> Iterator[None]:
     except (ConfigurationError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        what, _ = describe(error, error.__traceback__, options._own)
+        what, _ = describe(error, error.__traceback__, options.own_module)
         raise ConfigurationError("controller.system", options.system, f"{allowed} ({what})") from error
 
 

@@ -3,30 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.seeded import tick_uniform
-from stewart_drake.section import (
-    SECTION,
-    Count,
-    Leg,
-    Natural,
-    NotNegative,
-    Positive,
-    Real,
-    Share,
-    check_choice,
-    check_leg,
-    check_positive,
-    check_real,
-    check_seed,
-    check_whole,
-)
+from stewart_drake.section import Leg, Natural, NotNegative, Positive, Real, Section, Seed, Share
 
 CommandFaultKind = Literal["nan", "inf", "offset", "chatter"]
 
@@ -36,15 +20,8 @@ MEMORY_SIZE = 16
 _STREAM = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommandFault:
-    """Commands that a broken controller would send.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class CommandFault(Section, key="link.faults"):
+    """Commands that a broken controller would send."""
 
     kind: CommandFaultKind
     """nan and inf in place of the torque; offset: `size` more; chatter: `size` more and less in turn, tick by tick."""
@@ -56,15 +33,6 @@ class CommandFault:
     """[s] after which commands are well again; null for never."""
     size: Real = 0.0
     """[N m] of offset and chatter."""
-
-    def __post_init__(self) -> None:
-        check_choice("link.faults.kind", self.kind, "nan", "inf", "offset", "chatter")
-        if self.leg is not None:
-            check_leg("link.faults.leg", self.leg)
-        check_real("link.faults.time", self.time)
-        if self.duration is not None:
-            check_positive("link.faults.duration", self.duration, allowed="a positive number [s], or null")
-        check_real("link.faults.size", self.size, -math.inf, "a finite number [N m]")
 
     def spoil(self, command: np.ndarray, tick: int, time: float) -> None:
         """Changes a command (6,) [N m] in place, where it is time."""
@@ -79,47 +47,29 @@ class CommandFault:
             command[where] = math.nan if self.kind == "nan" else math.inf
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinkOptions:
+class LinkOptions(Section, key="link"):
     """What may happen to a command on its way; by default nothing does.
 
     A dropped tick's command never arrives and the last one holds. A late one arrives `late_steps` steps of the plant
     after its tick, unless a newer one came before. Where a tick is both, it is dropped.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     drop_probability: Share = 0.0
     """[-] of each tick, 0 to 1."""
-    dropped: tuple[Count, ...] = ()
+    dropped: tuple[Natural, ...] = ()
     """Ticks that are dropped whatever the chance; tick k is at k controller.period."""
     stop_time: NotNegative | None = None
     """[s] from which on every tick is dropped: the controller hangs; null for never."""
     late_probability: Share = 0.0
     """[-] of each tick, 0 to 1."""
-    late: tuple[Count, ...] = ()
+    late: tuple[Natural, ...] = ()
     """Ticks that are late whatever the chance."""
-    late_steps: Natural = 1
+    late_steps: Annotated[Natural, Field(ge=1, le=100_000)] = 1
     """Steps of the plant by which a late tick is late, at most one control period."""
-    seed: Natural = 0
+    seed: Seed = 0
     """Of what is dropped and late; each tick has its own number, whatever came before."""
     faults: tuple[CommandFault, ...] = ()
     """Commands spoilt before they are sent."""
-
-    def __post_init__(self) -> None:
-        for name in ("drop_probability", "late_probability"):
-            check_real(f"link.{name}", getattr(self, name), 0.0, "a number from 0 to 1", 1.0)
-        for name in ("dropped", "late"):
-            ticks = getattr(self, name)
-            if not all(type(tick) is int and tick >= 0 for tick in ticks):
-                raise ConfigurationError(f"link.{name}", ticks, "numbers of ticks: whole, zero or positive")
-        if self.stop_time is not None:
-            check_real("link.stop_time", self.stop_time)
-        check_whole("link.late_steps", self.late_steps, 1, 100_000)
-        check_seed("link.seed", self.seed)
 
     @cached_property
     def perfect(self) -> bool:

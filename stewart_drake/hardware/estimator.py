@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.compiled.constants import SAME_BRANCH
 from stewart_drake.errors import (
@@ -19,23 +19,10 @@ from stewart_drake.errors import (
     UnreachablePoseError,
 )
 from stewart_drake.hardware.seeded import tick_normal
-from stewart_drake.hardware.sensor_faults import EncoderFault
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
 from stewart_drake.robot import LARGEST, RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Natural,
-    NotNegative,
-    Positive,
-    Real,
-    Vector6,
-    check_numbers,
-    check_positive,
-    check_positive_pair,
-    check_real,
-    check_seed,
-    check_whole,
-)
+from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 MEMORY_SIZE = 27
 """Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
@@ -49,24 +36,17 @@ ITERATIONS = 12
 """Newton steps at most; a warm start needs two."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EncoderOptions:
-    """Motor encoders, and the estimator that knows nothing else.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class EncoderOptions(SensorOptions):
+    """Motor encoders, and the estimator that knows nothing else."""
 
     kind: Literal["encoders"] = "encoders"
-    resolution_bits: Natural = 17
+    resolution_bits: Annotated[Natural, Field(le=40)] = 17
     """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
     offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad] reading minus true angle of each motor: an error of homing."""
-    noise: NotNegative = 0.0
+    noise: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
     """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
-    noise_seed: Natural = 0
+    noise_seed: Seed = 0
     """Of the noise."""
     faults: tuple[EncoderFault, ...] = ()
     """Encoders that fail, in order: each acts on what those before it left of the readings."""
@@ -74,22 +54,11 @@ class EncoderOptions:
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
     max_speed: Positive = 60.0
     """[rad/s] a reading that has moved faster than this is not believed."""
-    max_step: tuple[Real, Real] = (0.2, 0.05)
+    max_step: PositivePair = (0.2, 0.05)
     """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
     another assembly mode."""
-    hold_ticks: Natural = 10
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
     """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
-
-    def __post_init__(self) -> None:
-        check_whole("sensors.resolution_bits", self.resolution_bits, 0, 40)
-        check_numbers("sensors.offset", self.offset, 6, "6 finite numbers [rad]")
-        check_real("sensors.noise", self.noise, 0.0, f"a number from 0 to {LARGEST:g}", LARGEST)
-        check_seed("sensors.noise_seed", self.noise_seed)
-        if self.rate_cutoff is not None:
-            check_positive("sensors.rate_cutoff", self.rate_cutoff, allowed="a positive number [Hz], or null")
-        check_positive("sensors.max_speed", self.max_speed, allowed="a positive number [rad/s]")
-        check_positive_pair("sensors.max_step", self.max_step, "two positive numbers [rad, m]")
-        check_whole("sensors.hold_ticks", self.hold_ticks, 0, 1000)
 
     @cached_property
     def quantum(self) -> float:
@@ -190,7 +159,7 @@ def estimate(
         difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
         rate = rate + options.smoothing(period) * (difference - rate)
     try:
-        twist = np.linalg.solve(lines, robot.crank_length * legs.transmission * rate)
+        twist = np.linalg.solve(lines, robot.crank_lengths * legs.transmission * rate)
     except np.linalg.LinAlgError:
         raise SingularPoseError("parallel", pose, 0.0, 0.0) from None
     return np.concatenate([pose, twist_to_pose_rate(pose, twist), angles, rate, [0.0, sign, 1.0]])

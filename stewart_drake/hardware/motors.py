@@ -4,55 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.sensor_faults import check_other_leg
 from stewart_drake.robot import LEGS, SMALLEST
-from stewart_drake.section import (
-    SECTION,
-    Leg,
-    Natural,
-    NotNegative,
-    check_choice,
-    check_leg,
-    check_other_leg,
-    check_real,
-)
+from stewart_drake.section import Leg, Natural, NotNegative, Section
 
 MotorFaultKind = Literal["reversed", "swapped"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class DeadMotor:
-    """A motor without torque from some time on; its crank turns freely.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class DeadMotor(Section, key="motors.dead"):
+    """A motor without torque from some time on; its crank turns freely."""
 
     leg: Leg
     """0 to 5."""
     time: NotNegative = 0.0
     """[s] when it dies."""
 
-    def __post_init__(self) -> None:
-        check_leg("motors.dead.leg", self.leg)
-        check_real("motors.dead.time", self.time)
 
-
-@dataclass(frozen=True, kw_only=True)
-class MotorFault:
-    """Motors wired wrong, for good.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class MotorFault(Section, key="motors.faults"):
+    """Motors wired wrong, for good."""
 
     kind: MotorFaultKind
     """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
@@ -63,11 +38,9 @@ class MotorFault:
     time: NotNegative = 0.0
     """[s] when it begins."""
 
-    def __post_init__(self) -> None:
-        check_choice("motors.faults.kind", self.kind, *get_args(MotorFaultKind))
-        check_leg("motors.faults.leg", self.leg)
-        check_other_leg("motors.faults.other", self.kind, self.leg, self.other)
-        check_real("motors.faults.time", self.time)
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        check_other_leg(self.kind, self.leg, self.other)
 
     def spoil(self, torque: np.ndarray) -> None:
         """Changes torques (6,) [N m] in place."""
@@ -78,19 +51,12 @@ class MotorFault:
             torque[pair] = torque[pair[::-1]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotorOptions:
-    """Imperfections of the motors; by default there are none.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class MotorOptions(Section, key="motors"):
+    """Imperfections of the motors; by default there are none."""
 
     ripple: NotNegative = 0.0
     """[N m] amplitude of the torque ripple (cogging), added as a sine of the crank's angle."""
-    ripple_periods: Natural = 12
+    ripple_periods: Annotated[Natural, Field(ge=1, le=10_000)] = 12
     """Periods of the ripple in a turn."""
     resolution: NotNegative = 0.0
     """[N m] step of the amplifier; the torque is rounded to whole steps. 0 for none."""
@@ -99,14 +65,11 @@ class MotorOptions:
     faults: tuple[MotorFault, ...] = ()
     """Motors wired wrong, in order, between amplifier and motor."""
 
-    def __post_init__(self) -> None:
-        check_real("motors.ripple", self.ripple)
-        check_real("motors.resolution", self.resolution)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         # In steps yet smaller every torque is infinitely many.
         if 0.0 < self.resolution < SMALLEST:
-            raise ConfigurationError("motors.resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
-        if type(self.ripple_periods) is not int or not 1 <= self.ripple_periods <= 10_000:
-            raise ConfigurationError("motors.ripple_periods", self.ripple_periods, "a whole number from 1 to 10000")
+            raise ConfigurationError("resolution", self.resolution, f"0, or at least {SMALLEST:g} N m")
 
     @cached_property
     def perfect(self) -> bool:

@@ -4,41 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import (
-    SECTION,
-    Leg,
-    NotNegative,
-    Positive,
-    Real,
-    check_choice,
-    check_leg,
-    check_other_leg,
-    check_positive,
-    check_real,
-)
+from stewart_drake.section import Leg, NotNegative, Positive, Real, Section
 
 EncoderFaultKind = Literal["freeze", "nan", "jump", "late", "drift", "reversed", "inverted", "swapped"]
 PoseFaultKind = Literal["freeze", "nan", "late"]
 
 LONGEST_DELAY = 1.0
 """[s] by which a reading may be late; so many readings are kept."""
+Delay = Annotated[Positive, Field(le=LONGEST_DELAY)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class EncoderFault:
-    """One encoder that fails, or all six at once.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class EncoderFault(Section, key="sensors.faults"):
+    """One encoder that fails, or all six at once."""
 
     kind: EncoderFaultKind
     """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts. late:
@@ -52,19 +35,17 @@ class EncoderFault:
     """[s] after which the encoder is well again; null for never."""
     size: Real = 0.0
     """[rad] of a jump, [rad/s] of a drift."""
-    delay: Positive | None = None
+    delay: Delay | None = None
     """[s] of a late reading, up to 1; rounded up to whole ticks."""
     other: Leg | None = None
     """0 to 5, of swapped encoders."""
 
-    def __post_init__(self) -> None:
-        check_choice("sensors.faults.kind", self.kind, *get_args(EncoderFaultKind))
-        if self.leg is not None or self.kind == "swapped":
-            check_leg("sensors.faults.leg", self.leg)
-        _check_times(self.time, self.duration)
-        check_real("sensors.faults.size", self.size, -math.inf, "a finite number [rad or rad/s]")
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        if self.kind == "swapped" and self.leg is None:
+            raise ConfigurationError("leg", self.leg, "a leg from 0 to 5, for kind swapped")
         _check_delay(self.kind, self.delay)
-        check_other_leg("sensors.faults.other", self.kind, self.leg, self.other)
+        check_other_leg(self.kind, self.leg, self.other)
 
     @property
     def channels(self) -> slice:
@@ -72,15 +53,8 @@ class EncoderFault:
         return slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PoseFault:
-    """A sensor of pose and rate that fails as a whole.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class PoseFault(Section, key="sensors.faults"):
+    """A sensor of pose and rate that fails as a whole."""
 
     kind: PoseFaultKind
     """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
@@ -88,18 +62,49 @@ class PoseFault:
     """[s] when it begins."""
     duration: Positive | None = None
     """[s] after which the sensor is well again; null for never."""
-    delay: Positive | None = None
+    delay: Delay | None = None
     """[s] of a late reading, up to 1; rounded up to whole ticks."""
 
-    def __post_init__(self) -> None:
-        check_choice("sensors.faults.kind", self.kind, *get_args(PoseFaultKind))
-        _check_times(self.time, self.duration)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         _check_delay(self.kind, self.delay)
 
     @property
     def channels(self) -> slice:
         """Entries of the reading that it spoils: all."""
         return slice(None)
+
+
+class SensorOptions(Section, key="sensors"):
+    """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
+
+    kind: str
+    """Of sensor."""
+    faults: tuple[Any, ...] = ()
+    """Times at which it fails."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether what the controller sees is the truth."""
+        return False
+
+    @property
+    def quantum(self) -> float:
+        """[rad] of a count, of sensors that read the cranks' angles; 0 for none."""
+        return 0.0
+
+
+class IdealSensors(SensorOptions):
+    """Pose and rate of the platform, exact."""
+
+    kind: Literal["ideal"] = "ideal"
+    faults: tuple[PoseFault, ...] = ()
+    """Times at which the sensor fails."""
+
+    @property
+    def exact(self) -> bool:
+        """See `SensorOptions`."""
+        return not self.faults
 
 
 def kept_readings(faults: Sequence[EncoderFault] | Sequence[PoseFault], period: float) -> int:
@@ -164,16 +169,15 @@ def _spoil(fault: EncoderFault, says: np.ndarray, time: float) -> None:
         says[fault.channels] += fault.size * (1.0 if fault.kind == "jump" else time - fault.time)
 
 
-def _check_delay(kind: str, delay: Any) -> None:
-    if kind != "late":
-        if delay is not None:
-            raise ConfigurationError("sensors.faults.delay", delay, "null, but for kind late")
-        return
-    check_positive("sensors.faults.delay", delay, allowed=f"a positive number up to {LONGEST_DELAY:g} s, for kind late")
-    check_real("sensors.faults.delay", delay, 0.0, f"a positive number up to {LONGEST_DELAY:g} s", LONGEST_DELAY)
+def _check_delay(kind: str, delay: float | None) -> None:
+    if (kind == "late") != (delay is not None):
+        late = f"a positive number up to {LONGEST_DELAY:g} s, for kind late"
+        raise ConfigurationError("delay", delay, late if kind == "late" else "null, but for kind late")
 
 
-def _check_times(time: Any, duration: Any) -> None:
-    check_real("sensors.faults.time", time)
-    if duration is not None:
-        check_positive("sensors.faults.duration", duration, allowed="a positive number [s], or null")
+def check_other_leg(kind: str, leg: int | None, other: int | None) -> None:
+    """Raises a `ConfigurationError` unless two swapped legs are two, and only they have an `other`."""
+    if kind != "swapped" and other is not None:
+        raise ConfigurationError("other", other, "null, but for kind swapped")
+    if kind == "swapped" and (other is None or other == leg):
+        raise ConfigurationError("other", other, f"another leg than {leg}, 0 to 5")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.logs.metric_table import METRICS
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
@@ -73,10 +72,9 @@ class Tally:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
-        limit, controller = scenario.robot.effort_limit, scenario.controller
-        self._limit = controller.limit(scenario.robot) if isinstance(controller, PidOptions) else limit
+        self._limit = scenario.controller.limit(scenario.robot)
         # A controller that limits the torque itself asks for the limit and no more.
-        self._asks_for_more = getattr(controller, "saturation", "") == "none"
+        self._asks_for_more = scenario.controller.asks_for_more
         length = scenario.robot.characteristic_length
         self._scale = np.array([length] * 3 + [1.0] * 3)
         self.steps = self.ticks = self.late_ticks = self.late_steps = 0

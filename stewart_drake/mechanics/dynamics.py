@@ -18,7 +18,6 @@ from stewart_drake.mechanics.kinematics import (
     leg_geometry,
     pose_rate_to_twist,
     rod_lines,
-    rotation_matrix,
     twist_jacobian,
 )
 from stewart_drake.robot import RobotParameters
@@ -50,14 +49,14 @@ def static_torque_of_legs(robot: RobotParameters, legs: LegGeometry, gravity: fl
     half_rods = 0.5 * robot.rod_mass * gravity
     force_z = robot.platform_mass * gravity + 6.0 * half_rods
     wrench = np.zeros((*legs.arm.shape[:-2], 6))
-    # Each platform joint carries half a rod: moment (R p_i) x z.
-    wrench[..., 0] = half_rods * legs.arm[..., 1].sum(axis=-1)
-    wrench[..., 1] = -half_rods * legs.arm[..., 0].sum(axis=-1)
+    # Each platform joint carries half a rod, with the moment (R p_i) x z.
+    moment = half_rods * legs.arm.sum(axis=-2) + gravity * (legs.rotation @ robot.platform_moment)
+    wrench[..., 0], wrench[..., 1] = moment[..., 1], -moment[..., 0]
     wrench[..., 5] = force_z
     rod_forces = np.linalg.solve(np.swapaxes(rod_lines(legs), -1, -2), wrench[..., None])[..., 0]
-    lever = robot.crank_length * legs.e_n[..., 2]
+    lever = robot.crank_lengths * legs.e_n[..., 2]
     own = (half_rods + 0.5 * robot.crank_mass * gravity) * lever
-    return robot.crank_length * legs.transmission * rod_forces + own
+    return robot.crank_lengths * legs.transmission * rod_forces + own
 
 
 def inverse_dynamics(
@@ -90,9 +89,9 @@ def inverse_dynamics(
     drift = euler_rate_matrix_dot(pose[..., :3], pose_rate[..., :3])
     twist_rate[..., :3] += np.einsum("...ij,...j->...i", drift, pose_rate[..., :3])
     legs = leg_geometry(robot, pose)
-    wrench, own = _task_wrench(robot, pose, legs, twist, twist_rate, gravity)
+    wrench, own = _task_wrench(robot, legs, twist, twist_rate, gravity)
     rod_forces = np.linalg.solve(np.swapaxes(rod_lines(legs), -1, -2), wrench[..., None])[..., 0]
-    return robot.crank_length * legs.transmission * rod_forces + own
+    return robot.crank_lengths * legs.transmission * rod_forces + own
 
 
 def forward_dynamics(
@@ -147,8 +146,8 @@ def task_bias(
     """
     pose, twist = np.asarray(pose, dtype=float), np.asarray(twist, dtype=float)
     legs = leg_geometry(robot, pose)
-    wrench, own = _task_wrench(robot, pose, legs, twist, np.zeros_like(twist), gravity)
-    jacobian = rod_lines(legs) / (robot.crank_length * legs.transmission[..., None])
+    wrench, own = _task_wrench(robot, legs, twist, np.zeros_like(twist), gravity)
+    jacobian = rod_lines(legs) / (robot.crank_lengths * legs.transmission)[..., None]
     return wrench + np.einsum("...ji,...j->...i", jacobian, own)
 
 
@@ -167,22 +166,22 @@ def task_inertia(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     """
     pose = np.asarray(pose, dtype=float)
     legs = leg_geometry(robot, pose)
-    jacobian = rod_lines(legs) / (robot.crank_length * legs.transmission[..., None])
+    jacobian = rod_lines(legs) / (robot.crank_lengths * legs.transmission)[..., None]
     joint = np.zeros((*legs.arm.shape[:-1], 3, 6))
     joint[..., 3:] = np.eye(3)
-    x, y, z = np.moveaxis(legs.arm, -1, 0)
-    joint[..., 0, 1], joint[..., 0, 2] = z, -y
-    joint[..., 1, 0], joint[..., 1, 2] = -z, x
-    joint[..., 2, 0], joint[..., 2, 1] = y, -x
-    tip = robot.crank_length * legs.e_n[..., :, None] * jacobian[..., None, :]
-    centre, swing = 0.5 * (joint + tip), (joint - tip) / robot.rod_length
+    joint[..., :3] = -_skew(legs.arm)
+    tip = (robot.crank_lengths[:, None] * legs.e_n)[..., :, None] * jacobian[..., None, :]
+    centre, swing = 0.5 * (joint + tip), (joint - tip) / robot.rod_lengths[:, None, None]
     swing -= legs.e_l[..., :, None] * np.einsum("...i,...ij->...j", legs.e_l, swing)[..., None, :]
     inertia = robot.rod_mass * np.einsum("...lij,...lik->...jk", centre, centre)
     inertia += robot.rod_inertia[0] * np.einsum("...lij,...lik->...jk", swing, swing)
-    inertia += robot.crank_axis_inertia * np.einsum("...li,...lj->...ij", jacobian, jacobian)
-    rotation = rotation_matrix(pose[..., :3])
-    inertia[..., :3, :3] += (rotation * np.array(robot.platform_inertia)) @ np.swapaxes(rotation, -1, -2)
+    turning = robot.crank_axis_inertias[:, None] * jacobian
+    inertia += np.einsum("...li,...lj->...ij", turning, jacobian)
+    inertia[..., :3, :3] += legs.rotation @ robot.platform_inertia_about_origin @ np.swapaxes(legs.rotation, -1, -2)
     inertia[..., 3:, 3:] += robot.platform_mass * np.eye(3)
+    moment = _skew(legs.rotation @ robot.platform_moment)
+    inertia[..., :3, 3:] += moment
+    inertia[..., 3:, :3] -= moment
     return inertia
 
 
@@ -207,20 +206,19 @@ def pose_acceleration_map(robot: RobotParameters, pose: ArrayLike) -> np.ndarray
 
 def _task_wrench(
     robot: RobotParameters,
-    pose: np.ndarray,
     legs: LegGeometry,
     twist: np.ndarray,
     twist_rate: np.ndarray,
     gravity: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Inertial and gravity loads: the wrench through the platform (..., 6) and the torque at each crank (..., 6)."""
-    a, length = robot.crank_length, robot.rod_length
+    a, length = robot.crank_lengths, robot.rod_lengths
     omega, alpha = twist[..., None, :3], twist_rate[..., None, :3]
     spin = cross(omega, legs.arm)
     v_joint = twist[..., None, 3:] + spin
     a_joint = twist_rate[..., None, 3:] + cross(alpha, legs.arm) + cross(omega, spin)
     theta_rate = np.sum(legs.e_l * v_joint, axis=-1) / (a * legs.transmission)
-    v_tip = a * legs.e_n * theta_rate[..., None]
+    v_tip = legs.e_n * (a * theta_rate)[..., None]
     v_relative = v_joint - v_tip
     centripetal = a * theta_rate**2
     theta_acceleration = (
@@ -228,31 +226,39 @@ def _task_wrench(
         + centripetal * np.sum(legs.e_l * legs.crank, axis=-1)
         + np.sum(v_relative * v_relative, axis=-1) / length
     ) / (a * legs.transmission)
-    a_tip = a * legs.e_n * theta_acceleration[..., None] - centripetal[..., None] * legs.crank
+    a_tip = legs.e_n * (a * theta_acceleration)[..., None] - centripetal[..., None] * legs.crank
 
     half = 0.25 * robot.rod_mass * (a_joint + a_tip)
     half[..., 2] += 0.5 * robot.rod_mass * gravity
     # Rod without spin: angular acceleration e_l x (a_joint - a_tip) / length, its moment as a couple of end forces.
     a_relative = a_joint - a_tip
     across = a_relative - np.sum(a_relative * legs.e_l, axis=-1, keepdims=True) * legs.e_l
-    couple = (robot.rod_inertia[0] / length**2) * across
+    couple = (robot.rod_inertia[0] / length**2)[:, None] * across
     at_joint, at_tip = half + couple, half - couple
 
     own = (
-        robot.crank_axis_inertia * theta_acceleration
+        robot.crank_axis_inertias * theta_acceleration
         + 0.5 * a * robot.crank_mass * gravity * legs.e_n[..., 2]
         + a * np.sum(legs.e_n * at_tip, axis=-1)
     )
-    rotation = rotation_matrix(pose[..., :3])
-    inertia = (rotation * np.array(robot.platform_inertia)) @ np.swapaxes(rotation, -1, -2)
-    momentum = np.einsum("...ij,...j->...i", inertia, twist[..., :3])
-    moment = np.einsum("...ij,...j->...i", inertia, twist_rate[..., :3]) + cross(twist[..., :3], momentum)
-    force = robot.platform_mass * twist_rate[..., 3:]
-    wrench = np.concatenate([moment, force], axis=-1)
-    wrench[..., 5] += robot.platform_mass * gravity
+    omega, alpha = twist[..., :3], twist_rate[..., :3]
+    inertia = legs.rotation @ robot.platform_inertia_about_origin @ np.swapaxes(legs.rotation, -1, -2)
+    momentum = np.einsum("...ij,...j->...i", inertia, omega)
+    moment = np.einsum("...ij,...j->...i", inertia, alpha) + cross(omega, momentum)
+    first = legs.rotation @ robot.platform_moment
+    lifted = twist_rate[..., 3:] + np.array([0.0, 0.0, gravity])
+    force = robot.platform_mass * lifted + cross(alpha, first) + cross(omega, cross(omega, first))
+    wrench = np.concatenate([moment + cross(first, lifted), force], axis=-1)
     wrench[..., :3] += cross(legs.arm, at_joint).sum(axis=-2)
     wrench[..., 3:] += at_joint.sum(axis=-2)
     return wrench, own
+
+
+def _skew(vector: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrix whose product with b is the cross product of vectors (..., 3) with b."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
 def euler_acceleration(pose: ArrayLike, pose_rate: ArrayLike, twist_rate: np.ndarray) -> np.ndarray:

@@ -38,11 +38,11 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
         ConfigurationError: Another `kind`.
     """
     if kind == "printed":
-        return legs.transmission / robot.crank_length
+        return legs.transmission / robot.crank_lengths
     if kind != "statics":
         raise ConfigurationError("force_map", kind, "statics or printed")
     with np.errstate(divide="ignore"):
-        return 1.0 / (robot.crank_length * legs.transmission)
+        return 1.0 / (robot.crank_lengths * legs.transmission)
 
 
 def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:

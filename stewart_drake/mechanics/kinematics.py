@@ -146,6 +146,7 @@ class LegGeometry:
     """Vectors of the six legs at one pose (or many), all in B.
 
     Attributes:
+        rotation: (..., 3, 3) [-] R_BP.
         crank_angles: (..., 6) [rad] theta_i.
         arm: (..., 6, 3) [m] platform joints relative to P: R p_i.
         crank: (..., 6, 3) [-] unit vectors along the cranks.
@@ -154,6 +155,7 @@ class LegGeometry:
         transmission: (..., 6) [-] e_l . e_N; zero where a crank is at its dead centre.
     """
 
+    rotation: np.ndarray
     crank_angles: np.ndarray
     arm: np.ndarray
     crank: np.ndarray
@@ -162,11 +164,12 @@ class LegGeometry:
     transmission: np.ndarray
 
 
-def _spans(robot: RobotParameters, pose: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """R p_i and d_i = R p_i + G - P_i, both (..., 6, 3) [m]; (2)."""
+def _spans(robot: RobotParameters, pose: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """R (..., 3, 3), R p_i and d_i = R p_i + G - P_i, both (..., 6, 3) [m]; (2)."""
     pose = np.asarray(pose, dtype=float)
-    arm = robot.platform_joints @ np.swapaxes(rotation_matrix(pose[..., :3]), -1, -2)
-    return arm, arm + pose[..., None, 3:] - robot.shaft_positions
+    rotation = rotation_matrix(pose[..., :3])
+    arm = robot.platform_joints @ np.swapaxes(rotation, -1, -2)
+    return rotation, arm, arm + pose[..., None, 3:] - robot.shaft_positions
 
 
 def reach_margin(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
@@ -179,7 +182,7 @@ def reach_margin(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     Returns:
         (..., 6) [-].
     """
-    return robot.reach_margin(_spans(robot, pose)[1])
+    return robot.reach_margin(_spans(robot, pose)[2])
 
 
 def inverse_kinematics(robot: RobotParameters, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
@@ -214,33 +217,31 @@ def leg_geometry(robot: RobotParameters, pose: ArrayLike, branch: int | None = N
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    theta, arm, span = _solve_cranks(robot, pose, branch)
+    theta, rotation, arm, span = _solve_cranks(robot, pose, branch)
     cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
-    h = robot.crank_zero_directions
-    crank, e_n = cosine * h, -sine * h
-    crank[..., 2] += sine[..., 0]
-    e_n[..., 2] += cosine[..., 0]
-    e_l = (span - robot.crank_length * crank) / robot.rod_length
-    return LegGeometry(theta, arm, crank, e_n, e_l, np.sum(e_l * e_n, axis=-1))
+    h, quarter = robot.crank_zero_directions, robot.crank_quarter_directions
+    crank, e_n = cosine * h + sine * quarter, cosine * quarter - sine * h
+    e_l = (span - robot.crank_lengths[:, None] * crank) / robot.rod_lengths[:, None]
+    return LegGeometry(rotation, theta, arm, crank, e_n, e_l, np.sum(e_l * e_n, axis=-1))
 
 
 def _solve_cranks(
     robot: RobotParameters, pose: ArrayLike, branch: int | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     pose = np.asarray(pose, dtype=float)
     if pose.ndim < 1 or pose.shape[-1] != 6 or not np.isfinite(pose).all():
         raise ConfigurationError("pose", pose, "finite numbers of shape (..., 6)")
-    branch = robot.branch if branch is None else branch
-    if branch not in (-1, 1):
-        raise ConfigurationError("branch", branch, "-1 or 1")
-    arm, span = _spans(robot, pose)
+    if branch not in (None, -1, 1):
+        raise ConfigurationError("branch", branch, "-1 or 1, or None")
+    signs = robot.branches if branch is None else branch
+    rotation, arm, span = _spans(robot, pose)
     along, up, ratio = robot.crank_equation(span)
     size = np.abs(ratio)
     if not size.max(initial=0.0) <= 1.0:
         worst = np.unravel_index(int(size.argmax()), size.shape)
         raise UnreachablePoseError(np.array(pose[worst[:-1]]), int(worst[-1]), float(1.0 - size[worst]))
-    theta = np.arctan2(up, along) + branch * np.arccos(ratio)
-    return np.arctan2(np.sin(theta), np.cos(theta)), arm, span
+    theta = np.arctan2(up, along) + signs * np.arccos(ratio)
+    return np.arctan2(np.sin(theta), np.cos(theta)), rotation, arm, span
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -275,7 +276,7 @@ def twist_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     legs = leg_geometry(robot, pose)
-    return rod_lines(legs) / (robot.crank_length * legs.transmission[..., None])
+    return rod_lines(legs) / (robot.crank_lengths * legs.transmission)[..., None]
 
 
 def pose_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
@@ -310,7 +311,7 @@ def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pos
         (..., 6) [rad/s].
     """
     along_rods = np.einsum("...ij,...j->...i", rod_lines(legs), pose_rate_to_twist(pose, pose_rate))
-    return along_rods / (robot.crank_length * legs.transmission)
+    return along_rods / (robot.crank_lengths * legs.transmission)
 
 
 def forward_kinematics(
@@ -349,14 +350,15 @@ def forward_kinematics(
     except ValueError:
         allowed = f"finite numbers whose shape fits that of crank_angles, {theta.shape}"
         raise ConfigurationError("guess", start, allowed) from None
-    tips = robot.shaft_positions + robot.crank_length * np.cos(theta)[..., None] * robot.crank_zero_directions
-    tips[..., 2] += robot.crank_length * np.sin(theta)
+    cosine, sine = robot.crank_lengths * np.cos(theta), robot.crank_lengths * np.sin(theta)
+    tips = robot.shaft_positions + cosine[..., None] * robot.crank_zero_directions
+    tips += sine[..., None] * robot.crank_quarter_directions
     error = np.inf
     for iteration in range(max_iterations + 1):
         arm = robot.platform_joints @ np.swapaxes(rotation_matrix(pose[..., :3]), -1, -2)
         rod = arm + pose[..., None, 3:] - tips
         length = np.linalg.norm(rod, axis=-1)
-        residual = length - robot.rod_length
+        residual = length - robot.rod_lengths
         error = float(np.abs(residual).max(initial=0.0))
         if error <= tolerance:
             return pose

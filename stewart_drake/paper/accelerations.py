@@ -166,7 +166,7 @@ def rod_force_per_torque(robot: RobotParameters, measurement: Accelerations) -> 
     """
     legs = leg_geometry(robot, measurement.poses)
     force = robot.platform_mass * np.swapaxes(measurement.map[:, 3:], -1, -2)
-    return np.asarray(robot.crank_length * np.sum(legs.e_l * force, axis=-1))
+    return np.asarray(robot.crank_lengths * np.sum(legs.e_l * force, axis=-1))
 
 
 def drift_under(

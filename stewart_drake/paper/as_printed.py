@@ -77,15 +77,15 @@ def crank_equation(robot: RobotParameters, joints: np.ndarray) -> CrankEquation:
         joints: (..., 6, 3) [m] platform joints in B.
     """
     span = joints - robot.shaft_positions
-    twice = 2.0 * robot.crank_length
+    twice = 2.0 * robot.crank_lengths
     return CrankEquation(
         twice * np.sum(span * robot.crank_zero_directions, axis=-1),
-        twice * span[..., 2],
-        np.sum(span * span, axis=-1) + robot.crank_length**2 - robot.rod_length**2,
+        twice * np.sum(span * robot.crank_quarter_directions, axis=-1),
+        np.sum(span * span, axis=-1) + robot.crank_lengths**2 - robot.rod_lengths**2,
     )
 
 
-def crank_angles(equation: CrankEquation, branch: int) -> np.ndarray:
+def crank_angles(equation: CrankEquation, branch: int | np.ndarray) -> np.ndarray:
     """Closed form theta = atan2(B, A) + branch * acos(C / sqrt(A^2 + B^2)); (..., 6) [rad], NaN out of reach."""
     with np.errstate(invalid="ignore"):
         return np.arctan2(equation.b, equation.a) + branch * np.arccos(equation.c / equation.size)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.control.density import DensityKind
 from stewart_drake.logs.log import AXES, SimulationLog
-from stewart_drake.paper.nine_experiments import distinct
+from stewart_drake.paper.nine_experiments_section import distinct
 from stewart_drake.paper.report import Section, holds
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import check_reference

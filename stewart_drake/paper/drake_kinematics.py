@@ -48,20 +48,20 @@ class DrakeKinematics:
             (n, 6) [m]; the length of the rods where `theta` belongs to `pose`.
         """
         spans = np.empty(theta.shape)
-        tip = np.array([self.robot.crank_length, 0.0, 0.0])
+        tips = np.outer(self.robot.crank_lengths, [1.0, 0.0, 0.0])
         for row, (at, angles) in enumerate(zip(pose, theta, strict=True)):
             self._set(self._positions(at, angles))
-            ends = self._joints() - self._points("crank", tip)
+            ends = self._joints() - self._points("crank", tips)
             spans[row] = np.linalg.norm(ends, axis=-1)
         return spans
 
     def loop_gaps(self, pose: np.ndarray) -> np.ndarray:
         """Distances of rod ends to platform joints in the plant's assembled state, by Drake; (n, 6) [m]."""
         gaps = np.empty(pose.shape)
-        end = np.array([0.0, 0.0, self.robot.rod_length])
+        ends = np.outer(self.robot.rod_lengths, [0.0, 0.0, 1.0])
         for row, state in enumerate(self._stewart.assemble(pose)):
             self._set(state[: self._plant.num_positions()])
-            gaps[row] = np.linalg.norm(self._points("rod", end) - self._joints(), axis=-1)
+            gaps[row] = np.linalg.norm(self._points("rod", ends) - self._joints(), axis=-1)
         return gaps
 
     def solve(self, given: Given, pose: np.ndarray, start: np.ndarray) -> np.ndarray | None:
@@ -108,11 +108,12 @@ class DrakeKinematics:
         with drake_guard("setting positions"):
             self._plant.SetPositions(self._context, positions)
 
-    def _points(self, body: str, point: np.ndarray) -> np.ndarray:
-        """(6, 3) [m] the same point of each leg's body, in B."""
+    def _points(self, body: str, points: np.ndarray) -> np.ndarray:
+        """(6, 3) [m] a point (6, 3) of each leg's body, in B."""
         plant, world = self._plant, self._plant.world_frame()
         frames = [plant.GetFrameByName(f"{body}_{leg}") for leg in range(LEGS)]
-        return np.array([plant.CalcPointsPositions(self._context, frame, point, world)[:, 0] for frame in frames])
+        at = zip(frames, points, strict=True)
+        return np.array([plant.CalcPointsPositions(self._context, frame, point, world)[:, 0] for frame, point in at])
 
     def _joints(self) -> np.ndarray:
         """(6, 3) [m] platform joints in B."""

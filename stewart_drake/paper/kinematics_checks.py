@@ -126,7 +126,7 @@ def misprint_effect(robot: RobotParameters, poses: np.ndarray, joints: np.ndarra
     """
     shift = np.linalg.norm(joints - as_printed.platform_joints(robot, poses), axis=-1).max(axis=-1)
     equation = as_printed.crank_equation(robot, joints)
-    theta = as_printed.crank_angles(equation, robot.branch)
+    theta = as_printed.crank_angles(equation, robot.branches)
     theta[~equation.in_reach] = np.nan
     reached = newton_each(robot, theta, poses)
     return MisprintEffect(

@@ -90,7 +90,7 @@ def _inverse(section: Section, robot: RobotParameters, samples: list[PoseSample]
         drake = DrakeKinematics(on_branch)
         for sample in samples:
             theta = inverse_kinematics(on_branch, sample.poses)
-            rod = float(np.abs(drake.rod_spans(sample.poses, theta) - robot.rod_length).max())
+            rod = float(np.abs(drake.rod_spans(sample.poses, theta) - robot.rod_lengths).max())
             gap = float(drake.loop_gaps(sample.poses).max())
             numbers[f"{sample.region.name} {branch:+d}"] = {"rod_error": rod, "gap": gap}
             rows.append((sample.region.name, f"{branch:+d}", len(sample.poses), f"{rod:.1e}", f"{gap:.1e}"))

@@ -90,7 +90,7 @@ def _reproduce(
         path = parts / f"{key}-{stamp}.json"
         section = _kept(path, folder)
         if section is None:
-            made = import_module(f"{__package__}.{key}").make(replace(study, progress=advance))
+            made = import_module(f"{__package__}.{key}_section").make(replace(study, progress=advance))
             section = _keep(made, path, folder)
         sections.append(section)
         if finished is not None:

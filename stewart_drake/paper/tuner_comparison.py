@@ -12,7 +12,7 @@ import numpy as np
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import second_half
-from stewart_drake.paper.nine_experiments import PAIRS, RATIOS
+from stewart_drake.paper.nine_experiments_section import PAIRS, RATIOS
 from stewart_drake.paper.report import holds
 
 LABELS = {ratio: sum(math.isclose(q / r, ratio) for q, r in PAIRS) for ratio in RATIOS}

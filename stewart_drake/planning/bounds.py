@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
 
-from stewart_drake.section import SECTION, Positive, check_positive
+from stewart_drake.section import Positive, Section
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
+class Bounds(Section, key="bounds"):
     """What a run must keep to for its motion to count as followed. A bound that is null is off.
 
     A bound acts while the controller is in charge, from the time on when the run has first been inside it: a start that
     is off by more has to come back.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     rotation: Positive | None = math.radians(10.0)
     """[rad] largest angle between the platform and its reference."""
@@ -32,8 +24,3 @@ class Bounds:
     """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all
     poses, rotations times the robot's characteristic length. Friction that swallows a motion makes it 0. It says
     nothing, and is None, where reference or error move by no more than 0.02 mm."""
-
-    def __post_init__(self) -> None:
-        for name in ("rotation", "position", "loop_gap", "motion_ratio"):
-            if getattr(self, name) is not None:
-                check_positive(f"bounds.{name}", getattr(self, name), allowed="a positive number, or null")

@@ -252,8 +252,9 @@ def largest_amplitude(
         return not any((values < 0.0).any() for values in margins.values())
 
     # No platform joint is further from its shaft than crank and rod together.
-    span = robot.crank_length + robot.rod_length + robot.platform_joint_radius
-    shafts = math.hypot(robot.shaft_circle_radius, robot.shaft_height)
+    sizes = [np.linalg.norm(points, axis=-1) for points in (robot.platform_joints, robot.shaft_positions)]
+    span = float((robot.crank_lengths + robot.rod_lengths + sizes[0]).max())
+    shafts = float(sizes[1].max())
     most = math.pi if axis < 3 else span + shafts + float(np.linalg.norm(middle[3:]))
     if not feasible(0.0):
         return 0.0

@@ -7,15 +7,13 @@ singularity jumped over, counts as broken `conditioning`.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import (
     LegGeometry,
@@ -28,32 +26,29 @@ from stewart_drake.mechanics.kinematics import (
     rotation_matrix,
 )
 from stewart_drake.robot import LEGS, RobotParameters
-from stewart_drake.section import SECTION, Positive, Share, is_finite
+from stewart_drake.section import Positive, Section
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
+Ratio = Annotated[Positive, Field(le=1.0)]
+
+
+class Limits(Section, key="limits"):
     """What a motion must keep to; None switches a limit off.
 
     The paper gives none of these; the defaults are assumptions of this project.
-
-    Raises:
-        ConfigurationError: A limit that is not finite or outside its range.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    reach: Share | None = 0.98
+    reach: Ratio | None = 0.98
     """[-] largest |C| / sqrt(A^2 + B^2) of a crank equation; None leaves 1, beyond which a rod cannot span."""
-    euler_pitch: Positive | None = math.radians(85.0)
+    euler_pitch: Annotated[Positive, Field(le=math.pi / 2.0)] | None = math.radians(85.0)
     """[rad] largest |pitch|: poses and their rates are given in Euler angles, singular at pi/2."""
-    conditioning: Share | None = 0.05
+    conditioning: Ratio | None = 0.05
     """[-] smallest sigma_min / sigma_max of the rods' lines, `kinematics.conditioning`."""
-    transmission: Share | None = 0.2
+    transmission: Ratio | None = 0.2
     """[-] smallest |e_l . e_N| of a leg."""
-    joint_swing: Positive | None = math.radians(65.0)
+    joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
     clearance: Positive | None = 0.005
@@ -62,15 +57,6 @@ class Limits:
     """[rad/s] largest |theta'|."""
     torque_fraction: Positive | None = 1.0
     """[-] largest |motor torque| of the exact inverse dynamics, as a part of `RobotParameters.effort_limit`."""
-
-    def __post_init__(self) -> None:
-        upper = {"reach": 1.0, "euler_pitch": math.pi / 2.0, "conditioning": 1.0, "transmission": 1.0}
-        upper["joint_swing"] = math.pi
-        for field in dataclasses.fields(self):
-            value, top = getattr(self, field.name), upper.get(field.name, math.inf)
-            if value is not None and not (is_finite(value) and 0.0 < value <= top):
-                allowed = "a finite number above 0" + (f", at most {top:.4g}" if top < math.inf else "") + ", or null"
-                raise ConfigurationError(f"limits.{field.name}", value, allowed)
 
 
 RULES = {
@@ -196,7 +182,7 @@ def _leg_margins(
         twist = pose_rate_to_twist(pose[regular], pose_rate[regular])
         along_rod = np.einsum("nji,nj->ni", wrench_map[regular], twist)
         margins["crank_speed"] = np.full((len(pose), LEGS), -np.inf)
-        speed = along_rod / (robot.crank_length * legs.transmission[regular])
+        speed = along_rod / (robot.crank_lengths * legs.transmission[regular])
         margins["crank_speed"][regular] = bounds["crank_speed"] - np.abs(speed)
     if "torque" in bounds:
         torque = inverse_dynamics(robot, pose[regular], pose_rate[regular], pose_acceleration[regular], gravity)
@@ -221,7 +207,7 @@ def _joint_swing(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray) ->
 
 def _link_distance(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray) -> np.ndarray:
     """Distance (n, 60) [m] between the surfaces of links of different legs; negative where they overlap."""
-    tips = robot.shaft_positions + robot.crank_length * legs.crank
+    tips = robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank
     start = np.concatenate([np.broadcast_to(robot.shaft_positions, tips.shape), tips], axis=-2)
     end = np.concatenate([tips, legs.arm + pose[:, None, 3:]], axis=-2)
     one, other = _PAIRS.T

@@ -133,10 +133,10 @@ class _Cranks:
         self.arm = robot.platform_joints @ self.rotation
         self.joint = self.arm + pose[:, 3:].T[:, None, :]
         self.span = self.joint - robot.shaft_positions.T[:, :, None]
-        a, h = robot.crank_length, robot.crank_zero_directions.T[:, :, None]
-        self.along = (2.0 * a) * (self.span[0] * h[0] + self.span[1] * h[1])
-        self.up = (2.0 * a) * self.span[2]
-        self.constant = _dot(self.span, self.span) + (a * a - robot.rod_length**2)
+        a = robot.crank_lengths[:, None]
+        self.along = (2.0 * a) * _dot(self.span, robot.crank_zero_directions.T[:, :, None])
+        self.up = (2.0 * a) * _dot(self.span, robot.crank_quarter_directions.T[:, :, None])
+        self.constant = _dot(self.span, self.span) + (a * a - robot.rod_lengths[:, None] ** 2)
         self.size = np.hypot(self.along, self.up)
         ratio = np.divide(self.constant, self.size, out=np.full_like(self.size, np.inf), where=self.size > 0.0)
         self.reach = 1.0 - np.abs(ratio)
@@ -147,14 +147,14 @@ class _HomeRods:
     """What the swings and the side of a parallel singularity are told from."""
 
     in_platform: np.ndarray  # (3, 6)
-    in_crank: np.ndarray  # (3, 6) along the crank, the motor axis z x h, and e_N
+    in_crank: np.ndarray  # (3, 6) along the crank, its lateral axis (quarter x zero), and e_N
     side: float  # sign of the rods' determinant
 
     @staticmethod
     def of(robot: RobotParameters) -> _HomeRods:
         legs = leg_geometry(robot, robot.home_pose)
         in_platform = legs.e_l @ rotation_matrix(robot.home_pose[:3])
-        axis = np.cross([0.0, 0.0, 1.0], robot.crank_zero_directions)
+        axis = np.cross(robot.crank_quarter_directions, robot.crank_zero_directions)
         in_crank = [np.sum(legs.e_l * direction, axis=-1) for direction in (legs.crank, axis, legs.e_n)]
         return _HomeRods(in_platform.T, np.array(in_crank), float(np.sign(np.linalg.det(rod_lines(legs)))) or 1.0)
 
@@ -164,22 +164,21 @@ def _measure(
 ) -> np.ndarray:
     """All fields of `PoseMeasures` but the first, (8, n), of poses within reach."""
     cranks = _Cranks(robot, pose)
-    a, length = robot.crank_length, robot.rod_length
-    h = robot.crank_zero_directions.T
+    a, length = robot.crank_lengths[:, None], robot.rod_lengths[:, None]
+    h, quarter = robot.crank_zero_directions.T[:, :, None], robot.crank_quarter_directions.T[:, :, None]
     # theta = atan2(B, A) + branch acos(C / size), so no angle is needed: with root = branch sqrt(size^2 - C^2),
     # cos = (A C - B root) / size^2, sin = (B C + A root) / size^2 and e_l . e_N = -root / (2 a l).
     square = cranks.size * cranks.size
-    root = robot.branch * np.sqrt((cranks.size - cranks.constant) * (cranks.size + cranks.constant))
+    root = robot.branches[:, None] * np.sqrt((cranks.size - cranks.constant) * (cranks.size + cranks.constant))
     cosine = (cranks.along * cranks.constant - cranks.up * root) / square
     sine = (cranks.up * cranks.constant + cranks.along * root) / square
     transmission = root / (-2.0 * a * length)
-    crank = cosine * h[:, :, None]
-    crank[2] += sine
+    crank = cosine * h + sine * quarter
     e_l = (cranks.span - a * crank) / length
 
     in_crank = (
         (cranks.constant / (2.0 * a) - a) / length,
-        (cranks.span[1] * h[0][:, None] - cranks.span[0] * h[1][:, None]) / length,
+        _dot(cranks.span, _cross(quarter, h)) / length,
         transmission,
     )
     lines = np.concatenate([_cross(cranks.arm, e_l), e_l])
@@ -191,7 +190,9 @@ def _measure(
             _largest_swing(e_l, np.einsum("ckn,kl->cln", cranks.rotation, home.in_platform)),
             _largest_swing(in_crank, home.in_crank[:, :, None]),
             _smallest_distance(robot, cranks, crank, e_l) - 2.0 * robot.link_radius,
-            *_strength(robot, cranks.arm, cosine, a * transmission, inverse, gravity, torque_limit),
+            *_strength(
+                robot, cranks, cosine * quarter[2] - sine * h[2], a * transmission, inverse, gravity, torque_limit
+            ),
         ]
     )
 
@@ -221,20 +222,26 @@ def _invert(robot: RobotParameters, home: _HomeRods, lines: np.ndarray) -> tuple
 
 def _strength(
     robot: RobotParameters,
-    arm: np.ndarray,
-    cosine: np.ndarray,
+    cranks: _Cranks,
+    rise: np.ndarray,
     lever: np.ndarray,
     inverse: np.ndarray,
     gravity: float,
     torque_limit: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Holding torque, force and moment, each (n,); `lever` (6, n) [m] is torque over rod force."""
+    """Holding torque, force and moment, each (n,).
+
+    `rise` (6, n) [-] is the vertical part of e_N, `lever` (6, n) [m] torque over rod force.
+    """
     half_rod = 0.5 * robot.rod_mass * gravity
+    along_x, along_y = half_rod * cranks.arm[:2].sum(axis=1) + gravity * (
+        cranks.rotation[:2].swapaxes(1, 2) @ robot.platform_moment
+    )
     weight = robot.platform_mass * gravity + LEGS * half_rod
     with np.errstate(invalid="ignore", divide="ignore"):
         # Each platform joint carries half a rod, each crank half a rod at its tip and its own weight in the middle.
-        rod_force = half_rod * (inverse[0] * arm[1].sum(axis=0) - inverse[1] * arm[0].sum(axis=0)) + weight * inverse[5]
-        own = (half_rod + 0.5 * robot.crank_mass * gravity) * robot.crank_length * cosine
+        rod_force = inverse[0] * along_y - inverse[1] * along_x + weight * inverse[5]
+        own = (half_rod + 0.5 * robot.crank_mass * gravity) * robot.crank_lengths[:, None] * rise
         torque = np.abs(lever * rod_force + own)
         # At a parallel singularity infinities of both signs meet in the sum: no torque holds.
         torque[np.isnan(torque)] = np.inf
@@ -259,9 +266,10 @@ def _smallest_distance(robot: RobotParameters, cranks: _Cranks, crank: np.ndarra
     `limits.segment_distance` with unit directions, so that a link's parameter is the length along it.
     """
     shaft = np.broadcast_to(robot.shaft_positions.T[:, :, None], cranks.span.shape)
-    links = ((shaft, crank, robot.crank_length), (shaft + robot.crank_length * crank, e_l, robot.rod_length))
-    of_one = [(start[:, _ONE], direction[:, _ONE], length) for start, direction, length in links]
-    of_other = [(start[:, _OTHER], direction[:, _OTHER], length) for start, direction, length in links]
+    a, rod = robot.crank_lengths[:, None], robot.rod_lengths[:, None]
+    links = ((shaft, crank, a), (shaft + a * crank, e_l, rod))
+    of_one = [(start[:, _ONE], direction[:, _ONE], length[_ONE]) for start, direction, length in links]
+    of_other = [(start[:, _OTHER], direction[:, _OTHER], length[_OTHER]) for start, direction, length in links]
     smallest = np.full((len(_ONE), crank.shape[-1]), np.inf)
     for (start, u, end), (other_start, v, other_end) in itertools.product(of_one, of_other):
         r = start - other_start

@@ -199,15 +199,16 @@ def check_center(robot: RobotParameters, center: np.ndarray) -> None:
 def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center` in reach.
 
-    Of these, the positions on the centre's side of the motors' plane.
+    Of these, the positions on the centre's side of the motors' shafts, where it is above or below them all.
     """
     about = robot.shaft_positions - robot.platform_joints @ rotation_matrix(center[:3]).T
-    reach = robot.crank_length + robot.rod_length
+    reach = (robot.crank_lengths + robot.rod_lengths)[:, None]
     low, high = (about - reach).max(axis=0), (about + reach).min(axis=0)
-    if center[5] >= robot.shaft_height:
-        low[2] = max(low[2], robot.shaft_height)
-    else:
-        high[2] = min(high[2], robot.shaft_height)
+    heights = robot.shaft_positions[:, 2]
+    if center[5] >= heights.max():
+        low[2] = max(low[2], heights.min())
+    elif center[5] <= heights.min():
+        high[2] = min(high[2], heights.max())
     return low, high
 
 

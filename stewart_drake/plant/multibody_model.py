@@ -90,9 +90,11 @@ def _loop_rows(stewart: StewartPlant, context: Context) -> tuple[np.ndarray, np.
     """
     plant, robot = stewart.plant, stewart.robot
     platform, rods = plant.GetFrameByName("platform"), [plant.GetFrameByName(f"rod_{leg}") for leg in range(LEGS)]
-    end = np.array([[0.0], [0.0], [robot.rod_length]])
     seat_rows, seat_drift = _points(plant, context, platform, robot.platform_joints.T)
-    ends = [_points(plant, context, rod, end) for rod in rods]
+    ends = [
+        _points(plant, context, rod, np.array([[0.0], [0.0], [length]]))
+        for rod, length in zip(rods, robot.rod_lengths, strict=True)
+    ]
     rows = [seat_rows - np.concatenate([rod_rows for rod_rows, _ in ends])]
     drift = [seat_drift - np.concatenate([rod_drift for _, rod_drift in ends])]
     if stewart.rod_joint == "ball":

@@ -34,7 +34,7 @@ from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import LEGS, RobotParameters
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import check_leg, is_finite
+from stewart_drake.section import Leg, check_value, is_finite
 
 
 class StewartPlant(StateMap):
@@ -83,7 +83,7 @@ class StewartPlant(StateMap):
             ConfigurationError: Another leg.
             DrakeCheckError: The Context is not that of the Diagram around this plant.
         """
-        check_leg("leg", leg)
+        check_value("leg", leg, Leg)
         with drake_guard("breaking a rod"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
             self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
@@ -213,7 +213,7 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
     platform = plant.GetFrameByName("platform")
     zero, resistance = np.zeros(3), np.full(3, options.platform_joint_damping)
     for leg, (rotation, joint) in enumerate(zip(home_frames(robot).rod_rotation, robot.platform_joints, strict=True)):
-        at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_length])
+        at_end = RigidTransform(RotationMatrix(rotation.T), [0.0, 0.0, robot.rod_lengths[leg]])
         rod = plant.GetFrameByName(f"rod_{leg}")
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.plant.sdf_model import ROD_JOINTS, RodJoint
+from pydantic import Field
+
+from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import LARGEST, RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Leg,
-    NotNegative,
-    Positive,
-    Vector3,
-    are_numbers,
-    check_choice,
-    check_leg,
-    check_real,
-    is_finite,
-)
+from stewart_drake.section import Flag, Leg, NotNegative, Real, Section
 
 STICTION_SPEED = 1e-4
 """[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
@@ -28,75 +16,47 @@ STICTION_SPEED = 1e-4
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""
 
+Moderate = Annotated[NotNegative, Field(le=LARGEST)]
+Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 
-@dataclass(frozen=True, kw_only=True)
-class BrokenRod:
-    """A rod that comes off the platform and hangs from its crank.
 
-    Raises:
-        ConfigurationError: A value outside what the field says.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
+class BrokenRod(Section, key="plant.broken_rod"):
+    """A rod that comes off the platform and hangs from its crank."""
 
     leg: Leg
     """0 to 5."""
     time: NotNegative
     """[s] when it breaks."""
 
-    def __post_init__(self) -> None:
-        check_leg("plant.broken_rod.leg", self.leg)
-        check_real("plant.broken_rod.time", self.time)
 
-
-@dataclass(frozen=True, kw_only=True)
-class PlantOptions:
+class PlantOptions(Section, key="plant"):
     """Options of the simulated robot.
 
     Raises:
         ConfigurationError: A value is not finite, out of range, or not one of those allowed.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    time_step: Positive = 0.001
+    time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
     """[s] period of the discrete plant."""
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
     collision: Flag = False
     """Links collide: cranks, rods, platform and base, except where a joint holds them together."""
-    motor_damping: NotNegative = 0.0
+    motor_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of each motor; implicit, stable at any step."""
-    universal_damping: NotNegative = 0.0
+    universal_damping: Moderate = 0.0
     """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
-    platform_joint_damping: NotNegative = 0.0
+    platform_joint_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of each ball between rod and platform; explicit, see `platform_damping_limit`. The
     same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
-    motor_friction: NotNegative = 0.0
+    motor_friction: Moderate = 0.0
     """[N m] Coulomb friction of each motor; implicit, viscous below `STICTION_SPEED`, so that a held robot creeps."""
-    payload_mass: NotNegative = 0.0
+    payload_mass: Moderate = 0.0
     """[kg] of a point that the platform carries and nobody but the plant knows of: not `robot`, nor the controller."""
-    payload_position: Vector3 = (0.0, 0.0, 0.0)
+    payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
     """[m] of the payload, in P."""
     broken_rod: BrokenRod | None = None
     """A rod that breaks midway, see `simulation.run`; null for none."""
-
-    def __post_init__(self) -> None:
-        if not is_finite(self.time_step) or not MIN_TIME_STEP <= self.time_step <= MAX_TIME_STEP:
-            raise ConfigurationError(
-                "plant.time_step", self.time_step, f"{MIN_TIME_STEP:g} to {MAX_TIME_STEP:g} s (discrete time only)"
-            )
-        check_choice("plant.rod_joint", self.rod_joint, *ROD_JOINTS)
-        if not isinstance(self.collision, bool):
-            raise ConfigurationError("plant.collision", self.collision, "true or false")
-        for name in ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction", "payload_mass"):
-            value = getattr(self, name)
-            check_real(f"plant.{name}", value)
-            if value > LARGEST:
-                raise ConfigurationError(f"plant.{name}", value, f"at most {LARGEST:g}")
-        at = self.payload_position
-        if not (are_numbers(at, 3) and all(abs(x) <= LARGEST for x in at)):
-            raise ConfigurationError("plant.payload_position", at, "3 finite numbers [m]")
 
 
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:
@@ -114,5 +74,5 @@ def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> flo
         [N m s/rad].
     """
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
-    fastest = max(2.0 / rod_inertia, 12.0 / min(robot.platform_inertia))
+    fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)
     return 1.0 / (options.time_step * fastest)

@@ -87,9 +87,9 @@ class StateMap:
 
         twist = pose_rate_to_twist(pose, pose_rate)
         v_joint = twist[..., None, 3:] + cross(twist[..., None, :3], legs.arm)
-        theta_rate = np.sum(legs.e_l * v_joint, axis=-1) / (self.robot.crank_length * legs.transmission)
-        v_tip = self.robot.crank_length * legs.e_n * theta_rate[..., None]
-        e_l_rate = (v_joint - v_tip) / self.robot.rod_length
+        theta_rate = np.sum(legs.e_l * v_joint, axis=-1) / (self.robot.crank_lengths * legs.transmission)
+        v_tip = legs.e_n * (self.robot.crank_lengths * theta_rate)[..., None]
+        e_l_rate = (v_joint - v_tip) / self.robot.rod_lengths[:, None]
 
         w_crank = -self._lateral * theta_rate[..., None]
         crank_rotation = np.stack(np.broadcast_arrays(legs.crank, self._lateral, legs.e_n), axis=-1)
@@ -179,13 +179,14 @@ class StateMap:
         state = np.asarray(state, dtype=float)
         theta = self.crank_angles(state)
         cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
-        along, up = self.robot.crank_zero_directions, np.array([0.0, 0.0, 1.0])
+        along, up = self.robot.crank_zero_directions, self.robot.crank_quarter_directions
         crank, e_n = cosine * along + sine * up, cosine * up - sine * along
         angles = state[..., self.indices.rod]
         turned = _universal_rotation(angles) if self.rod_joint == "universal" else rotation_matrix(angles)
         x, y, z = np.moveaxis(_times(self._home.rod_in_crank, turned[..., 2]), -1, 0)
         e_l = x[..., None] * crank + y[..., None] * self._lateral + z[..., None] * e_n
-        end = self.robot.shaft_positions + self.robot.crank_length * crank + self.robot.rod_length * e_l
+        lengths = self.robot.crank_lengths[:, None], self.robot.rod_lengths[:, None]
+        end = self.robot.shaft_positions + lengths[0] * crank + lengths[1] * e_l
         rotation = _quaternion_rotation(state[..., self.indices.quaternion])
         arm = self.robot.platform_joints @ np.swapaxes(rotation, -1, -2)
         gap: np.ndarray = np.linalg.norm(end - arm - state[..., None, self.indices.position], axis=-1)

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SIGNALS, SimulationLog
@@ -301,13 +300,10 @@ def _decided(log: SimulationLog) -> float:
 def _settings(log: SimulationLog) -> str:
     scenario = log.scenario
     controller = scenario.controller
-    if isinstance(controller, LqiOptions):
-        model = "exact model" if controller.model == "exact" else f"force map {controller.force_map}"
-        words = f"{model}, feedforward {controller.feedforward}"
-    else:
-        words = f"controller {controller.kind}"
     tuner = f", tuner {scenario.tuner.kind}" if "density" in log.signals else ""
-    return f"gravity {scenario.gravity:g} m/s², {words}, control period {1e3 * controller.period:g} ms{tuner}"
+    return (
+        f"gravity {scenario.gravity:g} m/s², {controller.label}, control period {1e3 * controller.period:g} ms{tuner}"
+    )
 
 
 def _draw(panel: Axes, time: np.ndarray, values: np.ndarray, *, held: bool = False, **style: Any) -> None:

@@ -244,7 +244,7 @@ def _draw_robot(panel: Any, robot: RobotParameters, pose: np.ndarray) -> tuple[n
     """Base, cranks, rods and platform at a pose, behind the surface; shafts and crank tips (6, 3) [mm]."""
     legs = leg_geometry(robot, pose)
     shafts = 1e3 * robot.shaft_positions
-    tips = shafts + 1e3 * robot.crank_length * legs.crank
+    tips = shafts + 1e3 * robot.crank_lengths[:, None] * legs.crank
     joints = 1e3 * (legs.arm + pose[3:])
     for ring in (shafts, joints):
         panel.plot(*np.concatenate([ring, ring[:1]]).T, color="#9A9A9A", linewidth=1.2, zorder=2)

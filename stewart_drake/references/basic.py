@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import HOME, ZERO, check_vectors, is_six, smoothstep
-from stewart_drake.section import SECTION, Positive, Real, Vector6
+from stewart_drake.references.base import HOME, ZERO, smoothstep
+from stewart_drake.section import Positive, Section, Vector6
 
 
-@dataclass(frozen=True, kw_only=True)
-class HoldReference:
+class HoldReference(Section, key="reference"):
     """A pose held still."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["hold"] = "hold"
     pose: Vector6 = HOME
     """[rad, m]"""
-
-    def __post_init__(self) -> None:
-        check_vectors(self, "pose")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -32,14 +26,11 @@ class HoldReference:
         return np.broadcast_to(np.array(self.pose), shape).copy(), np.zeros(shape), np.zeros(shape)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SineReference:
+class SineReference(Section, key="reference"):
     """center + amplitude sin(angular_frequency t + phase) on each axis.
 
     The defaults are the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["sine"] = "sine"
     center: Vector6 = HOME
@@ -51,9 +42,6 @@ class SineReference:
     phase: Vector6 = ZERO
     """[rad]"""
 
-    def __post_init__(self) -> None:
-        check_vectors(self, "center", "amplitude", "angular_frequency", "phase")
-
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
         omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
@@ -62,18 +50,15 @@ class SineReference:
         return np.array(self.center) + wave, amplitude * omega * np.cos(angle), -(omega**2) * wave
 
 
-@dataclass(frozen=True, kw_only=True)
-class SineBurstsReference:
+class SineBurstsReference(Section, key="reference"):
     """Bursts of sines one after the other, each with its own frequency and amplitudes, faded in and out.
 
     The paper's data covers 1 to 5 Hz; this puts them into one run that starts and ends every burst at rest in the
     centre. The fade is a quintic smoothstep, so accelerations are continuous. After the last burst the centre is held.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["sine_bursts"] = "sine_bursts"
-    frequency: tuple[Real, ...]
+    frequency: Annotated[tuple[Positive, ...], Field(min_length=1)]
     """[Hz] one per burst."""
     amplitude: tuple[Vector6, ...]
     """[rad, m] one vector per burst."""
@@ -86,21 +71,12 @@ class SineBurstsReference:
     fade: Positive = 0.2
     """[s] at each end of a burst."""
 
-    def __post_init__(self) -> None:
-        check_vectors(self, "center", "phase")
-        if not self.frequency or not all(math.isfinite(f) and f > 0.0 for f in self.frequency):
-            raise ConfigurationError("reference.frequency", self.frequency, "positive numbers, at least one")
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if len(self.amplitude) != len(self.frequency):
-            raise ConfigurationError(
-                "reference.amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers"
-            )
-        for vector in self.amplitude:
-            if not is_six(vector):
-                raise ConfigurationError("reference.amplitude", vector, "vectors of 6 finite numbers")
-        if not (math.isfinite(self.fade) and self.fade > 0.0):
-            raise ConfigurationError("reference.fade", self.fade, "a positive number")
-        if not (math.isfinite(self.burst_duration) and self.burst_duration >= 2.0 * self.fade):
-            raise ConfigurationError("reference.burst_duration", self.burst_duration, "at least twice the fade")
+            raise ConfigurationError("amplitude", self.amplitude, f"{len(self.frequency)} vectors of 6 numbers")
+        if not self.burst_duration >= 2.0 * self.fade:
+            raise ConfigurationError("burst_duration", self.burst_duration, "at least twice the fade")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""

@@ -2,87 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import Reference, check_numbers, check_vectors, smoothstep
-from stewart_drake.references.basic import HoldReference, SineBurstsReference, SineReference
-from stewart_drake.references.paths import MinimumJerkReference, SplineReference
-from stewart_drake.references.recorded import RecordedReference
-from stewart_drake.references.surgical import BreathingReference, HeartbeatReference, TremorReference
-from stewart_drake.section import SECTION, NotNegative, Positive, Vector6
+from stewart_drake.references.base import Reference, smoothstep
+from stewart_drake.registry import REFERENCES
+from stewart_drake.section import Real, Section, Vector6
 
-Motion = (
-    HoldReference
-    | SineReference
-    | SineBurstsReference
-    | BreathingReference
-    | HeartbeatReference
-    | TremorReference
-    | MinimumJerkReference
-    | SplineReference
-    | RecordedReference
-)
+Motion = Annotated[Reference, REFERENCES.but("sum", "adjusted")]
+Size = Annotated[Real, Field(ge=0.0, le=1e6)]
 
 
-def _inside(key: str) -> WrapValidator:
-    """Names a bad value in a motion inside of another motion with the whole of its key."""
-
-    def renamed(error: ConfigurationError, place: str) -> ConfigurationError:
-        return ConfigurationError(error.key.replace("reference.", f"reference.{place}.", 1), error.value, error.allowed)
-
-    def validate(data: Any, handler: ValidatorFunctionWrapHandler) -> Any:
-        data = _plain(data)
-        try:
-            return handler(data)
-        except ConfigurationError as error:
-            if not isinstance(data, (list, tuple)):
-                raise renamed(error, key) from None
-        for index, part in enumerate(data):
-            try:
-                handler([part])
-            except ConfigurationError as error:
-                raise renamed(error, f"{key}.{index}") from None
-        raise AssertionError("one of the parts is bad")  # pragma: no cover
-
-    return WrapValidator(validate)
-
-
-def _plain(data: Any) -> Any:
-    """A motion made in Python as a section of a file, so that it is checked like one."""
-    if isinstance(data, (list, tuple)):
-        return [_plain(part) for part in data]
-    if isinstance(data, type) or not dataclasses.is_dataclass(data):
-        return data
-    return {field.name: _plain(getattr(data, field.name)) for field in dataclasses.fields(data)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class SumReference:
+class SumReference(Section, key="reference"):
     """Several motions at once, such as breathing, heartbeat and tremor: center + sum (part - the part's own centre).
 
     Angles are added as angles: exact for one axis, a good approximation while tilts are small.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["sum"] = "sum"
-    parts: Annotated[tuple[Annotated[Motion, Field(discriminator="kind")], ...], _inside("parts")]
+    parts: Annotated[tuple[Motion, ...], Field(min_length=1)]
     """Motions, at least one. Of each counts how far it is from its own centre: `center` of a wave; the first pose of a
     path, a recording or a hold."""
     center: Vector6 | None = None
     """[rad, m] null takes the first part's."""
-
-    def __post_init__(self) -> None:
-        if not len(self.parts):
-            raise ConfigurationError("reference.parts", self.parts, "at least one motion")
-        if self.center is not None:
-            check_vectors(self, "center")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -91,32 +35,23 @@ class SumReference:
         return pose - sum(map(center_of, self.parts)) + center_of(self), rate, acceleration
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdjustedReference:
+class AdjustedReference(Section, key="reference"):
     """A motion made smaller, slower or faded in: center + scale fade(s) (motion(s) - center) at s = t / slowdown.
 
     Slowed by k, rates are 1/k and accelerations 1/k^2 of what they were.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["adjusted"] = "adjusted"
-    motion: Annotated[Motion | SumReference, Field(discriminator="kind"), _inside("motion")]
+    motion: Annotated[Reference, REFERENCES.but("adjusted")]
     """The motion to adjust."""
-    scale: NotNegative = 1.0
+    scale: Size = 1.0
     """[-] size of the motion about the centre, at least 0."""
-    slowdown: Positive = 1.0
+    slowdown: Annotated[Real, Field(ge=1e-6, le=1e6)] = 1.0
     """[-] by how much longer the motion takes, 1e-6 to 1e6."""
-    fade_in: NotNegative = 0.0
+    fade_in: Size = 0.0
     """[s] of the motion's own time over which it grows from rest in the centre, a quintic; 0 for none."""
     center: Vector6 | None = None
     """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, 1e-6, 1e6, "a number from 1e-06 to 1e+06", "slowdown")
-        check_numbers(self, 0.0, 1e6, "a number from 0 to 1e+06", "scale", "fade_in")
-        if self.center is not None:
-            check_vectors(self, "center")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -134,7 +69,7 @@ class AdjustedReference:
         return middle + self.scale * away, faster * rate, faster_still * acceleration
 
 
-AnyReference = Annotated[Motion | SumReference | AdjustedReference, Field(discriminator="kind")]
+AnyReference = Annotated[Reference, REFERENCES]
 
 
 def center_of(reference: Reference) -> np.ndarray:

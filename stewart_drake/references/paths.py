@@ -2,43 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import check_poses, smoothstep
-from stewart_drake.section import SECTION, Real, Vector6, is_finite
+from stewart_drake.references.base import smoothstep
+from stewart_drake.section import NotNegative, Positive, Section, Vector6
 
 
-@dataclass(frozen=True, kw_only=True)
-class MinimumJerkReference:
+class MinimumJerkReference(Section, key="reference"):
     """Straight moves of minimum jerk from pose to pose, at rest at each of them; after the last it stays there.
 
     The profile is 6 u^5 - 15 u^4 + 10 u^3 of a hand's reach: T. Flash, N. Hogan, J. Neurosci. 5 (1985) 1688.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["minimum_jerk"] = "minimum_jerk"
-    poses: tuple[Vector6, ...]
+    poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
     """[rad, m] at least 2; the motion starts at the first."""
-    durations: tuple[Real, ...]
+    durations: tuple[Positive, ...]
     """[s] of each move, one fewer than poses."""
-    dwell: tuple[Real, ...] = ()
+    dwell: tuple[NotNegative, ...] = ()
     """[s] rest before each move, as many as moves; empty for none."""
 
-    def __post_init__(self) -> None:
-        check_poses(self, "poses", 2)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         moves = len(self.poses) - 1
-        allowed = f"{moves} positive numbers, one per move"
-        if len(self.durations) != moves or not all(is_finite(value) and value > 0.0 for value in self.durations):
-            raise ConfigurationError("reference.durations", self.durations, allowed)
-        allowed = f"{moves} numbers of at least 0, one per move, or none"
-        if len(self.dwell) not in (0, moves) or not all(is_finite(value) and value >= 0.0 for value in self.dwell):
-            raise ConfigurationError("reference.dwell", self.dwell, allowed)
+        if len(self.durations) != moves:
+            raise ConfigurationError("durations", self.durations, f"{moves} positive numbers, one per move")
+        if len(self.dwell) not in (0, moves):
+            allowed = f"{moves} numbers of at least 0, one per move, or none"
+            raise ConfigurationError("dwell", self.dwell, allowed)
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -52,30 +48,25 @@ class MinimumJerkReference:
         return poses[move] + step * value, step * slope / lasts, step * curvature / lasts**2
 
 
-@dataclass(frozen=True, kw_only=True)
-class SplineReference:
+class SplineReference(Section, key="reference"):
     """A quintic spline through timed poses, at rest at both ends; before the first and after the last it stays there.
 
     Four times continuously differentiable between its ends and twice at them, since rate and acceleration are zero
     there.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["spline"] = "spline"
-    times: tuple[Real, ...]
+    times: tuple[NotNegative, ...]
     """[s] ascending, at least 2, the first not below 0."""
-    poses: tuple[Vector6, ...]
+    poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
     """[rad, m] one per time."""
 
-    def __post_init__(self) -> None:
-        check_poses(self, "poses", 2)
-        times = self.times
-        if len(times) != len(self.poses) or not all(map(is_finite, times)) or times[0] < 0.0:
-            allowed = f"{len(self.poses)} numbers, one per pose, none below 0"
-            raise ConfigurationError("reference.times", times, allowed)
-        if not np.all(np.diff(times) > 0.0):
-            raise ConfigurationError("reference.times", times, "ascending numbers")
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        if len(self.times) != len(self.poses):
+            raise ConfigurationError("times", self.times, f"{len(self.poses)} numbers, one per pose, none below 0")
+        if not np.all(np.diff(self.times) > 0.0):
+            raise ConfigurationError("times", self.times, "ascending numbers")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""

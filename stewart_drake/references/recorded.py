@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Literal
+from typing import Annotated, Any, BinaryIO, Literal
 
 import numpy as np
-from pydantic import StrictStr
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.parquet_files import refuse_bomb
 from stewart_drake.files.whole import open_checked
-from stewart_drake.references.base import check_numbers, check_positive
-from stewart_drake.section import SECTION, Positive
+from stewart_drake.section import Positive, Real, Section, Text
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 """[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""
@@ -26,8 +24,7 @@ MAX_COLUMNS, MAX_HEADER_BYTES = 1000, 100_000
 """Of a CSV file."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedReference:
+class RecordedReference(Section, key="reference"):
     """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
 
     The file has a header with the columns `time` [s], `roll`, `pitch`, `yaw` [rad], `x`, `y`, `z` [m]; times ascend,
@@ -36,21 +33,13 @@ class RecordedReference:
     the motion coasts to rest, acceleration being continuous.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["recorded"] = "recorded"
-    motion_file: StrictStr
+    motion_file: Text
     """Path of a .csv or .parquet file, relative to the scenario file."""
     time_scale: Positive = 1.0
     """[s] that one unit of the file's time lasts: 0.001 for a file in milliseconds, 2 for half the speed."""
-    settle: Positive = 0.25
+    settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = 0.25
     """[s] from the last row to rest."""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.motion_file, str):
-            raise ConfigurationError("reference.motion_file", self.motion_file, "a text")
-        check_positive(self, "time_scale")
-        check_numbers(self, 1e-6, 1e6, "a number from 1e-06 to 1e+06", "settle")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`.

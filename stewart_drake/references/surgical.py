@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.base import HOME, check_numbers, check_positive, check_vectors, check_whole, smoothstep
-from stewart_drake.section import (
-    SECTION,
-    Count,
-    Natural,
-    NotNegative,
-    Positive,
-    Real,
-    Share,
-    Vector6,
-    check_seed,
-    is_finite,
-)
+from stewart_drake.references.base import HOME, smoothstep
+from stewart_drake.section import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
 
 _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""
@@ -32,8 +21,7 @@ _TREMOR_SINES = 24
 """Enough that the sum looks like noise: it repeats after minutes, and its peaks are near-normal. Assumed."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class BreathingReference:
+class BreathingReference(Section, key="reference"):
     """center + excursion cos^(2 order)(pi frequency t - phase) on each axis: long at end-exhale, short at end-inhale.
 
     The waveform is z0 - b cos^(2n)(pi t / tau - phi) of A. E. Lujan et al., Med. Phys. 26 (1999) 715, with center = z0,
@@ -42,8 +30,6 @@ class BreathingReference:
     breathing at rest; 0.25 Hz, order 2 and which axis takes which size are assumed.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["breathing"] = "breathing"
     center: Vector6 = HOME
     """[rad, m] pose at end-exhale, where breathing rests longest."""
@@ -51,16 +37,10 @@ class BreathingReference:
     """[rad, m] from end-exhale to end-inhale, peak to peak; its sign is the direction."""
     frequency: Positive = 0.25
     """[Hz] breaths per second, above 0."""
-    order: Count = 2
+    order: Annotated[Count, Field(ge=1, le=3)] = 2
     """n of the waveform, 1 to 3: the larger, the longer the stay at end-exhale."""
     phase: Real = math.pi / 2.0
     """[rad] phi of the waveform; pi/2 starts at end-exhale, at rest."""
-
-    def __post_init__(self) -> None:
-        check_vectors(self, "center", "excursion")
-        check_positive(self, "frequency")
-        check_whole(self, 1, 3, "order")
-        check_numbers(self, -math.inf, math.inf, "a finite number", "phase")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -73,8 +53,7 @@ class BreathingReference:
         return pose, rate, size * omega**2 * power * bend
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeartbeatReference:
+class HeartbeatReference(Section, key="reference"):
     """A periodic wave of several harmonics, run through at a heart's varying rate, with early beats where asked for.
 
     On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end.
@@ -91,8 +70,6 @@ class HeartbeatReference:
     sinus cycle. The count of beats stays twice continuously differentiable.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
     kind: Literal["heartbeat"] = "heartbeat"
     center: Vector6 = HOME
     """[rad, m] mean of the wave."""
@@ -102,7 +79,7 @@ class HeartbeatReference:
     """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
     phase: Vector6 = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
     """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
-    harmonics: tuple[Real, ...] = (1.0, 0.6, 0.35, 0.15, 0.05)
+    harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
     """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""
     harmonic_phase: tuple[Real, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
     """[rad] p_k, one per harmonic."""
@@ -112,36 +89,26 @@ class HeartbeatReference:
     """[Hz] of that swing. With a `breathing` motion of this frequency the rate is highest while it breathes in."""
     slow_variation: Share = 0.015
     """[-] largest slow departure of the rate, as a part of it; together with respiratory_variation below 1."""
-    seed: Natural = 0
+    seed: Seed = 0
     """Of the slow variation."""
-    premature_beats: tuple[Count, ...] = ()
+    premature_beats: tuple[Annotated[Count, Field(ge=1, le=10**6)], ...] = ()
     """Numbers of the beats that come early, ascending, at least 2 apart; beat 0 begins at t = 0."""
-    prematurity: NotNegative = 0.4
+    prematurity: Annotated[NotNegative, Field(le=0.7)] = 0.4
     """[-] by which part of a beat they come early, 0 to 0.7."""
 
-    def __post_init__(self) -> None:
-        check_vectors(self, "center", "excursion", "phase")
-        check_positive(self, "rate", "respiratory_frequency")
-        for name in ("harmonics", "harmonic_phase"):
-            values = getattr(self, name)
-            if not (1 <= len(values) <= 20 and all(map(is_finite, values))):
-                raise ConfigurationError(f"reference.{name}", values, "1 to 20 finite numbers")
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if not any(self.harmonics):
-            raise ConfigurationError("reference.harmonics", self.harmonics, "numbers, not all of them zero")
+            raise ConfigurationError("harmonics", self.harmonics, "numbers, not all of them zero")
         if len(self.harmonic_phase) != len(self.harmonics):
             allowed = f"{len(self.harmonics)} numbers, one per harmonic"
-            raise ConfigurationError("reference.harmonic_phase", self.harmonic_phase, allowed)
-        check_numbers(self, 0.0, 1.0, "a number from 0 to 1", "respiratory_variation", "slow_variation")
+            raise ConfigurationError("harmonic_phase", self.harmonic_phase, allowed)
         if self.respiratory_variation + self.slow_variation >= 1.0:
             allowed = "below 1 together with respiratory_variation: a heart does not beat backwards"
-            raise ConfigurationError("reference.slow_variation", self.slow_variation, allowed)
-        check_seed("reference.seed", self.seed)
+            raise ConfigurationError("slow_variation", self.slow_variation, allowed)
         beats = self.premature_beats
-        if not all(type(beat) is int and 1 <= beat <= 10**6 for beat in beats):
-            raise ConfigurationError("reference.premature_beats", beats, "whole numbers from 1 to 1000000")
         if any(later - beat < 2 for beat, later in itertools.pairwise(beats)):
-            raise ConfigurationError("reference.premature_beats", beats, "ascending numbers, at least 2 apart")
-        check_numbers(self, 0.0, 0.7, "a number from 0 to 0.7", "prematurity")
+            raise ConfigurationError("premature_beats", beats, "ascending numbers, at least 2 apart")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -216,8 +183,7 @@ class HeartbeatReference:
         return self.prematurity * value, self.prematurity * slope / width, self.prematurity * curvature / width**2
 
 
-@dataclass(frozen=True, kw_only=True)
-class TremorReference:
+class TremorReference(Section, key="reference"):
     """Physiological tremor of a hand: on each axis a seeded sum of sines spread over a band of frequencies.
 
     T. S. Wells et al., Comparison of baseline tremor under various microsurgical conditions, IEEE SMC (2013), saw a
@@ -225,8 +191,6 @@ class TremorReference:
     C. N. Riviere, R. S. Rader, N. V. Thakor, IEEE Trans. Biomed. Eng. 45 (1998) 839, model it as a modulated sine. That
     the axes are independent, and the spectrum flat within the band, is assumed.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     kind: Literal["tremor"] = "tremor"
     center: Vector6 = HOME
@@ -237,15 +201,13 @@ class TremorReference:
     """[Hz] lower end of the band, above 0."""
     high: Positive = 12.0
     """[Hz] upper end of the band, above its lower end."""
-    seed: Natural = 0
+    seed: Seed = 0
     """Of frequencies and phases."""
 
-    def __post_init__(self) -> None:
-        check_vectors(self, "center", "rms")
-        check_positive(self, "low", "high")
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if self.high <= self.low:
-            raise ConfigurationError("reference.high", self.high, f"above reference.low, {self.low:g} Hz")
-        check_seed("reference.seed", self.seed)
+            raise ConfigurationError("high", self.high, f"above low, {self.low:g} Hz")
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""

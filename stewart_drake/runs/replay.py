@@ -179,7 +179,7 @@ def _furnish(meshcat: Meshcat, robot: RobotParameters) -> None:
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
-    disc = Cylinder(1.15 * robot.platform_joint_radius, 0.4 * robot.link_radius)
+    disc = Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
     meshcat.SetObject("reference", disc, Rgba(0.0, 0.62, 0.45, 0.4))
 
 
@@ -200,9 +200,9 @@ def _captioned(page: str, log: SimulationLog) -> str:
 
 def _viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera should stand and look, both (3,) [m] in B, for the whole robot to be seen."""
-    height = robot.home_height - robot.shaft_height
-    size = robot.shaft_circle_radius + robot.crank_length + height
-    target = np.array([0.0, 0.0, robot.shaft_height + 0.54 * height])
+    height = robot.home_height - robot.base_height
+    size = robot.base_radius + float(robot.crank_lengths.max()) + height
+    target = np.array([0.0, 0.0, robot.base_height + 0.54 * height])
     direction = np.array([1.05, -0.80, 0.52])
     return target + 1.9 * size * direction / np.linalg.norm(direction), target
 
@@ -238,11 +238,11 @@ def _render(robot: RobotParameters, pose: np.ndarray, width: int, height: int, p
 
 def _add_floor(scene_graph: SceneGraph, robot: RobotParameters, pose: np.ndarray) -> None:
     """A white disc just below the base, or below the cranks where they hang lower."""
-    tips = robot.shaft_height + robot.crank_length * leg_geometry(robot, pose).crank[:, 2]
-    top = min(robot.shaft_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
+    tips = robot.shaft_positions[:, 2] + robot.crank_lengths * leg_geometry(robot, pose).crank[:, 2]
+    top = min(robot.base_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
     thickness = 0.01
     floor = GeometryInstance(
-        RigidTransform([0.0, 0.0, top - 0.5 * thickness]), Cylinder(3.5 * robot.shaft_circle_radius, thickness), "floor"
+        RigidTransform([0.0, 0.0, top - 0.5 * thickness]), Cylinder(3.5 * robot.base_radius, thickness), "floor"
     )
     paint = PerceptionProperties()
     paint.AddProperty("phong", "diffuse", Rgba(1.0, 1.0, 1.0, 1.0))

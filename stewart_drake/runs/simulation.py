@@ -16,8 +16,7 @@ from pydrake.systems.framework import Context
 from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.control.inputs import checked_legs
-from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.control.user_controller import PythonOptions, user_code
+from stewart_drake.control.user_controller import user_code
 from stewart_drake.control.user_errors import ControllerStop
 from stewart_drake.errors import (
     ConfigurationError,
@@ -30,7 +29,6 @@ from stewart_drake.errors import (
 )
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import plain_json
-from stewart_drake.hardware.estimator import EncoderOptions
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows, RowsInMemory
 from stewart_drake.logs.outcomes import find_warnings, judge
@@ -251,8 +249,7 @@ def _compile(loop: ClosedLoop) -> None:
 
     It takes half a minute on a new machine, and is no part of what the run costs.
     """
-    options = loop.scenario.controller
-    if not options.compiled or isinstance(options, PythonOptions):
+    if not loop.scenario.compiled or loop.scenario.controller.code is not None:
         return
     # What is wrong with the first tick shows in the run itself, with a log.
     with suppress(StewartDrakeError), drake_guard("compiling"), _quiet():
@@ -275,8 +272,7 @@ def check_scenario(scenario: Scenario) -> None:
             _check_safety(scenario, scenario.safety)
     with _quiet():
         try:
-            near = LqiOptions() if isinstance(scenario.controller, PythonOptions) else scenario.controller
-            checked_legs(scenario.robot, near, scenario.start()[0])
+            checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])
         except RunFailure as failure:
             key, value = "reference", scenario.start()[0].tolist()
             if any(scenario.initial_offset):
@@ -349,7 +345,7 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
         signals["disturbance"] = values["disturbance"]
     if "safety" in values:
         signals["safety"] = values["safety"]
-    if isinstance(scenario.sensors, EncoderOptions) or scenario.sensors.faults:
+    if not scenario.sensors.exact:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
     return {name: signals[name] for name in SIGNALS if name in signals}

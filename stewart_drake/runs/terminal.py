@@ -50,9 +50,9 @@ class ProgressBar:
         self._bar.stop()
 
 
-def announce_compilation(controller: Any) -> None:
-    """Says why nothing moves for half a minute, where that lies ahead, given `Scenario.controller`."""
-    if controller.kind != "lqi" or not controller.compiled:
+def announce_compilation(scenario: Any) -> None:
+    """Says why nothing moves for half a minute, where that lies ahead."""
+    if scenario.controller.kind != "lqi" or not scenario.compiled:
         return
     # numba takes half a second to import.
     from stewart_drake.compiled.control import lqi_tick

@@ -72,7 +72,7 @@ def look(robot: RobotParameters, options: SafetyOptions, gravity: float, inputs:
     lines = rod_lines(legs)
     conditioning, now = float(line_conditioning(robot, legs)), float(np.sign(np.linalg.det(lines)))
     smallest = max(float(transmission.min()), 1e-9)
-    speed = lines @ pose_rate_to_twist(pose, rate) / (robot.crank_length * np.maximum(transmission, 1e-9))
+    speed = lines @ pose_rate_to_twist(pose, rate) / (robot.crank_lengths * np.maximum(transmission, 1e-9))
     speed *= np.where(legs.transmission < 0.0, -1.0, 1.0)
     usable = smallest > USABLE_TRANSMISSION and conditioning > USABLE_CONDITIONING
     weight = static_torque_of_legs(robot, legs, gravity) if usable else None

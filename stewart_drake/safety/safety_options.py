@@ -3,53 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated
+
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import (
-    SECTION,
-    Flag,
-    Fraction,
-    Natural,
-    NotNegative,
-    Positive,
-    Real,
-    Share,
-    check_positive,
-    check_positive_pair,
-    check_real,
-    check_whole,
-)
+from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 
 
-@dataclass(frozen=True, kw_only=True)
-class SafetyOptions:
+class SafetyOptions(Section, key="safety"):
     """Limits and reactions of the safety layer; a limit that is null is off.
 
     The defaults are assumptions of this project: wide enough for every motion that keeps to `limits`, and inside of
     what the controllers themselves bear.
-
-    Raises:
-        ConfigurationError: A value outside what the field says.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
 
     finite: Flag = True
     """Commands and measurements must be finite."""
     failures: Flag = True
     """A tick of estimator or controller that fails is held like a late one; otherwise it ends the run at once."""
-    deadline: Natural | None = 2
+    deadline: Annotated[Natural, Field(le=1000)] | None = 2
     """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
     """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
     bit."""
-    frozen_pose: tuple[Real, Real] | None = (0.01, 0.001)
+    frozen_pose: PositivePair | None = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""
-    torque_limit: Share | None = 1.0
+    torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
     torque_limit_time: NotNegative = 0.1
     """[s] for which a command may be at the limit or beyond, in sum; good ticks take away from the sum."""
@@ -58,7 +40,7 @@ class SafetyOptions:
     what comes next is led after at that rate."""
     torque_rate_time: NotNegative = 0.01
     """[s] for which commands may jump further, in sum; good ticks take away from the sum."""
-    workspace: tuple[Real, Real] | None = (1.2, 0.12)
+    workspace: PositivePair | None = (1.2, 0.12)
     """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = 0.1
     """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
@@ -68,11 +50,11 @@ class SafetyOptions:
     """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
     crank_speed: Positive | None = 15.0
     """[rad/s] largest |theta'|."""
-    following_error: tuple[Real, Real] | None = (0.1, 0.02)
+    following_error: PositivePair | None = (0.1, 0.02)
     """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
-    hold_ticks: Natural = 20
+    hold_ticks: Annotated[Natural, Field(le=20)] = 20
     """Ticks for which the last good command is repeated at most, up to 20."""
-    hold_time: NotNegative = 0.03
+    hold_time: Annotated[NotNegative, Field(le=0.03)] = 0.03
     """[s] for which it is, at most, up to 0.03."""
     ramp_time: Positive = 0.02
     """[s] from the last good command to the safe hold: short, for the command may have been wrong for a while."""
@@ -80,36 +62,9 @@ class SafetyOptions:
     """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
-    runaway: NotNegative = 2.0
+    runaway: Annotated[Real, Field(ge=1.0)] = 2.0
     """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:
     the run ends at once."""
-
-    def __post_init__(self) -> None:
-        for name in ("torque_limit", "torque_rate", "transmission", "conditioning", "crank_speed", "frozen_encoder"):
-            value = getattr(self, name)
-            if value is not None:
-                check_positive(f"safety.{name}", value, allowed="a positive number, or null")
-        for name in ("transmission", "conditioning"):
-            value = getattr(self, name)
-            if value is not None and value >= 1.0:
-                raise ConfigurationError(f"safety.{name}", value, "a number below 1, or null")
-        if self.torque_limit is not None and self.torque_limit > 1.0:
-            raise ConfigurationError("safety.torque_limit", self.torque_limit, "at most 1, or null")
-        for name in ("workspace", "following_error", "frozen_pose"):
-            pair = getattr(self, name)
-            if pair is not None:
-                check_positive_pair(f"safety.{name}", pair, "two positive numbers [rad, m], or null")
-        if self.deadline is not None:
-            check_whole("safety.deadline", self.deadline, 0, 1000, "a whole number from 0 to 1000, or null")
-        check_whole("safety.hold_ticks", self.hold_ticks, 0, 20)
-        check_real("safety.hold_time", self.hold_time, 0.0, "a number from 0 to 0.03 s", 0.03)
-        for name in ("torque_limit_time", "torque_rate_time", "horizon"):
-            check_real(f"safety.{name}", getattr(self, name))
-        if self.damping is not None:
-            check_real("safety.damping", self.damping)
-        for name in ("ramp_time", "safe_hold_time"):
-            check_positive(f"safety.{name}", getattr(self, name))
-        check_real("safety.runaway", self.runaway, 1.0, "a number, at least 1")
 
     def check_against(self, robot: RobotParameters, period: float) -> None:
         """Rules between these options, the robot as believed and the control period [s].
@@ -131,4 +86,4 @@ class SafetyOptions:
 
     def largest_damping(self, robot: RobotParameters, period: float) -> float:
         """[N m s/rad] that a crank alone, its rod broken off, bears in torques held over a period."""
-        return 2.0 * robot.crank_axis_inertia / period
+        return 2.0 * float(robot.crank_axis_inertias.min()) / period

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import check_numbers
+from stewart_drake.section import Real, check_value
 
 
 class AnnTuner(LeafSystem):
@@ -24,7 +24,7 @@ class AnnTuner(LeafSystem):
         network: Trained.
         period: [s] tick period.
         initial: omega_Q, omega_R before the first inference.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
 
     Raises:
         ConfigurationError: `initial` is not two finite numbers.
@@ -42,7 +42,7 @@ class AnnTuner(LeafSystem):
         compiled: bool = False,
     ) -> None:
         super().__init__()
-        check_numbers("initial", list(initial), 2)
+        check_value("initial", list(initial), tuple[Real, Real])
         self._compiled = compiled
         self._weights = network.compiled_weights() if compiled else network.weights
         self.density = self.DeclareVectorInputPort("density", 12)

@@ -24,7 +24,7 @@ class DensityFeatures(TickedSystem):
         window: m of (35) [ticks]; means run over m + 1 samples.
         period: [s] tick period.
         kind: See `density.density`.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
 
     Ports:
         error: in (6,) [rad, m].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -16,35 +17,24 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from stewart_drake.control.computed_torque import ComputedTorqueOptions
-from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import UnreachablePoseError, drake_guard
-from stewart_drake.hardware.estimator import EncoderOptions
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
+from stewart_drake.registry import CONTROLLERS, SENSORS
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.ann_tuner import AnnTuner
 from stewart_drake.systems.command_link import CommandLink
-from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
 from stewart_drake.systems.finite_check import FiniteCheck
-from stewart_drake.systems.joint_pid import JointPid
-from stewart_drake.systems.lqi_controller import LqiController
 from stewart_drake.systems.motor_drive import MotorDrive
-from stewart_drake.systems.motor_encoders import MotorEncoders
 from stewart_drake.systems.platform_wrench import PlatformWrench
-from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.systems.tracking_controller import ControllerSite
 from stewart_drake.systems.tracking_error import TrackingError
-from stewart_drake.systems.user_controller import load_user_controller
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -183,26 +173,14 @@ class _Wiring:
 
     def add_sensors(self) -> None:
         """From the plant's state to what the controller sees of it."""
-        sensors, state = self.scenario.sensors, self.plant.state_output_port
-        if isinstance(sensors, EncoderOptions):
-            compiled = self.options.compiled
-            encoders = self.add(
-                "encoders", MotorEncoders(self.plant, sensors, self.period, compiled), plant_state=state
-            )
-            self.angles = self._with_faults(encoders.angles)
-            start, rates = self.scenario.start()[0], _starting_crank_rates(self.scenario)
-            estimator = PoseEstimator(self.believed, sensors, self.period, start, rates, compiled, self.guarded)
-            self.add("estimator", estimator, angles=self.angles)
-            (self.signals["measurement"],) = self.parts("estimate", estimator, 12)
-        else:
-            sensor = self.add("sensor", TaskSpaceSensor(self.plant), plant_state=state)
-            self.signals["measurement"] = self._with_faults(sensor.measurement)
+        sensors = self.scenario.sensors
+        self.signals["measurement"] = SENSORS.system(sensors.kind)(self, sensors)
 
-    def _with_faults(self, reading: OutputPort) -> OutputPort:
+    def with_faults(self, reading: OutputPort, faults: Sequence[Any]) -> OutputPort:
         """A reading, by way of a sensor that fails where the scenario asks for one."""
-        if not self.scenario.sensors.faults:
+        if not faults:
             return reading
-        faulty = FaultySensor(self.scenario.sensors.faults, reading.size(), self.period)
+        faulty = FaultySensor(faults, reading.size(), self.period)
         self.add("faulty_sensor", faulty, reading=reading)
         return self.parts("reading", faulty, reading.size())[0]
 
@@ -213,19 +191,11 @@ class _Wiring:
 
     def add_controller(self) -> None:
         """From measurement and reference to torques, and what else the controller tells of itself."""
-        options, gravity = self.options, self.scenario.gravity
+        options = self.options
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
-        sizes: tuple[int, ...] = (6, 6, 6)
-        if isinstance(options, LqiOptions):
-            weights = len(self.scenario.tuner.weights)
-            system: Any = LqiController(self.believed, options, gravity, weights, self.guarded)
-        elif isinstance(options, ComputedTorqueOptions):
-            system = ComputedTorque(self.believed, options, gravity, self.guarded)
-        elif isinstance(options, PidOptions):
-            system, sizes = JointPid(self.believed, options, gravity, self.guarded), (6,)
-        else:
-            system = load_user_controller(options, self.believed, gravity, weights=len(self.scenario.tuner.weights))
-            sizes = ()
+        weights, compiled = len(self.scenario.tuner.weights), self.scenario.compiled
+        site = ControllerSite(self.believed, self.scenario.gravity, weights, self.guarded, compiled)
+        system, sizes = CONTROLLERS.system(options.kind)(options, site), options.results
         self.controller = self.add("controller", system, **seen)
         told = self.parts("command", system, *sizes) if sizes else [system.GetOutputPort("torque")]
         self.command, *errors = told
@@ -242,7 +212,7 @@ class _Wiring:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
         if not self.controller.HasInputPort("weights"):
             return
-        section, compiled = self.scenario.tuner, self.options.compiled
+        section, compiled = self.scenario.tuner, self.scenario.compiled
         network = self.scenario.load_tuner_network()
         features = DensityFeatures(section.window, self.period, section.density, compiled)
         self.add("density", features, error=self.signals["error"], torque=self.signals["torque"])
@@ -277,8 +247,8 @@ class _Wiring:
         scenario = self.scenario
         if scenario.safety is None:
             return
-        quantum = scenario.sensors.quantum if isinstance(scenario.sensors, EncoderOptions) else 0.0
-        still, compiled = _standing_torque(scenario), self.options.compiled
+        quantum = scenario.sensors.quantum
+        still, compiled = _standing_torque(scenario), scenario.compiled
         layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
         self.safety = self.add("safety", layer, command=self.command, **seen)
@@ -300,7 +270,7 @@ class _Wiring:
             self.command = drive.torque_applied
         if self.command is not self.signals["torque"]:
             self.signals["torque_applied"] = self.command
-        spoilt = isinstance(self.options, PythonOptions) or self.scenario.link.faults
+        spoilt = self.options.code is not None or self.scenario.link.faults
         if self.scenario.safety is None and spoilt:
             # The plant would cut an infinite torque to one that looks sound; our own controllers see to theirs.
             self.command = self.add("finite", FiniteCheck(), torque=self.command).checked
@@ -328,17 +298,6 @@ def _standing_torque(scenario: Scenario) -> np.ndarray:
     # In that case the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
         return static_torque(scenario.believed_robot, scenario.start()[0], scenario.gravity)
-    return np.zeros(6)
-
-
-def _starting_crank_rates(scenario: Scenario) -> np.ndarray:
-    """Crank rates (6,) [rad/s] of the robot, as believed, at the start; zeros where it cannot stand there."""
-    pose, pose_rate = scenario.start()
-    # In that case the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
-        rates = crank_rates(scenario.believed_robot, leg_geometry(scenario.believed_robot, pose), pose, pose_rate)
-        if np.isfinite(rates).all():
-            return rates
     return np.zeros(6)
 
 

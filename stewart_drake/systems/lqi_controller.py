@@ -9,7 +9,7 @@ from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.tracking_controller import TrackingController
+from stewart_drake.systems.tracking_controller import ControllerSite, TrackingController
 
 
 class LqiController(TrackingController):
@@ -24,6 +24,7 @@ class LqiController(TrackingController):
         gravity: [m/s^2].
         weights: Size of the port: 2, or 4 for block weights.
         guarded: See `TickedSystem`.
+        compiled: See `Scenario.compiled`.
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
@@ -35,16 +36,27 @@ class LqiController(TrackingController):
     """
 
     def __init__(
-        self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2, guarded: bool = False
+        self,
+        robot: RobotParameters,
+        options: LqiOptions,
+        gravity: float,
+        weights: int = 2,
+        guarded: bool = False,
+        compiled: bool = False,
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
         super().__init__(options.period, MEMORY_SIZE, guarded)
-        self._tick = flat_tick(robot, options, gravity)
+        self._tick = flat_tick(robot, options, gravity, compiled)
         self.weights = self.DeclareVectorInputPort("weights", weights)
         self._declare_torque()
         self.error = self._declare_output("error", 6, 6)
         self.integral = self._declare_output("integral", 12, 6)
+
+    @classmethod
+    def build(cls, options: LqiOptions, site: ControllerSite) -> LqiController:
+        """See `TrackingController.build`."""
+        return cls(site.robot, options, site.gravity, site.weights, site.guarded, site.compiled)
 
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `lqi.held_tick`."""

@@ -21,7 +21,7 @@ class MotorEncoders(LeafSystem):
         plant: Whose motors.
         options: See `EncoderOptions`.
         period: [s] tick period, for the noise: one number a tick, however often it is asked for.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
 
     Ports:
         plant_state: in (nq + nv,), state of the MultibodyPlant.

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.systems.framework import Context
+import contextlib
+from typing import Any
 
+import numpy as np
+from pydrake.systems.framework import Context, OutputPort
+
+from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
+from stewart_drake.systems.motor_encoders import MotorEncoders
 from stewart_drake.systems.ticked import TickedSystem
 
 
@@ -19,7 +25,7 @@ class PoseEstimator(TickedSystem):
         period: [s] tick period.
         start: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
         start_crank_rates: (6,) [rad/s] that the first tick reports, with no reading before it; None for rest.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
         guarded: See `TickedSystem`.
 
     Ports:
@@ -46,3 +52,25 @@ class PoseEstimator(TickedSystem):
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `estimator.held_estimate`."""
         return self._estimate(self.angles.Eval(context), previous)
+
+
+def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
+    """Adds encoders and estimator to a closed loop; the measurement (12,)."""
+    scenario = wiring.scenario
+    encoders = MotorEncoders(wiring.plant, options, wiring.period, scenario.compiled)
+    wiring.add("encoders", encoders, plant_state=wiring.plant.state_output_port)
+    wiring.angles = wiring.with_faults(encoders.angles, options.faults)
+    start, rates = scenario.start()[0], _starting_crank_rates(wiring.believed, *scenario.start())
+    made = (wiring.believed, options, wiring.period, start, rates, scenario.compiled, wiring.guarded)
+    estimator = wiring.add("estimator", PoseEstimator(*made), angles=wiring.angles)
+    return wiring.parts("estimate", estimator, 12)[0]
+
+
+def _starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+    """Crank rates (6,) [rad/s] of the robot, as believed, at a pose; zeros where it cannot stand there."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
+        if np.isfinite(rates).all():
+            return rates
+    return np.zeros(6)

@@ -36,7 +36,7 @@ class SafetyLayer(TickedSystem):
         gravity: [m/s^2].
         period: [s] tick period.
         initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
-        compiled: See `LqiOptions.compiled`.
+        compiled: See `Scenario.compiled`.
         quantum: [rad] of a count of the encoders.
 
     Ports:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, OutputPort
 
+from stewart_drake.hardware.sensor_faults import IdealSensors
 from stewart_drake.plant.multibody_plant import StewartPlant
 
 
@@ -28,3 +29,9 @@ class TaskSpaceSensor(LeafSystem):
     def _calc(self, context: Context, output: Any) -> None:
         pose, rate = self._plant.pose_and_rate(self.plant_state.Eval(context))
         output.SetFromVector(np.concatenate([pose, rate]))
+
+
+def add_ideal_sensor(wiring: Any, options: IdealSensors) -> OutputPort:
+    """Adds the sensor to a closed loop; its measurement (12,)."""
+    sensor = wiring.add("sensor", TaskSpaceSensor(wiring.plant), plant_state=wiring.plant.state_output_port)
+    return wiring.with_faults(sensor.measurement, options.faults)

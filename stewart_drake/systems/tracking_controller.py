@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from pydrake.systems.framework import Context
 
 from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
+
+
+class ControllerSite(NamedTuple):
+    """What a controller is built for.
+
+    Attributes:
+        robot: As the controller believes it to be.
+        gravity: [m/s^2].
+        weights: Size of the weights that the tuner gives.
+        guarded: See `TickedSystem`.
+        compiled: See `Scenario.compiled`.
+    """
+
+    robot: RobotParameters
+    gravity: float
+    weights: int = 2
+    guarded: bool = False
+    compiled: bool = False
 
 
 class TrackingController(TickedSystem):
@@ -27,6 +48,12 @@ class TrackingController(TickedSystem):
         super().__init__(period, np.zeros(memory), guarded)
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
         self.reference = self.DeclareVectorInputPort("reference", 18)
+
+    @classmethod
+    def build(cls, options: Any, site: ControllerSite) -> TrackingController:
+        """The system for the options of a scenario."""
+        made: Any = cls
+        return made(site.robot, options, site.gravity, guarded=site.guarded)
 
     def _declare_torque(self) -> None:
         """Declares the result and, as part of it, the port `torque`; called once the input ports exist."""

@@ -8,26 +8,24 @@ from pydrake.systems.framework import PortDataType
 
 from stewart_drake.control.user_controller import PythonOptions, construct
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.robot import RobotParameters
+from stewart_drake.systems.tracking_controller import ControllerSite
 
 _INPUTS = {"measurement": 12, "reference": 18}
 _ANSWERS = {"error": 6, "integral": 6}
 
 
-def load_user_controller(options: PythonOptions, robot: RobotParameters, gravity: float, weights: int) -> Any:
+def load_user_controller(options: PythonOptions, site: ControllerSite) -> Any:
     """The System that `options` names, its ports checked.
 
     Args:
         options: Where it comes from.
-        robot: As the controller believes it to be; for constructors that want it.
-        gravity: [m/s^2] likewise.
-        weights: Size that a port `weights` must have.
+        site: Robot and gravity, for constructors that want them; size that a port `weights` must have.
 
     Raises:
         ConfigurationError: It cannot be loaded or made, or a port is missing or of the wrong size.
     """
-    system = construct(options, {"robot": robot, "period": options.period, "gravity": gravity})
-    inputs = {**_INPUTS, "weights": weights} if system.HasInputPort("weights") else _INPUTS
+    system = construct(options, {"robot": site.robot, "period": options.period, "gravity": site.gravity})
+    inputs = {**_INPUTS, "weights": site.weights} if system.HasInputPort("weights") else _INPUTS
     has = [name for name in _ANSWERS if system.HasOutputPort(name)]
     outputs = {"torque": 6, **(_ANSWERS if has else {})}
     for name, size in inputs.items():

@@ -1,6 +1,5 @@
 """What the loop costs, as ratios measured in one run: `make bench`."""
 
-import dataclasses
 import subprocess
 import sys
 import time
@@ -198,7 +197,7 @@ def test_numpy_reference_of_a_tick(compare):
     options = LqiOptions(period=0.001, solver="split", model="exact", feedforward="full", weight_length=0.11)
     memory, calls = np.zeros(MEMORY_SIZE), {}
     for compiled in (True, False):
-        tick = flat_tick(ROBOT, dataclasses.replace(options, compiled=compiled), 9.81)
+        tick = flat_tick(ROBOT, options, 9.81, compiled)
         calls[compiled] = lambda tick=tick: tick(home[:12], home, BLOCKS, memory)
     compare(
         "compiled LQI",

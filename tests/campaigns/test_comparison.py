@@ -140,8 +140,8 @@ def test_shipped_comparisons_load_and_their_first_run_works(name):
 def test_the_shipped_controllers_are_tuned_alike_and_the_nine_are_nine():
     comparison = shipped("controllers")
     by_name = {cell.controller: comparison.scenario(i).controller for i, cell in enumerate(comparison.cells)}
-    assert by_name["joint PID"] == PidOptions(compiled=True)
-    assert by_name["computed torque"] == ComputedTorqueOptions(compiled=True)
+    assert by_name["joint PID"] == PidOptions()
+    assert by_name["computed torque"] == ComputedTorqueOptions()
     for name in SHIPPED:
         (best,) = shipped(name).file.best_of.values()
         comparison = shipped(name)

@@ -1,8 +1,8 @@
-"""Robots and poses for the compiled functions: other branch, other geometry, heavy legs."""
+"""Robots and poses for the compiled functions: other branch, other geometry, heavy legs, legs of their own."""
 
 import numpy as np
 from hypothesis import strategies as st
-from strategies import vectors
+from strategies import ALTERNATING, TANGENTIAL, UNEQUAL, vectors
 
 from stewart_drake.robot import RobotParameters
 
@@ -23,6 +23,9 @@ ROBOTS = (
         effort_limit=1.5,
         characteristic_length=0.3,
     ),
+    TANGENTIAL,
+    ALTERNATING,
+    UNEQUAL,
 )
 robots = st.sampled_from(ROBOTS)
 _HALF_WIDTH = np.array([0.3, 0.3, 0.3, 0.03, 0.03, 0.02])

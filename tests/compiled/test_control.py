@@ -27,10 +27,10 @@ def both(robot, options, measurement, setpoint, weights, memory=None, gravity=GR
     memory = initial_memory() if memory is None else memory
     outcomes = []
     for compiled in (False, True):
-        own = LqiOptions(**options, compiled=compiled)
+        own = LqiOptions(**options)
         try:
             with np.errstate(all="ignore"):
-                outcomes.append(lqi_tick(robot, own, gravity, measurement, setpoint, weights, memory))
+                outcomes.append(lqi_tick(robot, own, gravity, measurement, setpoint, weights, memory, compiled))
         except RunFailure as failure:
             outcomes.append(failure)
     return outcomes
@@ -120,11 +120,11 @@ def test_an_option_is_none_that_changes_nothing():
     pose = PAPER.home_pose + [0.1, -0.05, 0.08, 0.01, 0.02, -0.005]
     measurement, setpoint = Measurement(pose, np.full(6, 0.1)), Setpoint(pose - 0.02, REST, np.full(6, 3.0))
     memory = initial_memory()._replace(integral=np.full(6, 1e-3), weights=np.array([1e4, 20.0, 3e6, 2.0]))
-    base = LqiOptions(**EXACT, compiled=True)
+    base = LqiOptions(**EXACT)
 
     def torque_and_z(**options):
-        own = LqiOptions(**(EXACT | {"compiled": True} | options))
-        output = lqi_tick(PAPER, own, GRAVITY, measurement, setpoint, BLOCKS, memory)
+        own = LqiOptions(**(EXACT | options))
+        output = lqi_tick(PAPER, own, GRAVITY, measurement, setpoint, BLOCKS, memory, True)
         return np.concatenate([output.torque, output.integral])
 
     reference = torque_and_z()

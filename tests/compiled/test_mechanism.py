@@ -150,12 +150,14 @@ def test_inverse_dynamics_says_so_of_lines_without_rank():
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_robot_packs_all_that_the_functions_use(robot):
     packed = mechanism.pack(robot)
-    assert packed.shape == (23, 3)
+    assert packed.shape == (8, 16)
     assert packed.flags.c_contiguous
-    np.testing.assert_array_equal(packed[:6], robot.shaft_positions)
+    np.testing.assert_array_equal(packed[:6, mechanism.JOINT : mechanism.ZERO], robot.platform_joints)
+    np.testing.assert_array_equal(packed[:6, mechanism.BRANCH], robot.branches)
+    np.testing.assert_array_equal(packed[:6, mechanism.CRANK_AXIS_INERTIA], robot.crank_axis_inertias)
     for index, value in (
-        (mechanism.BRANCH, robot.branch),
-        (mechanism.CRANK_AXIS_INERTIA, robot.crank_axis_inertia),
+        (mechanism.PLATFORM_TENSOR + 1, robot.platform_inertia_about_origin[0, 1]),
+        (mechanism.PLATFORM_MOMENT + 2, robot.platform_moment[2]),
         (mechanism.PLATFORM_INERTIA + 1, robot.platform_inertia[1]),
         (mechanism.LENGTH, robot.characteristic_length),
         (mechanism.EFFORT, robot.effort_limit),

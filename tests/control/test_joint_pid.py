@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from conftest import field_of
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
@@ -117,4 +118,4 @@ def test_near_a_dead_centre_the_limit_of_the_options_counts():
 def test_bad_options_name_the_key(key, value):
     with pytest.raises(ConfigurationError) as caught:
         dataclasses.replace(PidOptions(), **{key: value})
-    assert caught.value.key == f"controller.{key}"
+    assert field_of(caught.value) == f"controller.{key}"

@@ -32,9 +32,10 @@ both = pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "compile
 
 
 def tick(pose=HOME, rate=REST, setpoint=STANDING, weights=BLOCKS, memory=None, robot=ROBOT, gravity=GRAVITY, **options):
+    compiled = options.pop("compiled", False)
     options = LqiOptions(**(EXACT | options))
     memory = initial_memory() if memory is None else memory
-    return lqi_tick(robot, options, gravity, Measurement(pose, rate), setpoint, np.asarray(weights), memory)
+    return lqi_tick(robot, options, gravity, Measurement(pose, rate), setpoint, np.asarray(weights), memory, compiled)
 
 
 def with_integral(integral):
@@ -206,7 +207,6 @@ BAD_OPTIONS = {
     "reset_time": -1.0,
     "integral_limit": [0.1, 0.0],
     "hold_ticks": -1,
-    "compiled": True,
     "bumpless": "yes",
 }
 
@@ -216,6 +216,20 @@ def test_bad_options_in_a_scenario_are_named_by_key(name, value):
     with pytest.raises(ConfigurationError) as caught:
         Scenario.from_dict({"controller": {name: value}})
     assert caught.value.key.startswith(f"controller.{name}")
+
+
+def test_compiled_ticks_need_the_split_solver_and_an_older_file_is_read_with_a_note():
+    split = Scenario.from_dict({"compiled": True, "controller": {"solver": "split"}})
+    for old in ({"controller": {"solver": "split", "compiled": True}}, {"compiled": False, **split.to_dict()}):
+        if "compiled" in old["controller"]:
+            with pytest.warns(FutureWarning, match=r"controller\.compiled is the scenario's own key"):
+                assert Scenario.from_dict(old) == split
+        else:
+            assert Scenario.from_dict(old) == split
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario(compiled=True)
+    assert caught.value.key == "compiled"
+    assert "split" in caught.value.allowed
 
 
 # --- changes of weights --------------------------------------------------------------------------------------------
@@ -304,8 +318,8 @@ def test_back_calculation_takes_off_z_what_was_cut_off_the_torque(compiled):
 def step_response(saturation, compiled=True, ticks=1500):
     """The linear model e'' = A u under the limit of the motors, from 60 mm; the error along z."""
     weak = ROBOT.replace(effort_limit=0.6)
-    options = LqiOptions(**EXACT | {"saturation": saturation, "reset_time": 0.02, "compiled": compiled})
-    run = flat_tick(weak, options, GRAVITY)
+    options = LqiOptions(**EXACT | {"saturation": saturation, "reset_time": 0.02})
+    run = flat_tick(weak, options, GRAVITY, compiled)
     blocks = np.array([1.0e3, 1.0, 1.0e5, 1.0])
     drive, hold = pose_acceleration_map(weak, HOME), static_torque(weak, HOME, GRAVITY)
     t, error, rate, memory, path = options.period, np.array([0, 0, 0, 0, 0, -0.06]), REST, initial_memory().flat(), []
@@ -338,8 +352,9 @@ class Runner:
     """Ticks one after the other, by the pure function or by the flat one that the LeafSystem calls."""
 
     def __init__(self, flat, compiled, **options):
-        self.options = LqiOptions(**EXACT | {"compiled": compiled, **options})
-        self.flat = flat_tick(ROBOT, self.options, GRAVITY) if flat else None
+        self.options = LqiOptions(**EXACT | options)
+        self.compiled = compiled
+        self.flat = flat_tick(ROBOT, self.options, GRAVITY, compiled) if flat else None
         self.memory = initial_memory()
 
     def __call__(self, pose=HOME, rate=REST, setpoint=STANDING, weights=BLOCKS):
@@ -348,7 +363,9 @@ class Runner:
             self.memory = LqiMemory.from_flat(self.flat(*vectors_, np.asarray(weights), self.memory.flat()))
         else:
             measurement = Measurement(pose, rate)
-            self.memory = held_tick(ROBOT, self.options, GRAVITY, measurement, setpoint, weights, self.memory)
+            self.memory = held_tick(
+                ROBOT, self.options, GRAVITY, measurement, setpoint, weights, self.memory, self.compiled
+            )
         return self.memory
 
 

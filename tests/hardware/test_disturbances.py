@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from conftest import field_of
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.disturbances import (
@@ -102,4 +103,4 @@ def test_noise_repeats_by_its_seed_alone():
 def test_a_bad_value_is_named(make, key):
     with pytest.raises(ConfigurationError) as caught:
         make()
-    assert caught.value.key == f"disturbances.{key}"
+    assert field_of(caught.value) == f"disturbances.{key}"

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -127,4 +128,4 @@ def test_whatever_faults_come_together_a_sensor_that_is_well_again_says_what_is(
 def test_a_bad_value_is_named(make, key):
     with pytest.raises(ConfigurationError) as caught:
         make()
-    assert caught.value.key == f"sensors.faults.{key}"
+    assert field_of(caught.value) == f"sensors.faults.{key}"

@@ -106,7 +106,7 @@ def test_what_stops_a_tick_ends_the_run_with_its_log(monkeypatch, error, reason)
         return tick(self, context, previous)
 
     monkeypatch.setattr(LqiController, "tick", hungry)
-    log = run(scenario(controller={"compiled": False}))
+    log = run(scenario(compiled=False))
     assert (log.status, log.reason) == ("failed", reason)
     assert len(log.time) > 10
 

@@ -4,11 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from strategies import ROBOT, poses, vectors
+from strategies import ROBOT, UNEQUAL, poses, robots_and_poses, vectors
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import (
@@ -47,8 +48,8 @@ def differentiate(function, at, step=STEP):
 def points(robot, pose):
     """Crank tips and platform joints in B."""
     theta = inverse_kinematics(robot, pose)
-    tips = robot.shaft_positions + robot.crank_length * (
-        np.cos(theta)[:, None] * robot.crank_zero_directions + np.sin(theta)[:, None] * np.array([0.0, 0.0, 1.0])
+    tips = robot.shaft_positions + robot.crank_lengths[:, None] * (
+        np.cos(theta)[:, None] * robot.crank_zero_directions + np.sin(theta)[:, None] * robot.crank_quarter_directions
     )
     return tips, robot.platform_joints @ rotation_matrix(pose[:3]).T + pose[3:]
 
@@ -58,7 +59,12 @@ def potential_energy(robot, pose, gravity=STANDARD_GRAVITY):
     tips, joints = points(robot, pose)
     heights = 0.5 * robot.rod_mass * (tips + joints)[:, 2].sum()
     heights += 0.5 * robot.crank_mass * (tips + robot.shaft_positions)[:, 2].sum()
-    return gravity * (heights + robot.platform_mass * pose[5])
+    return gravity * (heights + robot.platform_mass * platform_center(robot, pose)[2])
+
+
+def platform_center(robot, pose):
+    """Centre of mass of the platform in B."""
+    return pose[3:] + rotation_matrix(pose[:3]) @ robot.platform_center_of_mass
 
 
 def kinetic_energy(robot, pose, rate):
@@ -68,14 +74,22 @@ def kinetic_energy(robot, pose, rate):
     centre = 0.5 * (tip_velocities + joint_velocities)
     # A rod without spin: its angular speed is the relative speed of its ends over its length.
     spin = np.linalg.norm(joint_velocities - tip_velocities, axis=-1) / np.linalg.norm(joints - tips, axis=-1)
-    crank_speed = np.linalg.norm(tip_velocities, axis=-1) / robot.crank_length
+    crank_speed = np.linalg.norm(tip_velocities, axis=-1) / robot.crank_lengths
     rotation_rate = differentiate(lambda t: rotation_matrix(pose[:3] + t * rate[:3]), 0.0)
     skew = rotation_matrix(pose[:3]).T @ rotation_rate
     omega = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     twice = robot.rod_mass * np.sum(centre**2) + robot.rod_inertia[0] * np.sum(spin**2)
-    twice += robot.crank_axis_inertia * np.sum(crank_speed**2)
-    twice += robot.platform_mass * np.sum(rate[3:] ** 2) + omega @ (np.array(robot.platform_inertia) * omega)
+    about_axis = robot.crank_inertia[1] + robot.crank_mass * (0.5 * robot.crank_lengths) ** 2 + robot.rotor_inertia
+    twice += np.sum(about_axis * crank_speed**2)
+    (xx, yy, zz), (xy, xz, yz) = robot.platform_inertia, robot.platform_products
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    speed = differentiate(lambda t: platform_center(robot, pose + t * rate), 0.0)
+    twice += robot.platform_mass * np.sum(speed**2) + omega @ inertia @ omega
     return 0.5 * twice
+
+
+def with_pose(robot):
+    return st.tuples(st.just(robot), poses(0.6, robot))
 
 
 def motion(pose, rate, acceleration):
@@ -121,32 +135,33 @@ def test_inertia_is_symmetric_positive_definite_and_more_than_the_platforms(pose
     assert np.linalg.eigvalsh(inertia - platform).min() > 0.0
 
 
-@given(pose=poses(0.8), rate=vectors(6, 2.0))
-def test_inertia_gives_the_kinetic_energy_of_all_bodies(pose, rate):
-    for robot in (ROBOT, HEAVY):
-        twist = pose_rate_to_twist(pose, rate)
-        energy = 0.5 * twist @ task_inertia(robot, pose) @ twist
-        assert energy == pytest.approx(kinetic_energy(robot, pose, rate), rel=1e-7, abs=1e-10)
+@given(at=robots_and_poses(), rate=vectors(6, 2.0))
+def test_inertia_gives_the_kinetic_energy_of_all_bodies(at, rate):
+    robot, pose = at
+    twist = pose_rate_to_twist(pose, rate)
+    energy = 0.5 * twist @ task_inertia(robot, pose) @ twist
+    assert energy == pytest.approx(kinetic_energy(robot, pose, rate), rel=1e-7, abs=1e-10)
 
 
 @settings(max_examples=25)
-@given(pose=poses(0.8), rate=vectors(6), acceleration=vectors(6, 5.0))
-def test_torques_satisfy_lagranges_equations_of_the_energies(pose, rate, acceleration):
+@given(at=st.sampled_from([HEAVY, UNEQUAL]).flatmap(with_pose), rate=vectors(6), acceleration=vectors(6, 5.0))
+def test_torques_satisfy_lagranges_equations_of_the_energies(at, rate, acceleration):
     """d/dt(dL/dq') - dL/dq = J' T in Euler angles, with energies that share no code with the model."""
+    robot, pose = at
     at, rate_at = motion(pose, rate, acceleration)
 
     def momentum(t, e):
         # Exact, because the kinetic energy is quadratic in the rates.
-        return 0.5 * (kinetic_energy(HEAVY, at(t), rate_at(t) + e) - kinetic_energy(HEAVY, at(t), rate_at(t) - e))
+        return 0.5 * (kinetic_energy(robot, at(t), rate_at(t) + e) - kinetic_energy(robot, at(t), rate_at(t) - e))
 
     generalised = [
         differentiate(lambda t, e=e: momentum(t, e), 0.0, 1e-3)
-        - differentiate(lambda s, e=e: kinetic_energy(HEAVY, pose + s * e, rate), 0.0, 1e-3)
-        + differentiate(lambda s, e=e: potential_energy(HEAVY, pose + s * e), 0.0)
+        - differentiate(lambda s, e=e: kinetic_energy(robot, pose + s * e, rate), 0.0, 1e-3)
+        + differentiate(lambda s, e=e: potential_energy(robot, pose + s * e), 0.0)
         for e in np.eye(6)
     ]
-    torque = inverse_dynamics(HEAVY, pose, rate, acceleration)
-    np.testing.assert_allclose(pose_jacobian(HEAVY, pose).T @ torque, generalised, rtol=1e-5, atol=1e-5)
+    torque = inverse_dynamics(robot, pose, rate, acceleration)
+    np.testing.assert_allclose(pose_jacobian(robot, pose).T @ torque, generalised, rtol=1e-5, atol=1e-5)
 
 
 @given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
@@ -171,10 +186,11 @@ def test_inverse_dynamics_is_inertia_and_bias_through_the_jacobian(pose, rate, a
     np.testing.assert_allclose(twist_jacobian(ROBOT, pose).T @ torque, load, rtol=1e-7, atol=1e-7)
 
 
-@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
-def test_forward_dynamics_undoes_inverse_dynamics(pose, rate, acceleration):
-    torque = inverse_dynamics(ROBOT, pose, rate, acceleration, 5.0)
-    found = forward_dynamics(ROBOT, pose, rate, torque, 5.0)
+@given(at=robots_and_poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
+def test_forward_dynamics_undoes_inverse_dynamics(at, rate, acceleration):
+    robot, pose = at
+    torque = inverse_dynamics(robot, pose, rate, acceleration, 5.0)
+    found = forward_dynamics(robot, pose, rate, torque, 5.0)
     np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
 
 
@@ -188,20 +204,21 @@ def test_euler_acceleration_inverts_the_step_inside_inverse_dynamics(pose, rate,
     np.testing.assert_allclose(found[:3], drake, atol=1e-12)
 
 
-@given(pose=poses())
-def test_static_torque_is_inverse_dynamics_at_rest(pose):
+@given(at=robots_and_poses())
+def test_static_torque_is_inverse_dynamics_at_rest(at):
+    robot, pose = at
     zero = np.zeros(6)
     for gravity in (STANDARD_GRAVITY, 1.62, 0.0):
-        at_rest = inverse_dynamics(ROBOT, pose, zero, zero, gravity)
-        np.testing.assert_allclose(static_torque(ROBOT, pose, gravity), at_rest, rtol=1e-10, atol=1e-12)
+        at_rest = inverse_dynamics(robot, pose, zero, zero, gravity)
+        np.testing.assert_allclose(static_torque(robot, pose, gravity), at_rest, rtol=1e-10, atol=1e-12)
 
 
-@given(pose=poses())
-def test_static_torque_is_the_gradient_of_the_potential_energy(pose):
-    for robot in (ROBOT, HEAVY):
-        gradient = [differentiate(lambda t, e=e, r=robot: potential_energy(r, pose + t * e), 0.0) for e in np.eye(6)]
-        holding = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
-        np.testing.assert_allclose(holding, gradient, rtol=1e-7, atol=1e-8)
+@given(at=robots_and_poses())
+def test_static_torque_is_the_gradient_of_the_potential_energy(at):
+    robot, pose = at
+    gradient = [differentiate(lambda t, e=e: potential_energy(robot, pose + t * e), 0.0) for e in np.eye(6)]
+    holding = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
+    np.testing.assert_allclose(holding, gradient, rtol=1e-7, atol=1e-8)
 
 
 def test_at_home_the_six_motors_share_the_weight_equally():

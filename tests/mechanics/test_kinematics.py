@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw, RotationMatrix
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from strategies import ROBOT, poses, vectors
+from strategies import ROBOT, poses, robots_and_poses, vectors
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.mechanics.kinematics import (
@@ -187,10 +187,14 @@ def test_forward_kinematics_refuses_a_guess_of_another_shape(shape):
         forward_kinematics(ROBOT, np.zeros(6), guess=np.tile(ROBOT.home_pose, (*shape[:-1], 1)))
 
 
-@given(pose=poses(0.8))
-def test_pose_jacobian_against_central_differences(pose):
-    numerical = central_difference(lambda x: inverse_kinematics(ROBOT, x), pose)
-    np.testing.assert_allclose(pose_jacobian(ROBOT, pose), numerical, atol=1e-6, rtol=1e-6)
+@given(at=robots_and_poses())
+def test_pose_jacobian_against_central_differences(at):
+    robot, pose = at
+    theta = inverse_kinematics(robot, pose)
+    numerical = central_difference(
+        lambda x: np.remainder(inverse_kinematics(robot, x) - theta + np.pi, 2.0 * np.pi), pose
+    )
+    np.testing.assert_allclose(pose_jacobian(robot, pose), numerical, atol=1e-6, rtol=1e-6)
 
 
 @given(pose=poses(0.8), rate=vectors(6, 1.0))
@@ -221,6 +225,20 @@ def test_rod_lines_give_the_speed_of_the_platform_joints_along_the_rods(pose, tw
     legs = leg_geometry(ROBOT, pose)
     speed = twist[3:] + np.cross(twist[:3], platform_joints(pose) - pose[3:])
     np.testing.assert_allclose(rod_lines(legs) @ twist, np.sum(legs.e_l * speed, axis=-1), atol=1e-14)
+
+
+@given(at=robots_and_poses())
+def test_leg_vectors_are_unit_and_close_the_loop_of_any_robot(at):
+    robot, pose = at
+    legs = leg_geometry(robot, pose)
+    for unit in (legs.crank, legs.e_n, legs.e_l):
+        np.testing.assert_allclose(np.linalg.norm(unit, axis=-1), 1.0, rtol=1e-12)
+    tips = robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank
+    joints = tips + robot.rod_lengths[:, None] * legs.e_l
+    np.testing.assert_allclose(joints, robot.platform_joints @ rotation_matrix(pose[:3]).T + pose[3:], atol=1e-13)
+    np.testing.assert_array_equal(np.sign(legs.transmission), -robot.branches)
+    found = forward_kinematics(robot, legs.crank_angles, pose + 0.01)
+    np.testing.assert_allclose(found, pose, atol=1e-9)
 
 
 @given(pose=poses())

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.paper.departures import DEPARTURES, TITLES, make
+from stewart_drake.paper.departures_section import DEPARTURES, TITLES, make
 from stewart_drake.paper.report import Table, to_html, to_markdown
 from stewart_drake.paper.reproduce import SECTIONS
 from stewart_drake.paper.study import Study
@@ -62,9 +62,7 @@ def test_every_place_that_is_named_exists(place):
     else:
         assert place in SECTIONS
         # A reader looks for the title; the section's own module has it.
-        path = next(
-            file for file in (PACKAGE / "paper").glob(f"{place}*.py") if file.stem in (place, f"{place}_section")
-        )
+        path = PACKAGE / "paper" / f"{place}_section.py"
         assert re.search(rf'"{TITLES[place]}', path.read_text())
 
 

@@ -10,10 +10,10 @@ from made_logs import made_log
 from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.density import density
 from stewart_drake.control.network import default_network_path, load_network
-from stewart_drake.paper import in_the_loop
-from stewart_drake.paper.in_the_loop import make, on_trajectory, shrinking, under_tuner
+from stewart_drake.paper import in_the_loop_section as in_the_loop
+from stewart_drake.paper.in_the_loop_section import make, on_trajectory, shrinking, under_tuner
 from stewart_drake.paper.nearby_starts import span
-from stewart_drake.paper.nine_experiments import PAIRS, RATIOS, pair_of
+from stewart_drake.paper.nine_experiments_section import PAIRS, RATIOS, pair_of
 from stewart_drake.paper.plots.in_the_loop_plots import RankingRow, plot_answers, plot_ranking, plot_weights_in_force
 from stewart_drake.paper.report import Figure, Section, Table, Text
 from stewart_drake.paper.study import Study

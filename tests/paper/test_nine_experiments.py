@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from made_logs import made_log
 
 from stewart_drake.campaigns.run_store import RunStore, run_key
-from stewart_drake.paper import nine_experiments as nine
-from stewart_drake.paper.nine_experiments import (
+from stewart_drake.paper import nine_experiments_section as nine
+from stewart_drake.paper.nine_experiments_section import (
     PAIRS,
     RATIOS,
     distinct,

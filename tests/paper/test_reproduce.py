@@ -15,7 +15,7 @@ from conftest import make_network
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.logs import versions
 from stewart_drake.paper import reproduce as module
-from stewart_drake.paper.departures import DEPARTURES
+from stewart_drake.paper.departures_section import DEPARTURES
 from stewart_drake.paper.report import Figure, Section
 from stewart_drake.paper.reproduce import SECTIONS, check_base, reproduce
 from stewart_drake.scenario import Scenario
@@ -55,7 +55,7 @@ def made(monkeypatch):
 
     package = module.__package__
     for key in KEYS:
-        monkeypatch.setitem(sys.modules, f"{package}.{key}", module_of(key))
+        monkeypatch.setitem(sys.modules, f"{package}.{key}_section", module_of(key))
     monkeypatch.setattr(module, "SECTIONS", KEYS)
     monkeypatch.setattr(module, "check_base", once_checked)
     # What is tested here must not depend on whether someone commits meanwhile.
@@ -304,7 +304,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(tmp_path,
 def test_numbers_that_json_does_not_have_end_the_report_before_anything_is_overwritten(tmp_path, made, monkeypatch):
     reproduce(tmp_path, base=BASE)
     before = content(tmp_path)
-    third = sys.modules[f"{module.__package__}.third"]
+    third = sys.modules[f"{module.__package__}.third_section"]
     real = third.make
 
     def broken(study):
@@ -380,7 +380,7 @@ def test_the_command_refuses_bad_input_in_one_line_and_writes_nothing(call, made
 
 
 def test_the_command_ends_with_130_when_it_is_interrupted(call, made, monkeypatch):
-    second = sys.modules[f"{module.__package__}.second"]
+    second = sys.modules[f"{module.__package__}.second_section"]
     real = second.make
 
     def interrupted(_):

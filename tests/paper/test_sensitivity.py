@@ -10,10 +10,9 @@ from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.force_map import force_map
-from stewart_drake.paper import sensitivity
+from stewart_drake.paper import sensitivity_section as sensitivity
 from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
 from stewart_drake.paper.report import Figure, Section, Table, Text
-from stewart_drake.paper.sensitivity import Effect, Response, controllers, make, verdict
 from stewart_drake.paper.sensitivity_changes import (
     Change,
     changes,
@@ -22,6 +21,7 @@ from stewart_drake.paper.sensitivity_changes import (
     scaled_network,
     scaled_robot,
 )
+from stewart_drake.paper.sensitivity_section import Effect, Response, controllers, make, verdict
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.tracking_score import TrackingScore
 from stewart_drake.references import paper_reference

@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pydantic
 import pytest
+from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
@@ -111,7 +112,7 @@ def test_segment_distance_is_vectorised_over_leading_axes():
 def test_a_limit_is_a_positive_number(name, bad):
     with pytest.raises(ConfigurationError) as caught:
         Limits(**{name: bad})
-    assert caught.value.key == f"limits.{name}"
+    assert field_of(caught.value) == f"limits.{name}"
 
 
 @pytest.mark.parametrize("name", ["reach", "euler_pitch", "conditioning", "transmission", "joint_swing"])

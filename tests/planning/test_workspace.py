@@ -1,11 +1,12 @@
 import itertools
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import ROBOT, poses
+from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, poses
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
@@ -51,7 +52,9 @@ def home_survey():
 
 
 @pytest.mark.parametrize(
-    "robot", [ROBOT, ROBOT.replace(branch=1, home_height=0.25, rod_length=0.42)], ids=["own", "other"]
+    "robot",
+    [ROBOT, ROBOT.replace(branch=1, home_height=0.25, rod_length=0.42), TANGENTIAL, ALTERNATING, UNEQUAL],
+    ids=["own", "other", "tangential", "alternating", "unequal"],
 )
 def test_measures_equal_the_reference_functions(robot):
     pose = reachable(wide_poses(20_000, robot=robot), robot)
@@ -146,7 +149,8 @@ def test_exactly_at_a_parallel_singularity_no_torque_holds():
     assert ratio[1] == 0.0 < ratio[0]
     arm = np.moveaxis(np.stack([legs.arm] * 2), 0, -1).swapaxes(0, 1)
     cosine = np.ones((6, 2))
-    torque, force, moment = _strength(ROBOT, arm, cosine, 0.1 * cosine, inverse, 9.81, 5.0)
+    cranks = SimpleNamespace(arm=arm, rotation=np.eye(3)[..., None])
+    torque, force, moment = _strength(ROBOT, cranks, cosine, 0.1 * cosine, inverse, 9.81, 5.0)
     assert np.isfinite([torque[0], force[0], moment[0]]).all()
     assert torque[1] == np.inf
     assert force[1] == moment[1] == 0.0

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from pydrake.systems.analysis import Simulator
-from strategies import ROBOT, vectors
+from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, vectors
 
 from stewart_drake.errors import DrakeCheckError
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
@@ -28,7 +28,18 @@ SMALLEST_LOAD = 1e-6
 REGION = np.array([0.5, 0.5, 0.5, 0.06, 0.06, 0.02])
 
 _built = {}
-robots = pytest.mark.parametrize(("robot", "gravity"), [(ROBOT, 9.81), (HEAVY, 1.62), (OTHER, 9.81), (THICK, 0.0)])
+robots = pytest.mark.parametrize(
+    ("robot", "gravity"),
+    [
+        (ROBOT, 9.81),
+        (HEAVY, 1.62),
+        (OTHER, 9.81),
+        (THICK, 0.0),
+        (TANGENTIAL, 9.81),
+        (ALTERNATING, 9.81),
+        (UNEQUAL, 9.81),
+    ],
+)
 
 
 def built(robot, gravity=9.81, **options):

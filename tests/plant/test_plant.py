@@ -629,7 +629,7 @@ def test_a_failed_check_inside_drake_is_our_error(monkeypatch):
 @pytest.mark.parametrize("leg", [-1, 6, 1.0, None])
 def test_another_leg_has_no_rod_to_break(leg):
     diagram, plant = build_plant(ROBOT)
-    with pytest.raises(ConfigurationError, match="a leg, 0 to 5"):
+    with pytest.raises(ConfigurationError, match="a leg from 0 to 5"):
         plant.break_rod(diagram.CreateDefaultContext(), leg)
 
 

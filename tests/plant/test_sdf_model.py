@@ -10,7 +10,7 @@ from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.multibody_plant import sdf_model
+from stewart_drake.plant import sdf_model
 from stewart_drake.plant.sdf_model import home_frames, sdf_path, sdf_text, write_sdf
 from stewart_drake.robot import RobotParameters
 

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import field_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references.laws import check_derivatives, check_means, check_shapes, check_smooth
@@ -150,4 +151,4 @@ TWO = ((0.0,) * 6, (1.0,) * 6)
 def test_what_makes_no_sense_is_refused_by_name(kind, keys, key):
     with pytest.raises(ConfigurationError) as caught:
         kind(**keys)
-    assert caught.value.key == f"reference.{key}"
+    assert field_of(caught.value) == f"reference.{key}"

@@ -5,6 +5,7 @@ import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
+from conftest import field_of
 from references.laws import check_derivatives, check_means, check_shapes, check_smooth
 
 from stewart_drake.errors import ConfigurationError
@@ -187,4 +188,4 @@ def test_times_too_close_for_numbers_are_refused(tmp_path):
 def test_what_makes_no_sense_is_refused_by_name(keys, key):
     with pytest.raises(ConfigurationError) as caught:
         RecordedReference(**keys)
-    assert caught.value.key == f"reference.{key}"
+    assert field_of(caught.value) == f"reference.{key}"

@@ -31,11 +31,9 @@ def same(one, other, tolerance):
 
 @pytest.mark.parametrize("sensors", [{"kind": "ideal"}, ENCODERS], ids=["ideal", "encoders"])
 def test_compiled_and_numpy_do_the_same_run(sensors):
-    one, other = (
-        run(exact("duration=0.3", f"controller.compiled={compiled}", sensors=sensors)) for compiled in ("false", "true")
-    )
+    one, other = (run(exact("duration=0.3", f"compiled={compiled}", sensors=sensors)) for compiled in ("false", "true"))
     assert one.status == other.status == "completed"
-    assert one.scenario.controller.compiled != other.scenario.controller.compiled
+    assert one.scenario.compiled != other.scenario.compiled
     # Rounding grows by the quantum of the encoders, where a reading falls on an edge.
     same(one, other, 1e-9)
     assert np.abs(one["error"][-1]).max() < 1e-3
@@ -45,7 +43,7 @@ def test_with_the_networks_weights_too():
     tuner = {"kind": "ann"}
     changes = {"model": "exact", "feedforward": "full", "solver": "split", "bumpless": True, "period": 0.005}
     logs = [
-        run(Scenario.from_dict({"duration": 0.3, "tuner": tuner, "controller": {**changes, "compiled": compiled}}))
+        run(Scenario.from_dict({"duration": 0.3, "tuner": tuner, "controller": changes, "compiled": compiled}))
         for compiled in (False, True)
     ]
     assert np.ptp(logs[0]["weights"][:, 0]) > 0.0
@@ -75,7 +73,7 @@ def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
         f"command_delay={delay}",
         f"log_period={step!r}",
         "duration=0.03",
-        "controller.compiled=false",
+        "compiled=false",
         initial_offset=[0.01, 0.0, -0.01, 0.001, 0.0, 0.002],
     )
     log, ratio = run(scenario), steps_per("", period, step)
@@ -150,7 +148,7 @@ def test_two_runs_of_one_diagram_share_nothing():
 @pytest.mark.parametrize(("fault", "size"), [("nan", 0.0), ("jump", 0.5)])
 def test_an_encoder_that_fails_ends_the_run_by_name_and_the_log_is_kept(fault, size, compiled):
     faults = [{"kind": fault, "leg": 2, "time": 0.05, "size": size}]
-    log = run(exact(f"controller.compiled={compiled}", sensors={**ENCODERS, "hold_ticks": 4, "faults": faults}))
+    log = run(exact(f"compiled={compiled}", sensors={**ENCODERS, "hold_ticks": 4, "faults": faults}))
     assert (log.status, log.reason) == ("failed", "encoder")
     # Four ticks are bridged, at 0.050 to 0.053; the fifth ends it.
     assert log.end_time == pytest.approx(0.054)
@@ -169,7 +167,7 @@ def test_an_encoder_that_fails_for_less_than_that_does_not():
 @pytest.mark.parametrize("compiled", ["false", "true"])
 def test_an_ideal_sensor_that_fails_is_bridged_by_the_controller_and_then_ends_the_run(compiled):
     sensors = {"kind": "ideal", "faults": [{"kind": "nan", "time": 0.05}]}
-    log = run(exact(f"controller.compiled={compiled}", "controller.hold_ticks=3", sensors=sensors))
+    log = run(exact(f"compiled={compiled}", "controller.hold_ticks=3", sensors=sensors))
     assert (log.status, log.reason) == ("failed", "not_finite")
     assert log.end_time == pytest.approx(0.053)
     held = log["torque"][49]
@@ -182,7 +180,7 @@ def test_an_ideal_sensor_that_fails_is_bridged_by_the_controller_and_then_ends_t
 def test_weights_without_a_gain_end_the_run_by_name(weights, compiled):
     blocks = {"kind": "block", "q_pose": weights[0], "q_rate": weights[0], "q_integral": weights[0], "r": weights[1]}
     blocks = {key: value if key == "kind" else float(value) for key, value in blocks.items()}
-    log = run(exact(f"controller.compiled={compiled}", tuner=blocks))
+    log = run(exact(f"compiled={compiled}", tuner=blocks))
     assert (log.status, log.reason) in {("failed", "riccati"), ("failed", "not_finite")}
     assert log.end_time == 0.0
 

@@ -95,7 +95,7 @@ def test_an_unknown_payload_leaves_a_pd_loop_off_and_an_integral_does_not():
 def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
     base = load_scenario("exact_fig7")
     pid = base.replace({"controller.kind": "pid"})
-    assert pid.controller == PidOptions(period=0.001, compiled=True)
+    assert pid.controller == PidOptions(period=0.001)
     assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
     assert Scenario.from_dict(pid.to_dict()) == pid

@@ -62,7 +62,7 @@ def test_ports():
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("sensors", ["ideal", "encoders"])
 def test_a_run_in_which_nothing_is_wrong_is_the_run_without(compiled, sensors):
-    changes = {"controller": BASE["controller"] | {"compiled": compiled}, "sensors": {"kind": sensors}}
+    changes = {"compiled": compiled, "sensors": {"kind": sensors}}
     plain, guarded = (run(scenario(safety=safety, **changes)) for safety in (None, {}))
     assert guarded.safety is None
     for name in plain.signals:
@@ -133,19 +133,18 @@ def test_the_safe_hold_slows_the_robot_down():
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause(compiled):
-    controller = BASE["controller"] | {"compiled": compiled}
     encoders = {
         "kind": "encoders",
         "hold_ticks": 2,
         "faults": [{"kind": "nan", "leg": 1, "time": 0.05, "duration": 0.01}],
     }
-    log = run(scenario(sensors=encoders, controller=controller))
+    log = run(scenario(sensors=encoders, compiled=compiled))
     assert log.status == "completed"
     assert (log.safety["monitor"], log.safety["cause"], log.safety["worst"]) == ("sensor_failed", "encoder", "hold")
     assert log.safety["time"] == 0.052
     # A limit of the controller's own that the motion soon breaks.
-    bad = controller | {"min_transmission": 0.97}
-    log = run(scenario(controller=bad, duration=0.3), check=False)
+    bad = BASE["controller"] | {"min_transmission": 0.97}
+    log = run(scenario(controller=bad, compiled=compiled, duration=0.3), check=False)
     assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
 
 

@@ -16,7 +16,7 @@ from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.paper.nearby_starts import largest_integral, show_nearby, start_offsets
-from stewart_drake.paper.nine_experiments import RATIOS, growth, outcome, pair_of, paper_scenario
+from stewart_drake.paper.nine_experiments_section import RATIOS, growth, outcome, pair_of, paper_scenario
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.tracking_score import TrackingScore, refusal, tracking_score
@@ -57,7 +57,7 @@ def under_tuner(study: Study, scenario: Scenario) -> Scenario:
     network = load_network(study.tuner_file)
     own = None if study.tuner_file == default_network_path() else str(study.tuner_file.absolute())
     tuner = AnnTuner(density=network.density, window=network.window, weights_file=own)
-    return scenario.replace({"tuner": tuner.model_dump()})
+    return scenario.replace({"tuner": tuner.to_dict()})
 
 
 def on_trajectory(scenario: Scenario, trajectory: Trajectory) -> Scenario:

@@ -64,7 +64,7 @@ def paper_scenario(
             "gravity": gravity,
             "reference": {"kind": "sine"},
             "controller.feedforward": feedforward,
-            "tuner": FixedTuner(omega_q=pair[0], omega_r=pair[1]).model_dump(),
+            "tuner": FixedTuner(omega_q=pair[0], omega_r=pair[1]).to_dict(),
         }
     )
 

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.paper.in_the_loop import under_tuner
-from stewart_drake.paper.nine_experiments import outcome, pair_of, paper_scenario
+from stewart_drake.paper.in_the_loop_section import under_tuner
+from stewart_drake.paper.nine_experiments_section import outcome, pair_of, paper_scenario
 from stewart_drake.paper.report import Section, holds
 from stewart_drake.paper.sensitivity_changes import Change, changes, feedforward_share, longer
 from stewart_drake.paper.study import Study

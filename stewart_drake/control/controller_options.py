@@ -1,0 +1,86 @@
+"""What every controller's options tell the rest of the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from stewart_drake.control.inputs import SingularityLimits
+from stewart_drake.robot import RobotParameters
+from stewart_drake.section import Fraction, Positive, Section
+
+
+class _UsualLimits(NamedTuple):
+    min_transmission: float = 0.02
+    min_conditioning: float = 0.005
+
+
+class ControllerOptions(Section, key="controller"):
+    """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
+
+    kind: str
+    """Of controller."""
+    period: Positive
+    """[s] control period, > 0, a whole multiple of the plant's time step."""
+
+    @property
+    def label(self) -> str:
+        """In a few words, for titles."""
+        return f"controller {self.kind}"
+
+    @property
+    def near_singularity(self) -> SingularityLimits:
+        """How near to a singularity it may start."""
+        return _UsualLimits()
+
+    @property
+    def results(self) -> Sequence[int]:
+        """Sizes of torque, error and integral, with which its LeafSystem's result begins; empty for other ports."""
+        return ()
+
+    @property
+    def asks_for_more(self) -> bool:
+        """Whether its torque may exceed the limit, which then says that it has been cut."""
+        return getattr(self, "saturation", "") == "none"
+
+    @property
+    def code(self) -> str | None:
+        """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
+        return None
+
+    @property
+    def own_module(self) -> str | None:
+        """Module or package that the user's frames in a traceback are of."""
+        return None
+
+    def limit(self, robot: RobotParameters) -> float:
+        """[N m] of a motor's torque."""
+        return robot.effort_limit
+
+    def check_compiled(self) -> None:
+        """Refuses options that have no compiled tick.
+
+        Raises:
+            ConfigurationError: Names `compiled`.
+        """
+
+
+class OwnControllerOptions(ControllerOptions):
+    """Base of the options of the controllers that come with the package."""
+
+    kind: str
+    period: Positive
+    min_transmission: Fraction = 0.02
+    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
+    min_conditioning: Fraction = 0.005
+    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
+
+    @property
+    def near_singularity(self) -> SingularityLimits:
+        """See `ControllerOptions`."""
+        return self
+
+    @property
+    def results(self) -> Sequence[int]:
+        """See `ControllerOptions`."""
+        return (6, 6, 6)

@@ -1,0 +1,98 @@
+"""Where the weights of the LQI come from: options of the tuners."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from stewart_drake.control.density import DensityKind
+from stewart_drake.control.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.section import Positive, Section, Text, Window
+
+
+class Tuner(Section, key="tuner"):
+    """What every tuner has."""
+
+    kind: str
+    density: DensityKind = "magnitude"
+    """Kind of density (35), (36); for a network, the one that it was trained on."""
+    window: Annotated[Window, Field(le=100_000)] = 49
+    """Window m of (35), (36) [ticks]; means run over m + 1 samples. A network works with any: a density has no unit of
+    time."""
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights at the start, as the controller takes them."""
+        raise NotImplementedError
+
+    def network(self) -> TunerNetwork | None:
+        """The network that it asks, or None where the weights stay.
+
+        Raises:
+            ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
+                the range that it was trained on.
+        """
+        return None
+
+
+class PairTuner(Tuner):
+    """What tuners of omega_Q and omega_R have."""
+
+    kind: str
+    omega_q: Positive = 1.0
+    """omega_Q of (27); for a network, its value before the first inference."""
+    omega_r: Positive = 1.0
+    """omega_R of (27); for a network, its value before the first inference."""
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights at the start, as the controller takes them."""
+        return self.omega_q, self.omega_r
+
+
+class FixedTuner(PairTuner):
+    """Weights that stay as given; densities are logged all the same."""
+
+    kind: Literal["fixed"] = "fixed"
+
+
+class BlockTuner(Tuner):
+    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`."""
+
+    kind: Literal["block"] = "block"
+    q_pose: Positive
+    """Weight of the pose's error."""
+    q_rate: Positive
+    """Weight of its rate."""
+    q_integral: Positive
+    """Weight of its integral."""
+    r: Positive = 1.0
+    """Weight of the torques."""
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights as the controller takes them."""
+        return self.q_pose, self.q_rate, self.q_integral, self.r
+
+
+class AnnTuner(PairTuner):
+    """Weights from the neural network of Fig. 5."""
+
+    kind: Literal["ann"] = "ann"
+    weights_file: Text | None = None
+    """Path of a trained network, relative to the scenario file; null takes the one of the package."""
+
+    def network(self) -> TunerNetwork:
+        """See `Tuner.network`."""
+        path = self.weights_file or default_network_path()
+        network = load_network(path)
+        if network.density != self.density:
+            raise ConfigurationError("tuner.density", self.density, f"{network.density}, as {path} was trained on")
+        for key, value, low, high in zip(
+            ("omega_q", "omega_r"), self.weights, network.omega_min, network.omega_max, strict=True
+        ):
+            if not low <= value <= high:
+                raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
+        return network
