@@ -425,12 +425,12 @@ def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     code = (
-        "from stewart_drake.cli import app as cli\n"
-        "real = cli.ProgressBar._advance\n"
+        "from stewart_drake.runs import terminal\n"
+        "real = terminal.ProgressBar._advance\n"
         "def advance(self, completed, title=None):\n"
         "    open('ticking', 'w').close()\n"
         "    real(self, completed, title)\n"
-        "cli.ProgressBar._advance = advance\n"
+        "terminal.ProgressBar._advance = advance\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=100", "--out", "out")
     process = start(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
@@ -455,9 +455,9 @@ def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
     code = (
         "import os, signal\n"
         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "from stewart_drake.cli import app as cli\n"
-        "real = cli.ProgressBar._advance\n"
-        "cli.ProgressBar._advance = lambda *args: (os.kill(os.getpid(), signal.SIGHUP), real(*args))\n"
+        "from stewart_drake.runs import terminal\n"
+        "real = terminal.ProgressBar._advance\n"
+        "terminal.ProgressBar._advance = lambda *args: (os.kill(os.getpid(), signal.SIGHUP), real(*args))\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=0.1", "--out", "out")
     status, _, err = shell(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
