@@ -45,7 +45,7 @@ def contoured(
     **options: Any,
 ) -> None:
     """Values (len(y), len(x)) as colours with named contours; grey where they are NaN."""
-    heatmap(figure, panel, x, y, values, unit, cmap="cividis", vmin=0.0, **more)
+    heatmap(figure, panel, x, y, values, unit, cmap="cividis", vmin=0.0, **options)
     lines = panel.contour(x, y, values, levels=levels, colors="black", linewidths=0.7)
     panel.clabel(lines, fmt="%g", fontsize=8)
 
