@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from stewart_drake.campaigns.run_store import weights_text
+from stewart_drake.campaigns.identity import identity
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import digest, file_digests
-from stewart_drake.files.whole import read_checked, seal, unseal, write_atomically
+from stewart_drake.files.named_files import digest
+from stewart_drake.files.whole import checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.logs.versions import collect_versions, package_version
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.paper.region import NEAR
@@ -22,7 +20,7 @@ from stewart_drake.paper.report import Section, write_report
 from stewart_drake.paper.study import Study
 from stewart_drake.references import paper_reference
 from stewart_drake.runs.outputs import prepare_folder
-from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.scenario import Scenario
 
 SECTIONS = (
     "plant",
@@ -42,7 +40,6 @@ SECTIONS = (
 MAX_PART_BYTES = 100_000_000
 PAPER_DURATION = 10.0
 """[s] for which the robot must be able to follow (37), (38)."""
-_VERSIONS = ("stewart-drake", "drake", "numpy", "scipy", "torch", "source")
 
 
 def reproduce(
@@ -147,8 +144,5 @@ def _digests(section: Section, folder: Path) -> dict[str, str | None]:
 
 
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
-    content: list[Any] = [base.to_dict(), quick, {name: versions[name] for name in _VERSIONS}]
-    if isinstance(base.tuner, AnnTuner):
-        content.append(weights_text(base.tuner))
-    content.append(file_digests(base.to_dict()))
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+    work = {"scenario": base.to_dict(), "quick": quick}
+    return checksum(identity(work, [base.tuner], versions, more=["torch"]))[:12]
