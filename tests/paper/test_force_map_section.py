@@ -195,7 +195,7 @@ def test_the_verdict_follows_the_numbers():
     ):
         said = verdict(numbers | {"rod_force": {"printed_error": printed, "statics_error": statics}})
         assert said.startswith(words)
-        assert "with all of it mended by 25.00% and 25%" in said
+        assert "with everything corrected by 25.00% and 25%" in said
 
 
 def test_figures_have_labelled_axes():

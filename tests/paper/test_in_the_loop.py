@@ -199,7 +199,7 @@ def test_the_explanation_follows_the_numbers():
     blind = explained([compared()], 0.0, 0.82, [1.2, 1.3], 2.0)
     for words in ("on 1 of 1 trajectories", "it hardly sees that here", "validation R^2 was 0.82", "costs 25 %"):
         assert words in blind
-    assert "next to nothing to save" in blind
+    assert "almost nothing to save" in blind
     seeing = explained([compared(r100=3.0)], 0.95, None, [0.5], 40.0)
     for words in ("on 0 of 1 trajectories", "it sees that here", "gains 50 %"):
         assert words in seeing
