@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import SECTION, Count, NotNegative, Positive, Real, Vector3, is_finite, plain
+from stewart_drake.section import Count, NotNegative, Real, Section, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6
@@ -21,39 +21,55 @@ _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
 
 
+Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
+Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+Size3 = tuple[Size, Size, Size]
+Signed3 = tuple[Signed, Signed, Signed]
 _PARALLEL = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LegParameters:
+class LegParameters(Section, key="robot.legs"):
     """What one leg has of its own; null is that of the symmetric robot."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    shaft_position: Vector3 | None = None
+    shaft_position: Signed3 | None = None
     """[m] centre of the motor shaft in B."""
-    crank_zero_direction: Vector3 | None = None
+    crank_zero_direction: Signed3 | None = None
     """[-] unit vector in B along which the crank points at theta = 0."""
-    crank_quarter_direction: Vector3 | None = None
+    crank_quarter_direction: Signed3 | None = None
     """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
-    platform_joint: Vector3 | None = None
+    platform_joint: Signed3 | None = None
     """[m] joint centre in P."""
-    crank_length: Positive | None = None
+    crank_length: Size | None = None
     """[m] shaft to crank tip."""
-    rod_length: Positive | None = None
+    rod_length: Size | None = None
     """[m] crank tip to platform joint."""
     branch: Count | None = None
     """Sign of the acos in the inverse kinematics: -1 or +1."""
-    crank_angle_range: tuple[Real, Real] | None = None
+    crank_angle_range: tuple[Signed, Signed] | None = None
     """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
 
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        if self.branch not in (None, -1, 1):
+            raise ConfigurationError("branch", self.branch, "-1 or 1")
+        low, high = self.crank_angle_range or (-math.pi, math.pi)
+        if not low < high <= low + 2.0 * math.pi:
+            allowed = "two angles, rising, within one turn"
+            raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
 
-Legs = tuple[LegParameters, LegParameters, LegParameters, LegParameters, LegParameters, LegParameters]
+
+def _leg(given: Any) -> Any:
+    """Null, or a mapping with arrays, as a section is written."""
+    given = {} if given is None else given
+    return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
 
 
-@dataclass(frozen=True, kw_only=True)
-class RobotParameters:
+Leg = Annotated[LegParameters, BeforeValidator(_leg)]
+Legs = tuple[Leg, Leg, Leg, Leg, Leg, Leg]
+
+
+class RobotParameters(Section, key="robot"):
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
     Leg i = 0..5 belongs to pair k = i // 2 and stands on side s = -1 (even i) or +1 (odd i) of the pair's direction
@@ -70,79 +86,67 @@ class RobotParameters:
             directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    shaft_circle_radius: Positive = 0.20
+    shaft_circle_radius: Size = 0.20
     """[m] radius of the circle of the motor shafts."""
-    shaft_height: Real = -0.07
+    shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
-    shaft_half_angle: Positive = math.radians(8.0)
+    shaft_half_angle: Size = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
-    crank_plane_angle: Real = 0.0
+    crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
-    platform_joint_radius: Positive = 0.11
+    platform_joint_radius: Size = 0.11
     """[m] radius of the circle of the platform's joints."""
-    platform_half_angle: Positive = math.radians(52.0)
+    platform_half_angle: Size = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
-    crank_length: Positive = 0.11
+    crank_length: Size = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
-    rod_length: Positive = 0.404
+    rod_length: Size = 0.404
     """[m] crank tip to platform joint."""
-    home_height: Positive = 0.30
+    home_height: Size = 0.30
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Count = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
     legs: Legs | None = None
     """Six sections with what each leg has of its own; null for none."""
 
-    rod_mass: Positive = 0.08
+    rod_mass: Size = 0.08
     """[kg]"""
-    rod_inertia: Vector3 = (0.0016, 0.0016, 0.000001)
+    rod_inertia: Size3 = (0.0016, 0.0016, 0.000001)
     """[kg m^2] about the centre of mass; z along the rod, Ixx = Iyy."""
-    crank_mass: Positive = 0.04
+    crank_mass: Size = 0.04
     """[kg]"""
-    crank_inertia: Vector3 = (0.000001, 0.000058, 0.000059)
+    crank_inertia: Size3 = (0.000001, 0.000058, 0.000059)
     """[kg m^2] about the centre of mass; x along the crank, y along the motor axis."""
-    platform_mass: Positive = 1.0
+    platform_mass: Size = 1.0
     """[kg]"""
-    platform_inertia: Vector3 = (0.003, 0.003, 0.006)
+    platform_inertia: Size3 = (0.003, 0.003, 0.006)
     """[kg m^2] Ixx, Iyy, Izz about its centre of mass, along the axes of P."""
-    platform_products: Vector3 = (0.0, 0.0, 0.0)
+    platform_products: Signed3 = (0.0, 0.0, 0.0)
     """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
-    platform_center_of_mass: Vector3 = (0.0, 0.0, 0.0)
+    platform_center_of_mass: Signed3 = (0.0, 0.0, 0.0)
     """[m] in P."""
-    rotor_inertia: NotNegative = 0.0
+    rotor_inertia: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
     """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
-    base_mass: Positive = 7.0
+    base_mass: Size = 7.0
     """[kg]; welded to the world, so it never acts."""
-    base_inertia: Vector3 = (0.027, 0.027, 0.054)
+    base_inertia: Size3 = (0.027, 0.027, 0.054)
     """[kg m^2]"""
 
-    effort_limit: Positive = 5.0
+    effort_limit: Size = 5.0
     """[N m] largest torque of a motor."""
-    link_radius: Positive = 0.005
+    link_radius: Size = 0.005
     """[m] radius of cranks and rods, for pictures, collisions and clearance."""
-    characteristic_length: Positive = 0.11
+    characteristic_length: Size = 0.11
     """[m] makes rotations and translations comparable in conditioning."""
 
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            given = plain(getattr(self, field.name))
-            if field.name == "legs":
-                given = given if given is None else _legs(given)
-            else:
-                _check(f"robot.{field.name}", given, signed=field.name in _SIGNED, zero=field.name == "rotor_inertia")
-            # Lists and numpy's numbers will do, and become what can be hashed and written to a file.
-            object.__setattr__(self, field.name, given)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if self.branch not in (-1, 1):
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
-            _check_three(name, inertia, "three moments Ixx, Iyy, Izz")
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
                 raise ConfigurationError(f"robot.{name}", inertia, "no moment above the sum of the other two")
-        _check_three("platform_products", self.platform_products, "three products Ixy, Ixz, Iyz")
-        _check_three("platform_center_of_mass", self.platform_center_of_mass, "three coordinates")
         principal = np.linalg.eigvalsh(self._central_inertia)
         if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
             allowed = "products with which the principal moments are positive and none is above the sum of the others"
@@ -327,54 +331,6 @@ class RobotParameters:
             if value is not None:
                 symmetric[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
         return _frozen(symmetric)
-
-
-_SIGNED = {"shaft_height", "branch", "crank_plane_angle", "platform_products", "platform_center_of_mass"}
-
-
-def _check(key: str, given: Any, *, signed: bool, zero: bool = False) -> None:
-    low = -LARGEST if signed else 0.0 if zero else SMALLEST
-    values = given if isinstance(given, tuple) else (given,)
-    if not all(is_finite(value) and low <= value <= LARGEST for value in values):
-        kind = f"finite numbers from {low:g} to {LARGEST:g}" if signed or zero else f"positive numbers to {LARGEST:g}"
-        raise ConfigurationError(key, given, kind)
-
-
-def _check_three(name: str, value: Any, allowed: str) -> None:
-    if not isinstance(value, tuple) or len(value) != 3:
-        raise ConfigurationError(f"robot.{name}", value, allowed)
-
-
-def _legs(given: Any) -> Legs:
-    """Six checked legs out of sections, mappings or null.
-
-    Raises:
-        ConfigurationError: Not six; or a value that no robot can have.
-    """
-    if not isinstance(given, tuple) or len(given) != LEGS:
-        raise ConfigurationError("robot.legs", given, f"null, or {LEGS} sections")
-    return tuple(_leg(f"robot.legs.{leg}", each) for leg, each in enumerate(given))  # type: ignore[return-value]
-
-
-def _leg(key: str, given: Any) -> LegParameters:
-    known = [field.name for field in dataclasses.fields(LegParameters)]
-    if isinstance(given, LegParameters):
-        given = {name: getattr(given, name) for name in known}
-    given = {} if given is None else given
-    if not isinstance(given, Mapping) or not set(given) <= set(known):
-        raise ConfigurationError(key, given, f"a section with keys such as {', '.join(known)}")
-    values = {name: plain(value) for name, value in given.items() if value is not None}
-    for name, value in values.items():
-        size = {"branch": 1, "crank_length": 1, "rod_length": 1, "crank_angle_range": 2}.get(name, 3)
-        if (len(value) if isinstance(value, tuple) else 1) != size:
-            raise ConfigurationError(f"{key}.{name}", value, f"{size} numbers" if size > 1 else "a number")
-        _check(f"{key}.{name}", value, signed=not name.endswith("length"))
-    if values.get("branch", 1) not in (-1, 1):
-        raise ConfigurationError(f"{key}.branch", values["branch"], "-1 or 1")
-    low, high = values.get("crank_angle_range", (-math.pi, math.pi))
-    if not low < high <= low + 2.0 * math.pi:
-        raise ConfigurationError(f"{key}.crank_angle_range", (low, high), "two angles, rising, within one turn")
-    return LegParameters(**values)
 
 
 def _check_directions(robot: RobotParameters) -> None:

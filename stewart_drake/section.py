@@ -140,6 +140,7 @@ class Section:
         try:
             self.rules()
         except ConfigurationError as error:
+            error.key = error.key.removeprefix(f"{self.section_key}.")
             raise as_problem(error) from None
 
     @classmethod
