@@ -158,7 +158,11 @@ class RobotParameters(Section, key="robot"):
                 raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
         _check_directions(self)
         # A robot that cannot stand at home has no SDF.
-        margin = self.reach_margin(self.platform_joints + self.home_pose[3:] - self.shaft_positions)
+        span = (self.platform_joints + self.home_pose[3:] - self.shaft_positions).T
+        directions = self.crank_zero_directions.T, self.crank_quarter_directions.T
+        along, up, constant = crank_equation(span, *directions, self.crank_lengths, self.rod_lengths)
+        size = np.hypot(along, up)
+        margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
         if margin.min() <= 0.0:
             leg = int(margin.argmin())
             raise ConfigurationError(
@@ -286,27 +290,6 @@ class RobotParameters(Section, key="robot"):
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
-    def crank_equation(self, span: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and C / sqrt(A^2 + B^2) of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
-
-        Args:
-            span: (..., 6, 3) [m] from motor shaft to platform joint, the L_i of (2).
-
-        Returns:
-            A (..., 6) [m^2], B (..., 6) [m^2] and the ratio (..., 6) [-], infinite where the platform joint lies on the
-            motor axis.
-        """
-        a = self.crank_lengths
-        along = 2.0 * a * np.sum(span * self.crank_zero_directions, axis=-1)
-        up = 2.0 * a * np.sum(span * self.crank_quarter_directions, axis=-1)
-        constant = np.sum(span * span, axis=-1) + a * a - self.rod_lengths**2
-        size = np.hypot(along, up)
-        return along, up, np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
-
-    def reach_margin(self, span: np.ndarray) -> np.ndarray:
-        """1 - |C| / sqrt(A^2 + B^2) of each leg (..., 6), for spans (..., 6, 3) [m]; negative: the rod cannot span."""
-        return 1.0 - np.abs(self.crank_equation(span)[2])
-
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.
 
@@ -331,6 +314,26 @@ class RobotParameters(Section, key="robot"):
             if value is not None:
                 symmetric[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
         return _frozen(symmetric)
+
+
+def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
+    """A, B, C of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid. Any arrays; components first.
+
+    Args:
+        span: (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2).
+        zero: (3, 6, ...) [-] direction of each crank at theta = 0.
+        quarter: (3, 6, ...) [-] at theta = pi/2.
+        crank: (6, ...) [m] lengths.
+        rod: (6, ...) [m] lengths.
+
+    Returns:
+        (6, ...) [m^2] each.
+    """
+    twice = 2.0 * crank
+    along = twice * (span[0] * zero[0] + span[1] * zero[1] + span[2] * zero[2])
+    up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
+    constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
+    return along, up, constant
 
 
 def _check_directions(robot: RobotParameters) -> None:

@@ -10,7 +10,8 @@ from decimal import Decimal
 import numpy as np
 
 from stewart_drake.campaigns.comparison_file import Comparison
-from stewart_drake.campaigns.one_run import Row, not_finite
+from stewart_drake.campaigns.one_run import not_finite
+from stewart_drake.campaigns.row_store import Row
 from stewart_drake.campaigns.tables import markdown
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns

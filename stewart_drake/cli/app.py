@@ -135,12 +135,13 @@ def collect(out: Path, quiet: bool) -> None:
 
     Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
     """
+    from stewart_drake.campaigns.executors import LocalProcesses
     from stewart_drake.runs.outputs import SPACE, prepare_file
     from stewart_drake.training.collect import collect_dataset
 
     prepare_file(out, SPACE)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
-        dataset = collect_dataset(progress=advance)
+        dataset = collect_dataset(progress=advance, where=LocalProcesses())
     dataset.save(out)
     click.echo(f"{len(dataset.inputs)} samples in {out}")
 

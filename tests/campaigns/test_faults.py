@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from stewart_drake.campaigns import fault_rows as rows_module
 from stewart_drake.campaigns import fault_table as table_module
+from stewart_drake.campaigns.executors import Given, SerialExecutor
 from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, base
 from stewart_drake.campaigns.fault_catalogue import FAULTS
 from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, fault_row, measured_row, named_row
@@ -188,19 +189,7 @@ def made_row(fault, motion):
 def instant(monkeypatch):
     """Rows without runs, in this process."""
 
-    class Here:
-        def __init__(self, workers):
-            self.workers = workers
-
-        def open(self):
-            from stewart_drake.campaigns.executors import SerialExecutor
-
-            return SerialExecutor()
-
-        def close(self, executor, _):
-            executor.shutdown()
-
-    monkeypatch.setattr(table_module, "LocalProcesses", Here)
+    monkeypatch.setattr(table_module, "LocalProcesses", lambda _: Given(SerialExecutor()))
     monkeypatch.setattr(table_module, "named_row", made_row)
 
 
