@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from stewart_drake.leg import LegParameters as LegParameters
     from stewart_drake.logs.log import SimulationLog as SimulationLog
     from stewart_drake.logs.log import load_log as load_log
+    from stewart_drake.logs.metric_table import Metric as Metric
+    from stewart_drake.logs.metric_table import add_metric as add_metric
     from stewart_drake.logs.metrics import run_metrics as run_metrics
     from stewart_drake.mechanics.dynamics import forward_dynamics as forward_dynamics
     from stewart_drake.mechanics.dynamics import inverse_dynamics as inverse_dynamics
@@ -67,6 +69,8 @@ _HOME = {
     "Limits": "planning.limits",
     "SimulationLog": "logs.log",
     "load_log": "logs.log",
+    "Metric": "logs.metric_table",
+    "add_metric": "logs.metric_table",
     "run_metrics": "logs.metrics",
     "load_network": "control.network",
     "StewartPlant": "plant.multibody_plant",

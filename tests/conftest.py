@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from stewart_drake.campaigns import engine
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.files.whole import seal
+from stewart_drake.logs import versions
 
 # A deadline would make the outcome depend on how busy the machine is.
 settings.register_profile("default", deadline=None)
@@ -22,6 +24,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 ROOT = Path(__file__).parent.parent
+pytest_plugins = ("quick_report",)
 
 
 def python(*arguments):
@@ -66,6 +69,15 @@ def resealed(document):
     except ValueError:
         rest["checksum"] = "of NaN there is none"
     return json.dumps(rest).encode()
+
+
+@pytest.fixture
+def code_as_it_is(monkeypatch):
+    """What is tested in this process must not depend on whether someone edits the package meanwhile."""
+    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    engine._own_source.cache_clear()
+    yield
+    engine._own_source.cache_clear()
 
 
 @pytest.fixture

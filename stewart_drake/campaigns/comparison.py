@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
@@ -14,24 +13,22 @@ from typing import TYPE_CHECKING, Any
 from stewart_drake.campaigns.comparison_file import Comparison
 from stewart_drake.campaigns.comparison_table import (
     BANDS,
-    COLUMNS,
     Sheet,
     band_rows,
     order,
     sheets,
+    table_columns,
     table_rows,
 )
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.one_run import Row, RunFunction, simulate
-from stewart_drake.campaigns.row_store import RowStore
-from stewart_drake.campaigns.run_store import weights_text
+from stewart_drake.campaigns.identity import identity
+from stewart_drake.campaigns.one_run import RunFunction, simulate
+from stewart_drake.campaigns.row_store import Row, RowStore
 from stewart_drake.campaigns.sweep import run_plan
-from stewart_drake.campaigns.tables import VERSION, to_arrow, write_table
+from stewart_drake.campaigns.tables import to_arrow, write_table
 from stewart_drake.control.user_controller import PythonOptions, load_class
-from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import locked_folder, write_atomically
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.scenario import AnnTuner
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -50,8 +47,8 @@ class ComparisonResult:
     """What a comparison leaves.
 
     Attributes:
-        table: One row a run, see `table.COLUMNS`.
-        bands: One row a band, see `table.BANDS`.
+        table: One row a run, see `comparison_table.table_columns`.
+        bands: One row a band, see `comparison_table.BANDS`.
         rows: Rows of the table as plain values, with `trace`.
         band_rows: Rows of the bands likewise.
         sheets: The tables that are read.
@@ -96,7 +93,7 @@ def run_comparison(
         rows, bands = table_rows(comparison, done), band_rows(comparison, done)
         about = {"comparison": comparison.to_dict(), "versions": dict(versions)}
         result = ComparisonResult(
-            to_arrow(COLUMNS, rows, "comparison", about),
+            to_arrow(table_columns(), rows, "comparison", about),
             to_arrow(BANDS, bands, "comparison", about),
             rows,
             bands,
@@ -138,23 +135,13 @@ def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Pat
 
 def _identity(comparison: Comparison, versions: Mapping[str, str | None]) -> dict[str, Any]:
     """What the rows depend on."""
-    texts: dict[str, None] = {}
     different: dict[str, int] = {}
     for index, cell in enumerate(comparison.cells):
-        files = {key: value for key, value in cell.changes.items() if key.split(".")[0] in ("tuner", "controller")}
-        different.setdefault(json.dumps(files, sort_keys=True), index)
-    for index in different.values():
-        scenario = comparison.scenario(index)
-        if isinstance(scenario.tuner, AnnTuner):
-            texts[hashlib.sha256(weights_text(scenario.tuner).encode()).hexdigest()[:24]] = None
+        sections = {key: value for key, value in cell.changes.items() if key.split(".")[0] in ("tuner", "controller")}
+        different.setdefault(json.dumps(sections, sort_keys=True), index)
+    scenarios = [comparison.scenario(index) for index in different.values()]
+    for scenario in scenarios:
         if isinstance(scenario.controller, PythonOptions):
             # Otherwise a class that does not exist would show after everything has run.
             load_class(scenario.controller)
-    data = comparison.to_dict()
-    return {
-        **data,
-        "columns": VERSION,
-        "weights": sorted(texts),
-        "files": file_digests(data),
-        "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
-    }
+    return identity(comparison.to_dict(), [scenario.tuner for scenario in scenarios], versions)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.one_run import Row, measure, outcome
+from stewart_drake.campaigns.one_run import measure, outcome
+from stewart_drake.campaigns.row_store import Row
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import error_norms, settling_time, sine_response
 
@@ -16,7 +17,7 @@ TRACE_POINTS = 240
 
 
 def measure_run(log: SimulationLog, band: float) -> Row:
-    """Figures of a run: those of every sweep, and see `comparison_table.COLUMNS`.
+    """Figures of a run: those of every sweep, and see `comparison_table.table_columns`.
 
     Args:
         log: The run.

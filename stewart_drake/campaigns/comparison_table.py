@@ -10,7 +10,8 @@ from decimal import Decimal
 import numpy as np
 
 from stewart_drake.campaigns.comparison_file import Comparison
-from stewart_drake.campaigns.one_run import Row, not_finite
+from stewart_drake.campaigns.one_run import not_finite
+from stewart_drake.campaigns.row_store import Row
 from stewart_drake.campaigns.tables import markdown
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns
@@ -29,8 +30,6 @@ NAMES = (
 """First columns of both tables."""
 
 SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: it does not")
-COLUMNS = (*NAMES, *run_columns(), SETTLING)
-"""Columns of the table."""
 
 BANDS = (
     *NAMES,
@@ -42,6 +41,11 @@ BANDS = (
     Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
 )
 """Columns of the table of bands."""
+
+
+def table_columns() -> tuple[Column, ...]:
+    """Columns of the table."""
+    return (*NAMES, *run_columns(), SETTLING)
 
 
 @dataclass(frozen=True)

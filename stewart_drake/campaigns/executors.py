@@ -1,4 +1,4 @@
-"""Where a sweep's runs go: processes of this machine, a Dask cluster, or any `concurrent.futures.Executor`."""
+"""Where the work of a campaign goes: a `concurrent.futures.Executor` of processes here, of Dask, or of the caller."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ import logging
 import multiprocessing
 import os
 import signal
+import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-from stewart_drake.campaigns.run_store import start_worker
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.runs.terminal import quiet_libraries
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -25,17 +27,27 @@ NO_WORKERS_TIMEOUT = 60.0
 """[s] that a cluster may be without workers; a restarted one needs a few."""
 
 
-class Workplace(Protocol):
-    """Where runs go. An executor that broke is replaced by another `open`."""
+WORN = 200
+"""Pieces of work after which a worker process is replaced: each leaves some tenths of a megabyte behind in Drake."""
 
-    workers: int
-    """Runs at a time; known after the first `open`."""
 
-    def open(self, workers: int | None = None) -> Executor:
+class Workplace(ABC):
+    """Where work goes. An executor that broke is replaced by another `open`.
+
+    Attributes:
+        workers: Pieces of work at a time; known after the first `open`.
+        worn: So many for each worker, and `open` is called anew; None for any number.
+    """
+
+    workers: int = 1
+    worn: int | None = None
+
+    @abstractmethod
+    def open(self, most: int) -> Executor:
         """An executor that takes work.
 
         Args:
-            workers: At most so many runs at a time, where that can be chosen; None for `self.workers`.
+            most: Pieces of work at a time that are of use, where their number can be chosen.
 
         Raises:
             ConfigurationError: It cannot be reached.
@@ -43,37 +55,39 @@ class Workplace(Protocol):
         """
 
     def check(self) -> None:
-        """Called now and then while runs are under way.
+        """Called now and then while work is under way.
 
         Raises:
-            StewartDrakeError: Nobody is left to run them.
+            StewartDrakeError: Nobody is left to do it.
         """
+        return
 
+    @abstractmethod
     def close(self, executor: Executor, abort: bool) -> None:
-        """Ends an executor of `open`; `abort` does not wait for what it is running."""
+        """Ends an executor of `open`; `abort` does not wait for what it is doing."""
 
     def leave(self) -> None:
-        """Called at the end of a sweep, whatever happened before."""
+        """Called at the end of a campaign, whatever happened before."""
+        return
 
 
-class LocalProcesses:
+class LocalProcesses(Workplace):
     """A pool of fresh processes on this machine.
 
     They import the calling script anew: there the call must stand under `if __name__ == "__main__":`.
 
-    Attributes:
-        workers: Processes.
+    Args:
+        workers: Processes; None for one per core, at most 8.
     """
+
+    worn = WORN
 
     def __init__(self, workers: int | None = None) -> None:
         self.workers = max(1, min(8, os.cpu_count() or 1)) if workers is None else workers
 
-    def open(self, workers: int | None = None) -> Executor:
+    def open(self, most: int) -> Executor:
         """See `Workplace.open`."""
-        return _Pool(self.workers if workers is None else min(workers, self.workers))
-
-    def check(self) -> None:
-        """See `Workplace.check`; a pool notices by itself."""
+        return _Pool(min(most, self.workers))
 
     def close(self, executor: Executor, abort: bool) -> None:
         """See `Workplace.close`."""
@@ -81,11 +95,8 @@ class LocalProcesses:
             executor.kill()
         executor.shutdown(wait=True, cancel_futures=True)
 
-    def leave(self) -> None:
-        """See `Workplace.leave`."""
 
-
-class DaskCluster:
+class DaskCluster(Workplace):
     """Workers of a Dask cluster; they need this package, the same version. One thread a worker serves best.
 
     Attributes:
@@ -134,7 +145,7 @@ class DaskCluster:
             self.leave()
             raise ConfigurationError("--scheduler", self.address, "a Dask cluster with workers") from None
 
-    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
+    def open(self, most: int) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
         """See `Workplace.open`."""
         self.connect()
         try:
@@ -203,11 +214,12 @@ def _silence() -> Iterator[None]:
             logger.disabled = disabled
 
 
-class Given:
+class Given(Workplace):
     """An executor of the caller's; it stays open.
 
-    Attributes:
-        workers: Runs at a time; taken from the executor where it tells.
+    Args:
+        executor: It.
+        workers: Pieces of work at a time; None for what the executor tells, or one.
     """
 
     def __init__(self, executor: Executor, workers: int | None = None) -> None:
@@ -216,21 +228,15 @@ class Given:
         self._executor = executor
         self._broken = False
 
-    def open(self, workers: int | None = None) -> Executor:  # noqa: ARG002 - it has the workers that it has
+    def open(self, most: int) -> Executor:  # noqa: ARG002 - it has the workers that it has
         """See `Workplace.open`."""
         if self._broken:
             raise StewartDrakeError("a worker of the executor died, and an executor that is handed over stays broken")
         return self._executor
 
-    def check(self) -> None:
-        """See `Workplace.check`."""
-
     def close(self, executor: Executor, abort: bool) -> None:  # noqa: ARG002 - it stays open
         """See `Workplace.close`."""
         self._broken = bool(getattr(executor, "_broken", False))
-
-    def leave(self) -> None:
-        """See `Workplace.leave`."""
 
 
 class SerialExecutor(Executor):
@@ -256,6 +262,25 @@ def worker_deaths(error: BaseException) -> int:
         return 1
     # By its name: a sweep without Dask does without importing it. The scheduler has tried several workers by itself.
     return ATTEMPTS if type(error).__name__ == "KilledWorker" else 0
+
+
+_QUIET = ExitStack()
+
+
+def start_worker() -> None:
+    """Ends this worker as soon as the process that started it is gone; by itself it would wait for work for ever.
+
+    And keeps libraries quiet in it, for good.
+    """
+    _QUIET.enter_context(quiet_libraries())
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 class _Pool(ProcessPoolExecutor):

@@ -10,6 +10,7 @@ import numpy as np
 
 from stewart_drake.campaigns.fault import MOTIONS, Fault, Reaction
 from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
 from stewart_drake.logs.log import SimulationLog
@@ -79,15 +80,10 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
         fault: Of `catalogue.FAULTS`, or one of the caller's.
         motion: Of `fault.MOTIONS`.
     """
-    from stewart_drake.runs.simulation import run
-
     try:
-        scenario = fault.scenario(motion)
-        log = run(scenario, check=fault.checked)
+        log = simulate(fault.scenario(motion), check=fault.checked)
     except ConfigurationError as error:
         return FaultRow(fault.name, motion, "refused", reason=error.reason, message=str(error))
-    if log.status == "interrupted":
-        raise KeyboardInterrupt
     return measured_row(fault, motion, log)
 
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.campaigns.executors import LocalProcesses
+from stewart_drake.campaigns.engine import Work, fill
+from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_catalogue import FAULTS
 from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
-from stewart_drake.campaigns.one_run import Row
-from stewart_drake.campaigns.row_store import RowStore
-from stewart_drake.campaigns.run_store import WORKER_GONE
-from stewart_drake.campaigns.tables import VERSION, markdown, to_arrow, write_table
+from stewart_drake.campaigns.identity import identity
+from stewart_drake.campaigns.row_store import Row, RowStore
+from stewart_drake.campaigns.tables import markdown, to_arrow, write_table
 from stewart_drake.errors import StewartDrakeError
 from stewart_drake.files.whole import plain_json, write_atomically
 from stewart_drake.logs.versions import collect_versions
@@ -43,18 +43,16 @@ class FaultTable:
 def make_table(
     folder: str | Path,
     quick: bool = False,
-    workers: int | None = None,
+    where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> FaultTable:
-    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`; goes on where it was stopped.
-
-    With more than one worker the calling script is imported anew, see `sweeps.executors.LocalProcesses`.
+    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; goes on where it was stopped.
 
     Args:
         folder: Where to.
         quick: The held platform alone.
-        workers: Processes; None for one per core, at most 8.
+        where: Where the runs go; None for processes of this machine.
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
 
@@ -63,63 +61,37 @@ def make_table(
         StewartDrakeError: A worker ended by itself, or a run raised what is no verdict on it; rows done are kept.
     """
     folder = prepare_folder(folder)
-    parquet, markdown = folder / "faults.parquet", folder / "faults.md"
+    parquet, markdown_file = folder / "faults.parquet", folder / "faults.md"
     wanted = {index: pair for index, pair in enumerate(all_rows()) if not quick or pair[1] in QUICK_MOTIONS}
-    with RowStore(folder, _identity(), restart, (parquet.name, markdown.name)) as store:
-        kept = store.rows()
-        done = {index: kept[index] for index in wanted if index in kept}
-        missing = {index: pair for index, pair in wanted.items() if index not in done}
-        if progress is not None:
-            progress(float(len(done)))
-        for index, row in _run(missing, LocalProcesses(workers)):
-            store.add(row)
-            done[index] = row
-            if progress is not None:
-                progress(float(len(done)))
-        rows = tuple(FaultRow.from_plain(done[index]) for index in wanted)
-        table = to_arrow(COLUMNS, [row.plain() for row in rows], "faults", {"versions": collect_versions()})
-        write_table(table, folder, "faults")
-        write_atomically(markdown, markdown_table(rows).encode())
-    return FaultTable(rows, parquet, markdown)
 
+    def work(index: int) -> Work:
+        return _row, (index, *wanted[index])
 
-def _run(missing: Mapping[int, tuple[str, str]], where: LocalProcesses) -> Iterator[tuple[int, Row]]:
-    """Rows by index, as they come."""
-    if not missing:
-        return
-    executor = where.open()
-    aborted = True
-    try:
-        futures = {executor.submit(_row, index, *pair): index for index, pair in missing.items()}
-        for future in as_completed(futures):
-            index = futures[future]
-            try:
-                yield index, future.result()
-            except (StewartDrakeError, KeyboardInterrupt, GeneratorExit):
-                raise
-            except BrokenExecutor:
-                raise StewartDrakeError(WORKER_GONE) from None
-            except BaseException as error:  # SystemExit among them, which would end this process without a word
-                text = f"{', '.join(missing[index])}: {type(error).__name__}: {error}"
-                raise StewartDrakeError(text) from error
-        aborted = False
-    finally:
-        where.close(executor, aborted)
+    versions = collect_versions()
+    with RowStore(folder, _identity(versions), restart, (parquet.name, "faults.csv", markdown_file.name)) as store:
+        done = fill(store, wanted, work, where, progress)
+        rows = tuple(FaultRow.from_plain(row) for row in done)
+        write_table(
+            to_arrow(COLUMNS, (row.plain() for row in rows), "faults", {"versions": versions}), folder, "faults"
+        )
+        write_atomically(markdown_file, markdown_table(rows).encode())
+    return FaultTable(rows, parquet, markdown_file)
 
 
 def _row(index: int, fault: str, motion: str) -> Row:
     """What a worker does: figures that are not finite become null where they are made."""
-    return plain_json({"index": index, **named_row(fault, motion).plain()})
+    try:
+        return plain_json({"index": index, **named_row(fault, motion).plain()})
+    except (StewartDrakeError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # SystemExit among them, which would end this process without a word
+        raise StewartDrakeError(f"{fault}, {motion}: {type(error).__name__}: {error}") from error
 
 
-def _identity() -> dict[str, Any]:
+def _identity(versions: Mapping[str, str | None]) -> dict[str, Any]:
     """What the rows depend on."""
-    versions = collect_versions()
-    return {
-        "columns": VERSION,
-        "faults": hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24],
-        "versions": {name: versions[name] for name in ("stewart-drake", "drake", "numpy", "scipy", "source")},
-    }
+    faults = hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24]
+    return identity({"faults": faults}, versions=versions)
 
 
 HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")

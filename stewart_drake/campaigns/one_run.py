@@ -7,14 +7,14 @@ import socket
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
+from stewart_drake.campaigns.row_store import Row
+from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.whole import NOT_FINITE, plain_json
-from stewart_drake.logs import versions
+from stewart_drake.logs.log_rows import NoRows
 from stewart_drake.logs.metric_table import flat
 from stewart_drake.logs.metrics import run_metrics
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 MAX_MESSAGE = 500
 
-Row = dict[str, Any]
 Measure = Callable[["SimulationLog"], Row]
 """Figures of a log, in values that JSON has; a function of a module that the workers can import."""
 
@@ -46,8 +45,6 @@ class Task:
         base: The scenario before the draws, as `Scenario.to_dict` gives it.
         changes: Scenario key -> value, see `Sweep.changes`.
         drawn: See `Sweep.draw`; goes into the row.
-        source: Digest of the package's source that the worker must have.
-        attempt: How often the run has been sent; an executor may take equal tasks for one.
         measure: What goes into the row; None for the function of this name.
     """
 
@@ -56,40 +53,35 @@ class Task:
     base: Mapping[str, Any]
     changes: Mapping[str, Any]
     drawn: Mapping[str, Any]
-    source: str
-    attempt: int = 1
     measure: Measure | None = None
 
 
-def simulate(scenario: Scenario) -> SimulationLog:
-    """What a comparison runs by default: `simulation.run`, the check of the reference included."""
+def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
+    """What a comparison runs by default: `simulation.run`, which takes the options; one that was interrupted raises.
+
+    Raises:
+        KeyboardInterrupt: It was interrupted.
+        StewartDrakeError: See `simulation.run`.
+    """
     from stewart_drake.runs.simulation import run
 
-    return run(scenario)
+    return uninterrupted(run(scenario, **options))
+
+
+def uninterrupted(log: SimulationLog) -> SimulationLog:
+    """A log, unless its run was interrupted: half a run is no result.
+
+    Raises:
+        KeyboardInterrupt: It was.
+    """
+    if log.status == "interrupted":
+        raise KeyboardInterrupt
+    return log
 
 
 def simulate_figures(scenario: Scenario) -> SimulationLog:
     """What a sweep runs by default: the same without rows, so that a run may be as long as it likes."""
-    from stewart_drake.logs.log_rows import NoRows
-    from stewart_drake.runs.simulation import run
-
-    return run(scenario, rows=NoRows())
-
-
-def warm_up(source: str) -> None:
-    """Loads what a run needs, so that no run pays for it.
-
-    Raises:
-        StewartDrakeError: This worker's copy of the package is another one.
-    """
-    import stewart_drake.campaigns.sweep_file
-    import stewart_drake.runs.simulation  # noqa: F401
-
-    if _own_source() != source:
-        raise StewartDrakeError(
-            "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
-            "its files alone while a sweep runs"
-        )
+    return simulate(scenario, rows=NoRows())
 
 
 def execute(function: RunFunction, task: Task) -> Row:
@@ -103,10 +95,8 @@ def execute(function: RunFunction, task: Task) -> Row:
         index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `files.plain_json`.
 
     Raises:
-        StewartDrakeError: The worker's copy of the package is another one.
         KeyboardInterrupt: The run was interrupted; it is no row.
     """
-    warm_up(task.source)
     start = time.perf_counter()
     found = _outcome(function, task)
     named = found.pop(NOT_FINITE, {})
@@ -158,9 +148,7 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
-        log = function(vary(Scenario.from_dict(task.base), task.changes))
-        if log.status == "interrupted":
-            raise KeyboardInterrupt
+        log = uninterrupted(function(vary(Scenario.from_dict(task.base), task.changes)))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
             return {**empty_row(task, log.status, log.reason, log.message), **(task.measure or measure)(log)}
@@ -173,9 +161,3 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
         name = type(error).__name__
         return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")
-
-
-@lru_cache(maxsize=1)
-def _own_source() -> str:
-    # Once a process: what is loaded does not change.
-    return versions.source_digest()

@@ -12,11 +12,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from stewart_drake.campaigns.one_run import Row
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder, read_checked, seal, unseal, write_atomically
 from stewart_drake.runs.outputs import prepare_folder
 
+Row = dict[str, Any]
+"""Column -> plain value, and `index`."""
 ROWS, HEADER = "rows.jsonl", "sweep.json"
 TABLES = ("sweep.parquet", "sweep.csv")
 CAMPAIGN = "campaign"

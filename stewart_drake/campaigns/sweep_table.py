@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.campaigns.distributions import column_of
-from stewart_drake.campaigns.one_run import Row, not_finite
+from stewart_drake.campaigns.one_run import not_finite
+from stewart_drake.campaigns.row_store import Row
 from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.campaigns.tables import to_arrow
 from stewart_drake.files.whole import NOT_FINITE, plain_json

@@ -12,7 +12,8 @@ import numpy as np
 
 def _fields(name: str, **sizes: int) -> Any:
     """Where each field of a flat vector begins, by name; `size` is the length of all."""
-    return namedtuple(name, [*sizes, "size"])(0, *itertools.accumulate(sizes.values()))
+    fields: Any = namedtuple(name, [*sizes, "size"])
+    return fields(0, *itertools.accumulate(sizes.values()))
 
 
 def filled(fields: Any, **values: Any) -> np.ndarray:

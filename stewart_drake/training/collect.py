@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.campaigns.engine import Work, carry_out
+from stewart_drake.campaigns.executors import Given, SerialExecutor, Workplace
+from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
@@ -170,22 +173,22 @@ def collect_dataset(
     base: Scenario | None = None,
     progress: Callable[[float], None] | None = None,
     samples: int = SAMPLES_PER_RUN,
+    where: Workplace | None = None,
 ) -> Dataset:
-    """Runs the nine experiments in the Diagram, one after the other, and gathers their densities.
+    """Runs the nine experiments in the Diagram and gathers their densities.
 
     Args:
         base: Robot, plant, controller, limits and density settings; None takes the defaults (gravity on, `feedforward:
             gravity`, 5 ms).
         progress: Called with the number of experiments done.
         samples: Samples per experiment.
+        where: Where the runs go; None runs them in this process, one after the other.
 
     Raises:
         ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.
         RunFailure: An experiment ended early; it says which. The rest is not run.
         KeyboardInterrupt: After Ctrl-C, which `simulation.run` turns into a log.
     """
-    from stewart_drake.runs.simulation import run
-
     base = Scenario() if base is None else base
     if not isinstance(base.tuner, AnnTuner):
         raise ConfigurationError(
@@ -194,16 +197,21 @@ def collect_dataset(
     scenarios = experiment_scenarios(base, samples)
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)
-    logs = []
-    for index, scenario in enumerate(scenarios):
-        logs.append(run(scenario))
-        if logs[-1].status == "interrupted":
-            raise KeyboardInterrupt
-        _refuse_part(index, logs[-1], samples)
+    logs: dict[int, SimulationLog] = {}
+
+    def keep(index: int, log: SimulationLog) -> None:
+        _refuse_part(index, log, samples)
+        logs[index] = log
         if progress is not None:
-            progress(index + 1.0)
+            progress(float(len(logs)))
+
+    def work(index: int) -> Work:
+        return simulate, (scenarios[index],)
+
+    carry_out(range(len(scenarios)), work, keep, where or Given(SerialExecutor()))
     metadata = dataset_metadata(base, reference)
-    return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
+    ordered = [logs[index] for index in sorted(logs)]
+    return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)
 
 
 def six(values: Any) -> Vector6:

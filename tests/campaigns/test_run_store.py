@@ -33,14 +33,8 @@ def several(count):
     return [SHORT.replace({"name": f"run {k}", "tuner.omega_q": 1.0 + k}) for k in range(count)]
 
 
-@pytest.fixture(autouse=True)
-def _code_as_it_is(monkeypatch):
-    # What is tested here must not depend on whether someone edits the package meanwhile.
-    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
-
-
 @pytest.fixture
-def ran(monkeypatch):
+def ran(monkeypatch, code_as_it_is):  # noqa: ARG001 - for what it patches
     """Names of the scenarios that were run in this process, in order."""
     names, real = [], simulation.run
 
@@ -194,6 +188,7 @@ CHANGES = {
     "link.drop_probability": 0.1,
     "safety": {},
     "bounds.position": 0.02,
+    "compiled": True,
 }
 
 
@@ -216,12 +211,12 @@ def test_the_content_of_the_weights_file_is_in_the_key(tmp_path):
 
 
 def test_the_package_s_own_weights_are_in_the_key(tmp_path, monkeypatch):
-    from stewart_drake.campaigns import run_store as runs
+    from stewart_drake.campaigns import identity
 
     ann = SHORT.replace({"tuner": {"kind": "ann"}})
     before, fixed = run_key(ann), run_key(SHORT)
     make_network().save(tmp_path / "other.json")
-    monkeypatch.setattr(runs, "default_network_path", lambda: tmp_path / "other.json")
+    monkeypatch.setattr(identity, "default_network_path", lambda: tmp_path / "other.json")
     assert run_key(ann) != before
     assert run_key(SHORT) == fixed
 
