@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+_MAKE: Any = namedtuple  # mypy takes literal names alone
+
 
 def _fields(name: str, **sizes: int) -> Any:
     """Where each field of a flat vector begins, by name; `size` is the length of all."""
-    fields: Any = namedtuple(name, [*sizes, "size"])
-    return fields(0, *itertools.accumulate(sizes.values()))
+    return _MAKE(name, [*sizes, "size"])(0, *itertools.accumulate(sizes.values()))
 
 
 def filled(fields: Any, **values: Any) -> np.ndarray:
