@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from stewart_drake.control.network import load_network as load_network
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.leg import LegParameters as LegParameters
     from stewart_drake.logs.log import SimulationLog as SimulationLog
     from stewart_drake.logs.log import load_log as load_log
     from stewart_drake.logs.metric_table import Metric as Metric
@@ -81,6 +82,7 @@ _HOME = {
     "paper_reference": "references",
     "forward_dynamics": "mechanics.dynamics",
     "inverse_dynamics": "mechanics.dynamics",
+    "LegParameters": "leg",
     "RobotParameters": "robot",
     "on_grid": "sampling",
     "AnnTuner": "scenario",

@@ -1,4 +1,4 @@
-"""Every kind of controller, tuner, sensor, reference and disturbance: its section, and the LeafSystem that runs it.
+"""Every kind of controller, tuner, sensor, reference, disturbance: its section, and the LeafSystem that runs it.
 
 A kind is one line here. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor
 what the scenario does not name. `Family.add` takes a kind from outside of the package.
@@ -7,15 +7,17 @@ what the scenario does not name. `Family.add` takes a kind from outside of the p
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
-from typing import Any
+from typing import Annotated, Any, Self
 
-from pydantic import GetJsonSchemaHandler, TypeAdapter
+from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Section
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.section import Section, Text, check_plain, to_plain
 from stewart_drake.wording import as_problem, chosen, either
 
 _PACKAGE = __name__.partition(".")[0]
@@ -28,29 +30,42 @@ class Family:
         lines: Kind -> its section and, where it has one, the LeafSystem or function that builds its part of the
             Diagram: `module:name` in this package, or the thing itself.
         default: Kind where the key is absent; None where it is required.
+        own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
+            `of(kind, rest)`: an import path, a class or an object, and the other keys.
+        method: What an object of the user's own has; None for classes alone.
         without: Kinds that are not taken here.
     """
 
     def __init__(
-        self, lines: dict[str, tuple[Any, ...]], default: str | None = None, without: tuple[str, ...] = ()
+        self,
+        lines: dict[str, tuple[Any, ...]],
+        default: str | None = None,
+        own: str | None = None,
+        method: str | None = None,
+        without: tuple[str, ...] = (),
     ) -> None:
         self.default = default
-        self._lines, self._without = lines, without
+        self._lines, self._own, self._method, self._without = lines, own, method, without
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some."""
-        return Family(self._lines, self.default, (*self._without, *kinds))
+        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds))
 
     @property
     def kinds(self) -> list[str]:
         """Names of the kinds."""
         return [kind for kind in self._lines if kind not in self._without]
 
+    @property
+    def words(self) -> list[str]:
+        """The kinds, and how a user's own is written."""
+        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
+
     def add(self, section: type[Section], system: Any = None) -> None:
         """Adds a kind: its section, whose `kind` has its name as the default, and what runs it."""
         self._lines[section.__pydantic_fields__["kind"].default] = (section, system)
 
-    def section(self, kind: Any) -> type[Section] | None:
+    def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""
         known = isinstance(kind, str) and kind in self._lines and kind not in self._without
         return self._get(kind, 0) if known else None
@@ -59,33 +74,48 @@ class Family:
         """What builds the part of the Diagram for a kind."""
         return self._get(kind, 1)
 
-    def section_of(self, data: Any) -> type[Section] | None:
+    def section_of(self, data: Any) -> Any:
         """Class of a section that is written, or made; None where it is not one of these."""
-        if isinstance(data, Mapping):
-            return self.section(data.get("kind", self.default))
-        found = self.section(getattr(data, "kind", None))
-        return found if found is not None and isinstance(data, found) else None
+        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
+        found = self._own_section if self._is_own(kind) else self.section(kind)
+        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
 
     def _get(self, kind: str, column: int) -> Any:
         line = self._lines[kind]
         if isinstance(line[column], str):
-            module, _, name = line[column].partition(":")
-            found = attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
-            line = self._lines[kind] = (*line[:column], found, *line[column + 1 :])
+            line = self._lines[kind] = (*line[:column], _import(line[column]), *line[column + 1 :])
         return line[column]
 
+    @property
+    def _own_section(self) -> Any:
+        return None if self._own is None else _import(self._own)
+
+    def _is_own(self, kind: Any) -> bool:
+        """Whether a kind is a user's import path, class or object."""
+        if self._own is None or kind is None or isinstance(kind, Section):
+            return False
+        if isinstance(kind, str):
+            return ":" in kind
+        return isinstance(kind, type) or hasattr(kind, self._method or "")
+
     def _validate(self, value: Any) -> Any:
+        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
+            value = value()
+        elif not isinstance(value, (Mapping, Section)) and self._is_own(value):
+            value = {"kind": value}
         section = self.section_of(value)
         if isinstance(value, Mapping):
+            if section is not None and self._is_own(value.get("kind")):
+                return section.of(value["kind"], {key: each for key, each in value.items() if key != "kind"})
             if section is not None:
                 return section.__pydantic_validator__.validate_python(value)
             missing = "kind" not in value
-            allowed = f"{either(self.kinds)}; this key is required" if missing else chosen(value["kind"], self.kinds)
+            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
             raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
         if section is not None:
             return value
         if isinstance(value, Section):
-            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.kinds)))
+            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
         raise PydanticCustomError("section", "a section")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
@@ -93,7 +123,73 @@ class Family:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         # What `json_schema` makes references of: pydantic knows only those that it made itself.
-        return {"kinds": {kind: self.section(kind) for kind in self.kinds}, "default kind": self.default}
+        own = {} if self._own is None else {"": self._own_section}
+        return {"kinds": {kind: self.section(kind) for kind in self.kinds} | own, "default kind": self.default}
+
+
+class UserMade(Section):
+    """Base of sections for what a class of the user's own makes.
+
+    In a file `kind` is the import path of the class; in Python the class itself, or an object, may stand there, or in
+    place of the whole section.
+    """
+
+    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
+    code is run."""
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    """Keyword arguments of the constructor, plain values."""
+
+    @classmethod
+    def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
+        """The section of a class or object that was given in Python, or of an import path."""
+        path = kind if isinstance(kind, str) else path_of(kind)
+        made: Self = cls.__pydantic_validator__.validate_python({"kind": path, **rest})
+        if not isinstance(kind, str):
+            vars(made)["given"] = kind
+        return made
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        check_plain("arguments", self.arguments)
+
+    @property
+    def source(self) -> UserClass:
+        """Where the class comes from."""
+        return UserClass(self.kind, f"{self.section_key}.kind", vars(self).get("given"))
+
+    @cached_property
+    def made(self) -> Any:
+        """The object.
+
+        Raises:
+            ConfigurationError: See `UserClass.construct`.
+        """
+        return self.source.construct(self.arguments, {})
+
+
+def given_again(section: Any) -> Any:
+    """A section in plain values, but for what was given in Python and has no other form."""
+    if isinstance(section, (list, tuple)):
+        return [given_again(each) for each in section]
+    if not isinstance(section, Section):
+        return to_plain(section)
+    data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
+    if "given" in vars(section):
+        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": vars(section)["given"]}
+    return data
+
+
+def user_sources(section: Any) -> list[UserClass]:
+    """Every class of the user's own in a section, and in those inside."""
+    found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []
+    inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
+    return found + [each for part in inside for each in user_sources(part)]
+
+
+def _import(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
 
 
 def json_schema(root: Any) -> dict[str, Any]:
@@ -139,7 +235,9 @@ REFERENCES = Family(
         "recorded": ("references.recorded:RecordedReference",),
         "sum": ("references.combined:SumReference",),
         "adjusted": ("references.combined:AdjustedReference",),
-    }
+    },
+    own="references.user_reference:UserReference",
+    method="evaluate",
 )
 CONTROLLERS = Family(
     {
@@ -152,6 +250,8 @@ CONTROLLERS = Family(
         "python": ("control.user_controller:PythonOptions", "systems.user_controller:load_user_controller"),
     },
     default="lqi",
+    own="control.user_controller:PythonOptions",
+    method="GetInputPort",
 )
 TUNERS = Family(
     {
@@ -166,6 +266,8 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
+MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),
@@ -173,5 +275,7 @@ DISTURBANCES = Family(
         "impulse": ("hardware.disturbances:ImpulseWrench",),
         "sine": ("hardware.disturbances:SineWrench",),
         "noise": ("hardware.disturbances:NoiseWrench",),
-    }
+    },
+    own="hardware.disturbances:UserDisturbance",
+    method="evaluate",
 )

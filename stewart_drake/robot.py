@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,44 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import SECTION, Count, NotNegative, Positive, Real, Vector3, is_finite, plain
+from stewart_drake.leg import LEGS, PARALLEL, Legs, check_size, read_legs
+from stewart_drake.section import SECTION, Count, NotNegative, Positive, Real, Vector3, plain
 
-LEGS = 6
-SMALLEST, LARGEST = 1e-12, 1e6
-"""Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
-
-
-_PARALLEL = 1e-6
-"""How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LegParameters:
-    """What one leg has of its own; null is that of the symmetric robot."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    shaft_position: Vector3 | None = None
-    """[m] centre of the motor shaft in B."""
-    crank_zero_direction: Vector3 | None = None
-    """[-] unit vector in B along which the crank points at theta = 0."""
-    crank_quarter_direction: Vector3 | None = None
-    """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
-    platform_joint: Vector3 | None = None
-    """[m] joint centre in P."""
-    crank_length: Positive | None = None
-    """[m] shaft to crank tip."""
-    rod_length: Positive | None = None
-    """[m] crank tip to platform joint."""
-    branch: Count | None = None
-    """Sign of the acos in the inverse kinematics: -1 or +1."""
-    crank_angle_range: tuple[Real, Real] | None = None
-    """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
-
-
-Legs = tuple[LegParameters, LegParameters, LegParameters, LegParameters, LegParameters, LegParameters]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +95,11 @@ class RobotParameters:
         for field in dataclasses.fields(self):
             given = plain(getattr(self, field.name))
             if field.name == "legs":
-                given = given if given is None else _legs(given)
+                given = given if given is None else read_legs(given)
             else:
-                _check(f"robot.{field.name}", given, signed=field.name in _SIGNED, zero=field.name == "rotor_inertia")
+                check_size(
+                    f"robot.{field.name}", given, signed=field.name in _SIGNED, zero=field.name == "rotor_inertia"
+                )
             # Lists and numpy's numbers will do, and become what can be hashed and written to a file.
             object.__setattr__(self, field.name, given)
         if self.branch not in (-1, 1):
@@ -154,8 +122,20 @@ class RobotParameters:
                 raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
         _check_directions(self)
         # A robot that cannot stand at home has no SDF.
-        margin = self.reach_margin(self.platform_joints + self.home_pose[3:] - self.shaft_positions)
-        if margin.min() <= 0.0:
+        span = (self.platform_joints + self.home_pose[3:] - self.shaft_positions).T
+        directions = self.crank_zero_directions.T, self.crank_quarter_directions.T
+        along, up, constant = crank_equation(span, *directions, self.crank_lengths, self.rod_lengths)
+        size = np.hypot(along, up)
+        margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
+        low, high = np.clip(self.crank_angle_ranges, -1e3, 1e3).T
+        if margin.min() > 0.0:
+            theta = np.arctan2(up, along) + self.branches * np.arccos(constant / size)
+            off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi
+            if (beyond := np.abs(off) > 0.5 * (high - low)).any():
+                leg = int(beyond.argmax())
+                allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
+                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (low[leg], high[leg]), allowed)
+        else:
             leg = int(margin.argmin())
             raise ConfigurationError(
                 "robot.home_height",
@@ -282,27 +262,6 @@ class RobotParameters:
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
-    def crank_equation(self, span: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and C / sqrt(A^2 + B^2) of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
-
-        Args:
-            span: (..., 6, 3) [m] from motor shaft to platform joint, the L_i of (2).
-
-        Returns:
-            A (..., 6) [m^2], B (..., 6) [m^2] and the ratio (..., 6) [-], infinite where the platform joint lies on the
-            motor axis.
-        """
-        a = self.crank_lengths
-        along = 2.0 * a * np.sum(span * self.crank_zero_directions, axis=-1)
-        up = 2.0 * a * np.sum(span * self.crank_quarter_directions, axis=-1)
-        constant = np.sum(span * span, axis=-1) + a * a - self.rod_lengths**2
-        size = np.hypot(along, up)
-        return along, up, np.divide(constant, size, out=np.full_like(constant, np.inf), where=size > 0.0)
-
-    def reach_margin(self, span: np.ndarray) -> np.ndarray:
-        """1 - |C| / sqrt(A^2 + B^2) of each leg (..., 6), for spans (..., 6, 3) [m]; negative: the rod cannot span."""
-        return 1.0 - np.abs(self.crank_equation(span)[2])
-
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.
 
@@ -329,15 +288,27 @@ class RobotParameters:
         return _frozen(symmetric)
 
 
+def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
+    """A, B, C of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid. Any arrays; components first.
+
+    Args:
+        span: (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2).
+        zero: (3, 6, ...) [-] direction of each crank at theta = 0.
+        quarter: (3, 6, ...) [-] at theta = pi/2.
+        crank: (6, ...) [m] lengths.
+        rod: (6, ...) [m] lengths.
+
+    Returns:
+        (6, ...) [m^2] each.
+    """
+    twice = 2.0 * crank
+    along = twice * (span[0] * zero[0] + span[1] * zero[1] + span[2] * zero[2])
+    up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
+    constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
+    return along, up, constant
+
+
 _SIGNED = {"shaft_height", "branch", "crank_plane_angle", "platform_products", "platform_center_of_mass"}
-
-
-def _check(key: str, given: Any, *, signed: bool, zero: bool = False) -> None:
-    low = -LARGEST if signed else 0.0 if zero else SMALLEST
-    values = given if isinstance(given, tuple) else (given,)
-    if not all(is_finite(value) and low <= value <= LARGEST for value in values):
-        kind = f"finite numbers from {low:g} to {LARGEST:g}" if signed or zero else f"positive numbers to {LARGEST:g}"
-        raise ConfigurationError(key, given, kind)
 
 
 def _check_three(name: str, value: Any, allowed: str) -> None:
@@ -345,47 +316,15 @@ def _check_three(name: str, value: Any, allowed: str) -> None:
         raise ConfigurationError(f"robot.{name}", value, allowed)
 
 
-def _legs(given: Any) -> Legs:
-    """Six checked legs out of sections, mappings or null.
-
-    Raises:
-        ConfigurationError: Not six; or a value that no robot can have.
-    """
-    if not isinstance(given, tuple) or len(given) != LEGS:
-        raise ConfigurationError("robot.legs", given, f"null, or {LEGS} sections")
-    return tuple(_leg(f"robot.legs.{leg}", each) for leg, each in enumerate(given))  # type: ignore[return-value]
-
-
-def _leg(key: str, given: Any) -> LegParameters:
-    known = [field.name for field in dataclasses.fields(LegParameters)]
-    if isinstance(given, LegParameters):
-        given = {name: getattr(given, name) for name in known}
-    given = {} if given is None else given
-    if not isinstance(given, Mapping) or not set(given) <= set(known):
-        raise ConfigurationError(key, given, f"a section with keys such as {', '.join(known)}")
-    values = {name: plain(value) for name, value in given.items() if value is not None}
-    for name, value in values.items():
-        size = {"branch": 1, "crank_length": 1, "rod_length": 1, "crank_angle_range": 2}.get(name, 3)
-        if (len(value) if isinstance(value, tuple) else 1) != size:
-            raise ConfigurationError(f"{key}.{name}", value, f"{size} numbers" if size > 1 else "a number")
-        _check(f"{key}.{name}", value, signed=not name.endswith("length"))
-    if values.get("branch", 1) not in (-1, 1):
-        raise ConfigurationError(f"{key}.branch", values["branch"], "-1 or 1")
-    low, high = values.get("crank_angle_range", (-math.pi, math.pi))
-    if not low < high <= low + 2.0 * math.pi:
-        raise ConfigurationError(f"{key}.crank_angle_range", (low, high), "two angles, rising, within one turn")
-    return LegParameters(**values)
-
-
 def _check_directions(robot: RobotParameters) -> None:
     """Refuses cranks' directions that are not perpendicular unit vectors."""
     for leg, own in enumerate(robot.legs or ()):
         for name in ("crank_zero_direction", "crank_quarter_direction"):
             given = getattr(own, name)
-            if given is not None and abs(math.hypot(*given) - 1.0) > _PARALLEL:
+            if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
                 raise ConfigurationError(f"robot.legs.{leg}.{name}", given, "a vector of length 1")
         quarter = (0.0, 0.0, 1.0) if own.crank_quarter_direction is None else own.crank_quarter_direction
-        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > _PARALLEL:
+        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
             allowed = "a direction at a right angle to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
 

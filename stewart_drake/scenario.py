@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Iterable, Mapping
@@ -23,13 +24,14 @@ from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, json_schema
-from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema
+from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, NotNegative, Positive, Section, Text, Vector6
@@ -129,7 +131,7 @@ class Scenario(Section):
         Raises:
             ConfigurationError: As for the class.
         """
-        data = self.to_dict()
+        data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
         for key, value in changes.items():
             _assign(data, key, value)
         return Scenario.from_dict(data)
@@ -258,6 +260,8 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
     for depth, part in enumerate(parents):
         if section.get(part) is None:
             section[part] = {}
+        elif dataclasses.is_dataclass(section[part]):
+            section[part] = given_again(section[part])
         section = section[part]
         if not isinstance(section, dict):
             name = ".".join(map(shown, parents[: depth + 1]))

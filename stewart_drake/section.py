@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import math
 from collections.abc import Mapping
 from functools import lru_cache, wraps
@@ -95,6 +96,8 @@ class Section:
                 except ValidationError as error:
                     raise explain(type(self), error, keys, type(self).section_key) from None
 
+        if any(field.annotation == dict[str, Any] for field in cls.__pydantic_fields__.values()):
+            cls.__hash__ = lambda self: hash(repr(self))  # type: ignore[method-assign]
         cls.__init__ = init  # type: ignore[method-assign, assignment]
 
     @classmethod
@@ -176,6 +179,14 @@ def is_finite(value: Any) -> bool:
         return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
         return False
+
+
+def check_plain(key: str, value: Any) -> None:
+    """Raises a `ConfigurationError` for what is not plain values, such as a file can hold."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ConfigurationError(key, value, f"plain values, all numbers finite ({error})") from None
 
 
 def check_value(key: str, value: Any, kind: Any) -> None:

@@ -27,7 +27,7 @@ _SHOWN_KEY = 60
 class _Family(Protocol):
     """See `registry.Family`."""
 
-    kinds: Sequence[str]
+    words: Sequence[str]
 
     def section_of(self, data: Any) -> Any:
         """Class of a section that is written, or made."""
@@ -204,7 +204,7 @@ def describe(annotation: Any, unit: str = "") -> str:
     """A type in words, with its bounds, the unit of its field, and whether null will do."""
     one, suffix, family = _one(annotation), _or_null(annotation), _family(annotation)
     if family is not None:
-        return f"a section, with kind: {either(family.kinds)}{suffix}"
+        return f"a section, with kind: {either(family.words)}{suffix}"
     if get_origin(one) is Literal:
         return either([str(option) for option in get_args(one)]) + suffix
     if one is bool:

@@ -24,6 +24,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 ROOT = Path(__file__).parent.parent
+pytest_plugins = ("quick_report",)
 
 
 def python(*arguments):

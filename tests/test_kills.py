@@ -69,14 +69,13 @@ def module(key):
     def make(study):
         changes = [{{"duration": 0.2, "initial_offset": [0.0] * 5 + [i * 1e-3]}} for i in range(4)]
         logs = study.store.run_all([study.base.replace(change) for change in changes])
-        made = Section(key, key, "claim", "verdict")
-        made.numbers = {{"end": [float(log["pose"][-1, 0]) for log in logs]}}
+        numbers = {{"end": [float(log["pose"][-1, 0]) for log in logs]}}
         figure = Figure()
         figure.subplots().plot(logs[0].time, logs[0]["pose"])
-        made.figure("a line", study.save_figure(figure, key))
-        (study.folder / f"{{key}}.txt").write_text(str(made.numbers))
-        made.files.append(f"{{key}}.txt")
-        return made
+        file = study.save_figure(figure, key)
+        (study.folder / f"{{key}}.txt").write_text(str(numbers))
+        return Section(key, key, "claim", "verdict", f"![a line](figures/{{file}})", numbers,
+                       [f"figures/{{file}}", f"{{key}}.txt"])
 
     found = ModuleType(key)
     found.make = make

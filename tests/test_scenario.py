@@ -206,7 +206,11 @@ WRONG = [
     ("tuner.kind", {"tuner": {}}, "fixed, ann or block; this key is required"),
     ("tuner.kind", {"tuner": {"kind": "anm"}}, "fixed, ann or block"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
-    ("reference.kind", {"reference": {"center": []}}, "spline, recorded, sum or adjusted; this key is required"),
+    (
+        "reference.kind",
+        {"reference": {"center": []}},
+        "spline, recorded, sum, adjusted or module:Class; this key is required",
+    ),
     ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine, sine_bursts, breathing"),
     ("reference.kind", {"reference": {"kind": 3}}, "got 3; allowed: hold, sine, sine_bursts, breathing"),
     ("reference.kind", {"reference": {"kind": ["sine"]}}, "hold, sine, sine_bursts, breathing"),

@@ -31,18 +31,19 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
     """
-    from stewart_drake.control.user_controller import MAX_BYTES, PythonOptions
+    from stewart_drake.files.user_code import MAX_BYTES
     from stewart_drake.files.whole import read_checked
+    from stewart_drake.registry import user_sources
     from stewart_drake.runs.motion_fit import fit_amplitude, fit_speed, motion_report
     from stewart_drake.scenario import load_scenario
 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs one of --scale and --retime")
     loaded = load_scenario(scenario, overrides)
-    if isinstance(loaded.controller, PythonOptions):
-        click.echo(f"runs code: {loaded.controller.code}")
-        if loaded.controller.file is not None:
-            read_checked(loaded.controller.file, f"controller file {loaded.controller.file}", MAX_BYTES)
+    for source in user_sources(loaded):
+        click.echo(f"runs code: {source.code}")
+        if source.file is not None:
+            read_checked(source.file, f"controller file {source.file}", MAX_BYTES)
     report = motion_report(loaded)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}

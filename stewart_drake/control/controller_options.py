@@ -48,11 +48,6 @@ class ControllerOptions(Section, key="controller"):
         """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
         return None
 
-    @property
-    def own_module(self) -> str | None:
-        """Module or package that the user's frames in a traceback are of."""
-        return None
-
     def limit(self, robot: RobotParameters) -> float:
         """[N m] of a motor's torque."""
         return robot.effort_limit

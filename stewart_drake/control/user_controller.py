@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import inspect
-import json
-import linecache
-import re
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.installed import distribution_of
-from stewart_drake.control.user_errors import UserCode, describe
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import read_checked
-from stewart_drake.section import Positive, Text
-
-MAX_BYTES = 1_000_000
-"""Of a file with a controller."""
-_NAME = r"[A-Za-z_]\w*"
-_PATH = re.compile(rf"(?P<file>.+\.py):{_NAME}|(?P<module>{_NAME}(?:\.{_NAME})*):{_NAME}")
-CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
-CLASS_WORDS = "module:Class or path/to/file.py:Class"
-_FILES = "stewart_drake_user"
-"""Package that modules made from a user's files count to; there is none of this name."""
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.files.user_errors import UserCode
+from stewart_drake.registry import user_sources
+from stewart_drake.section import Positive, Text, check_plain
 
 
 class PythonOptions(ControllerOptions):
-    """A user's LeafSystem by import path.
+    """A user's LeafSystem by import path; `kind` may be that path itself.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
     Ports that it may have: input weights, (2,) or (4,) as the tuner gives; outputs error (6,) and integral (6,), both
@@ -57,61 +39,42 @@ class PythonOptions(ControllerOptions):
 
     def rules(self) -> None:
         """See `Section.rules`."""
-        try:
-            json.dumps(self.arguments, allow_nan=False)
-        except (TypeError, ValueError, RecursionError) as error:
-            raise ConfigurationError("arguments", self.arguments, f"plain, finite values ({error})") from None
+        check_plain("arguments", self.arguments)
+
+    @classmethod
+    def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
+        """Options for a class or object that was given in Python, or an import path."""
+        if isinstance(kind, str):
+            return cls.__pydantic_validator__.validate_python({"system": kind, **rest})
+        made: PythonOptions = cls.__pydantic_validator__.validate_python({"system": path_of(kind), **rest})
+        vars(made)["given"] = kind
+        return made
+
+    @property
+    def source(self) -> UserClass:
+        """Where the class comes from."""
+        return UserClass(self.system, "controller.system", vars(self).get("given"))
 
     @property
     def file(self) -> Path | None:
-        """The file that the class is in; None where it is in a module to import."""
-        match = _PATH.fullmatch(self.system)
-        assert match is not None
-        return Path(match["file"]) if match["file"] else None
+        """See `UserClass.file`."""
+        return self.source.file
 
     @property
     def code(self) -> str:
-        """What is run: the path of the file, or the module with the installed package that it is part of.
-
-        Raises:
-            ConfigurationError: The module is part of none.
-        """
-        if self.file is not None:
-            return str(self.file)
-        module = self._module
-        distribution = distribution_of(module)
-        if distribution is None:
-            own = f"{module.rpartition('.')[2]}.py:{self.system.rpartition(':')[2]}"
-            allowed = f"a class of an installed package, or for a file of your own {own}"
-            raise ConfigurationError("controller.system", self.system, allowed)
-        return f"{module} (installed with {distribution})"
-
-    @property
-    def _module(self) -> str:
-        return self.system.rpartition(":")[0]
-
-    @property
-    def own_module(self) -> str:
-        """See `ControllerOptions`."""
-        return _FILES if self.file is not None else self._module.partition(".")[0]
+        """See `UserClass.code`."""
+        return self.source.code
 
 
 def load_class(options: PythonOptions) -> type:
-    """The class that `options.system` names; it is not called.
+    """The class that `options` name; it is not called.
 
     Raises:
-        ConfigurationError: Its module is no file of the user's and of no installed package, and then not imported; it
-            cannot be imported; the class is not there, or no System of pydrake.
+        ConfigurationError: See `UserClass.load`; it is no System of pydrake.
     """
     from pydrake.systems.framework import System
 
-    _, _, name = options.system.rpartition(":")
-    source = options.code
-    with _refused(options, f"a module that can be imported, with a class {name}"):
-        module = importlib.import_module(options._module) if options.file is None else _load_file(Path(source))
-        found = getattr(module, name)
-    if not isinstance(found, type):
-        raise ConfigurationError("controller.system", options.system, f"a class; {name} is a {type(found).__name__}")
+    found = options.source.load()
     if not issubclass(found, System):
         raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
     return found
@@ -123,47 +86,10 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     Raises:
         ConfigurationError: See `load_class`; the constructor raises.
     """
-    kind = load_class(options)
-    arguments = dict(options.arguments)
-    with _refused(options, "a constructor that takes controller.arguments and does not raise"):
-        for name, parameter in inspect.signature(kind).parameters.items():
-            if name in offered and parameter.kind is not inspect.Parameter.VAR_KEYWORD:
-                arguments.setdefault(name, offered[name])
-        return kind(**arguments)
+    load_class(options)
+    return options.source.construct(options.arguments, offered)
 
 
-def user_code(options: ControllerOptions) -> UserCode:
-    """The guard around what may call a controller of the user's, see `UserCode`; none for `options` of other kinds."""
-    return UserCode(options.own_module)
-
-
-@contextmanager
-def _refused(options: PythonOptions, allowed: str) -> Iterator[None]:
-    try:
-        yield
-    except (ConfigurationError, KeyboardInterrupt):
-        raise
-    except BaseException as error:
-        what, _ = describe(error, error.__traceback__, options.own_module)
-        raise ConfigurationError("controller.system", options.system, f"{allowed} ({what})") from error
-
-
-def _load_file(path: Path) -> ModuleType:
-    content = read_checked(path, f"controller file {path}", MAX_BYTES)
-    # By content: an edited file is another module, and two files of one name are two.
-    name = f"{_FILES}.{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    module = ModuleType(name)
-    module.__file__ = str(path)
-    sys.modules[name] = module
-    try:
-        # What was read is what runs; the lines of a traceback are its lines too.
-        code = compile(content, str(path), "exec")
-        text = content.decode(errors="replace")
-        linecache.cache[str(path)] = (len(text), None, text.splitlines(keepends=True), str(path))
-        exec(code, vars(module))
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+def user_code(section: Any) -> UserCode:
+    """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
+    return UserCode(*(source.own_module for source in user_sources(section)))

@@ -17,7 +17,8 @@ MAX_BYTES = 100_000_000
 """Of any file that is named."""
 
 _CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
-"""A class in a file, as `controller.system` has it."""
+"""A class in a file, as `kind` and `controller.system` have it."""
+CLASS_KEYS = ("system", "kind")
 FILE_KEYS = ("weights_file", "motion_file")
 
 
@@ -38,7 +39,7 @@ def anchor_files(data: Any, folder: Path) -> None:
             top = os.path.abspath(folder)  # noqa: PTH100 - Path.absolute leaves `..` in
             found = os.path.normpath(os.path.join(top, path))  # noqa: PTH118
             if not Path(found).is_relative_to(top):
-                raise ConfigurationError("controller.system", section[key], f"a file in {top} or below")
+                raise ConfigurationError(_key(key), section[key], f"a file in {top} or below")
             section[key] = f"{found}{name}"
         elif not Path(path).is_absolute():
             section[key] = str((folder / path).absolute())
@@ -51,18 +52,27 @@ def take_code_along(scenario: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
         scenario: From `Scenario.to_dict`.
 
     Returns:
-        A copy with the controller's file relative to it, and that file, name -> content; none for other controllers.
+        A copy with the files of the user's classes relative to it, and those files, name -> content.
 
     Raises:
-        ConfigurationError: The file cannot be read.
+        ConfigurationError: A file cannot be read, or two have one name.
     """
     data: dict[str, Any] = copy.deepcopy(dict(scenario))
-    match = _CLASS.fullmatch(str(data["controller"].get("system")))
-    if match is None:
-        return data, {}
-    path = Path(match["file"])
-    data["controller"]["system"] = f"{path.name}{match['name']}"
-    return data, {path.name: read_checked(path, f"controller file {path}", MAX_BYTES)}
+    files: dict[str, tuple[Path, bytes]] = {}
+    for section, key in list(_places(data)):
+        text, name = _split(section[key])
+        if not name:
+            continue
+        path = Path(text)
+        content = read_checked(path, f"controller file {path}", MAX_BYTES)
+        if files.setdefault(path.name, (path, content)) != (path, content):
+            raise ConfigurationError(_key(key), section[key], f"a file of another name than {files[path.name][0]}")
+        section[key] = f"{path.name}{name}"
+    return data, {name: content for name, (_, content) in files.items()}
+
+
+def _key(key: Any) -> str:
+    return str(key) if str(key).rpartition(".")[2] == "kind" else "controller.system"
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
@@ -104,7 +114,7 @@ def _places(data: Any) -> Iterator[tuple[Any, Any]]:
             if _is_file(leaf, value):
                 yield section, key
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, "system") and isinstance(value, list):
+            elif leaf == "values" and name in (*FILE_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 yield from ((value, index) for index, path in enumerate(value) if _is_file(name, path))
             else:
                 waiting.append((leaf, value))
@@ -114,7 +124,7 @@ def _is_file(key: str, value: Any) -> bool:
     """Whether a value names a file, given the last part of its key."""
     if not isinstance(value, str):
         return False
-    return key in FILE_KEYS or (key == "system" and _CLASS.fullmatch(value) is not None)
+    return key in FILE_KEYS or (key in CLASS_KEYS and _CLASS.fullmatch(value) is not None)
 
 
 def _split(value: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
 from ruamel.yaml.nodes import Node, ScalarNode
+from ruamel.yaml.representer import SafeRepresenter
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, read_checked
@@ -114,9 +115,21 @@ def to_yaml(data: Any) -> str:
     yaml.default_flow_style = None
     yaml.width = 120
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.Representer = _Representer
     stream = StringIO()
     yaml.dump(data, stream)
     return stream.getvalue()
+
+
+class _Representer(SafeRepresenter):
+    """Escapes Unicode's own line breaks, which a reader would fold into spaces."""
+
+    def represent_str(self, data: str) -> Any:
+        style = '"' if any(mark in data for mark in "\x85\u2028\u2029") else None
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+
+
+_Representer.add_representer(str, _Representer.represent_str)
 
 
 class _TooLargeError(Exception):

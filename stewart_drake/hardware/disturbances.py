@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import DISTURBANCES
+from stewart_drake.registry import DISTURBANCES, UserMade
 from stewart_drake.section import NotNegative, Positive, Real, Section, Seed, Vector6
 
 _SINES = 64
@@ -123,6 +123,23 @@ class NoiseWrench(Section, key="disturbances"):
         rng = np.random.default_rng(self.seed)
         share = (np.arange(_SINES) + rng.random((6, _SINES))) / _SINES
         return self.low + (self.high - self.low) * share, rng.uniform(0.0, 2.0 * math.pi, (6, _SINES))
+
+
+class UserDisturbance(UserMade, key="disturbances"):
+    """What a class of the user's own says with `evaluate(time)`: a wrench (6,) [N m, N] at a time."""
+
+    def evaluate(self, time: float | np.ndarray) -> np.ndarray:
+        """See `total_wrench`.
+
+        Raises:
+            ConfigurationError: The class cannot be used, or answers something else.
+        """
+        times = np.asarray(time, dtype=float)
+        found = np.array([self.made.evaluate(float(each)) for each in times.ravel()], dtype=float)
+        if found.shape != (times.size, 6):
+            allowed = f"a class whose evaluate(t) returns a wrench (6,), not {found.shape[1:]}"
+            raise ConfigurationError(self.source.key, self.kind, allowed)
+        return found.reshape(*times.shape, 6)
 
 
 class Disturbance(Protocol):

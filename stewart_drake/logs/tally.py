@@ -76,6 +76,7 @@ class Tally:
     def __post_init__(self) -> None:
         scenario = self.scenario
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
+        self._monitors = MONITORS if scenario.safety is None else scenario.safety.monitor_names
         self._limit = scenario.controller.limit(scenario.robot)
         # A controller that limits the torque itself asks for the limit and no more.
         self._asks_for_more = scenario.controller.asks_for_more
@@ -252,7 +253,7 @@ class Tally:
         elif len(begins):
             _, monitor, leg = signals["safety"][begins[-1]]
             where = int(leg) if leg >= 0.0 else None
-            self._held = {"monitor": MONITORS[int(monitor)], "time": float(time[begins[-1]]), "leg": where}
+            self._held = {"monitor": self._monitors[int(monitor)], "time": float(time[begins[-1]]), "leg": where}
 
     def _add_weights(self, signals: Mapping[str, np.ndarray], tick: np.ndarray) -> None:
         if "weights" in signals and tick.any():

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, last, namespace
 from stewart_drake.mechanics.kinematics import LegGeometry, leg_geometry, rod_lines
-from stewart_drake.robot import RobotParameters
 
 ForceMapKind = Literal["printed", "statics"]
 
@@ -22,10 +21,10 @@ def rod_map(legs: LegGeometry) -> np.ndarray:
     Returns:
         (..., 6, 6) [m, -].
     """
-    return np.swapaxes(rod_lines(legs), -1, -2)
+    return namespace(legs.e_l).matrix_transpose(rod_lines(legs))
 
 
-def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+def crank_map(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
     """Diagonal of tau_2 of (16): force in a rod per unit of motor torque.
 
     `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
@@ -37,20 +36,21 @@ def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> 
     Raises:
         ConfigurationError: Another `kind`.
     """
+    cranks = last(namespace(legs.e_l), arrays_of(robot, legs.e_l).cranks, 1)
     if kind == "printed":
-        return legs.transmission / robot.crank_lengths
+        return legs.transmission / cranks
     if kind != "statics":
         raise ConfigurationError("force_map", kind, "statics or printed")
     with np.errstate(divide="ignore"):
-        return 1.0 / (robot.crank_lengths * legs.transmission)
+        return 1.0 / (cranks * legs.transmission)
 
 
-def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+def force_map_of_legs(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
     """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
     return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
 
 
-def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
+def force_map(robot: AnyRobot, pose: Array, kind: ForceMapKind = "statics") -> np.ndarray:
     """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
 
     Args:

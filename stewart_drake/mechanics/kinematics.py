@@ -1,7 +1,8 @@
 """Inverse and forward kinematics of the 6-RSS platform, (1)-(6), and their Jacobians.
 
 Poses are [roll, pitch, yaw, X, Y, Z] of P in B; R_BP = Rz(yaw) Ry(pitch) Rx(roll), the inverse of the paper's (3). A
-twist is [w, v]: angular velocity of P and velocity of its origin, both in B. All is vectorised over leading axes.
+twist is [w, v]: angular velocity of P and velocity of its origin, both in B. All is vectorised over leading axes and
+takes arrays of numpy or of any other namespace of the Array API; `kinematics_core` has the same without a check.
 """
 
 from __future__ import annotations
@@ -9,13 +10,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.mechanics import kinematics_core as core
+from stewart_drake.mechanics.arrays import (
+    AnyRobot,
+    Array,
+    Robot,
+    arrays_of,
+    as_array,
+    first,
+    in_blocks,
+    last,
+    namespace,
+    to_numpy,
+)
+from stewart_drake.mechanics.arrays import cross as cross_of_components
 from stewart_drake.robot import RobotParameters
 
 
-def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
+def rotation_matrix(rpy: Array) -> np.ndarray:
     """R_BP of roll, pitch, yaw; the inverse of (3).
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
@@ -26,19 +40,9 @@ def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
     Returns:
         (..., 3, 3) [-].
     """
-    rpy = np.asarray(rpy, dtype=float)
-    (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(rpy), -1, 0), np.moveaxis(np.cos(rpy), -1, 0)
-    matrix = np.empty((*rpy.shape[:-1], 3, 3))
-    matrix[..., 0, 0] = cy * cp
-    matrix[..., 0, 1] = cy * sp * sr - sy * cr
-    matrix[..., 0, 2] = cy * sp * cr + sy * sr
-    matrix[..., 1, 0] = sy * cp
-    matrix[..., 1, 1] = sy * sp * sr + cy * cr
-    matrix[..., 1, 2] = sy * sp * cr - cy * sr
-    matrix[..., 2, 0] = -sp
-    matrix[..., 2, 1] = cp * sr
-    matrix[..., 2, 2] = cp * cr
-    return matrix
+    rpy = as_array(rpy)
+    xp = namespace(rpy)
+    return xp.matrix_transpose(last(xp, core.rotation(rpy), 2))
 
 
 def rotation_angle(rotation: np.ndarray) -> np.ndarray:
@@ -66,7 +70,7 @@ def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
     )
 
 
-def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
+def euler_rate_matrix(rpy: Array) -> np.ndarray:
     """E with w_B = E(rpy) d(rpy)/dt.
 
     Args:
@@ -79,12 +83,9 @@ def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
     sp, cp = np.sin(rpy[..., 1]), np.cos(rpy[..., 1])
     sy, cy = np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
     matrix = np.zeros((*rpy.shape[:-1], 3, 3))
-    matrix[..., 0, 0] = cy * cp
-    matrix[..., 0, 1] = -sy
-    matrix[..., 1, 0] = sy * cp
-    matrix[..., 1, 1] = cy
-    matrix[..., 2, 0] = -sp
-    matrix[..., 2, 2] = 1.0
+    matrix[..., 0, 0], matrix[..., 0, 1] = cy * cp, -sy
+    matrix[..., 1, 0], matrix[..., 1, 1] = sy * cp, cy
+    matrix[..., 2, 0], matrix[..., 2, 2] = -sp, 1.0
     return matrix
 
 
@@ -103,15 +104,13 @@ def euler_rate_matrix_dot(rpy: np.ndarray, rpy_rate: np.ndarray) -> np.ndarray:
     sy, cy = np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
     pd, yd = rpy_rate[..., 1], rpy_rate[..., 2]
     matrix = np.zeros((*rpy.shape[:-1], 3, 3))
-    matrix[..., 0, 0] = -sy * cp * yd - cy * sp * pd
-    matrix[..., 0, 1] = -cy * yd
-    matrix[..., 1, 0] = cy * cp * yd - sy * sp * pd
-    matrix[..., 1, 1] = -sy * yd
+    matrix[..., 0, 0], matrix[..., 0, 1] = -sy * cp * yd - cy * sp * pd, -cy * yd
+    matrix[..., 1, 0], matrix[..., 1, 1] = cy * cp * yd - sy * sp * pd, -sy * yd
     matrix[..., 2, 0] = -cp * pd
     return matrix
 
 
-def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
+def pose_rate_to_twist(pose: Array, pose_rate: Array) -> np.ndarray:
     """Twist [w, v] of P in B from the pose's rate.
 
     Args:
@@ -121,12 +120,12 @@ def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
     Returns:
         (..., 6) [rad/s, m/s].
     """
-    pose, pose_rate = np.asarray(pose, dtype=float), np.asarray(pose_rate, dtype=float)
-    omega = np.einsum("...ij,...j->...i", euler_rate_matrix(pose[..., :3]), pose_rate[..., :3])
-    return np.concatenate([omega, pose_rate[..., 3:]], axis=-1)
+    pose, pose_rate = as_array(pose), as_array(pose_rate)
+    xp = namespace(pose, pose_rate)
+    return last(xp, core.twist(pose, pose_rate), 1)
 
 
-def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
+def twist_to_pose_rate(pose: Array, twist: Array) -> np.ndarray:
     """Inverse of `pose_rate_to_twist`.
 
     Args:
@@ -136,9 +135,10 @@ def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     Returns:
         (..., 6) [rad/s, m/s].
     """
-    pose, twist = np.asarray(pose, dtype=float), np.asarray(twist, dtype=float)
-    rates = np.linalg.solve(euler_rate_matrix(pose[..., :3]), twist[..., :3, None])[..., 0]
-    return np.concatenate([rates, twist[..., 3:]], axis=-1)
+    pose, twist = as_array(pose), as_array(twist)
+    xp = namespace(pose, twist)
+    moving = first(xp, twist, 1)
+    return last(xp, xp.concat([core.euler_rates(pose, moving[:3, ...]), moving[3:, ...]]), 1)
 
 
 @dataclass(frozen=True)
@@ -163,16 +163,16 @@ class LegGeometry:
     e_l: np.ndarray
     transmission: np.ndarray
 
+    def components(self) -> core.Legs:
+        """The same with components first, as `kinematics_core` takes them; no copy."""
+        xp = namespace(self.e_l)
+        rotation = first(xp, xp.matrix_transpose(self.rotation), 2)
+        arm, crank, e_n, e_l = (first(xp, vector, 2) for vector in (self.arm, self.crank, self.e_n, self.e_l))
+        return core.Legs(rotation, arm, crank, e_n, e_l, first(xp, self.transmission, 1))
 
-def _spans(robot: RobotParameters, pose: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """R (..., 3, 3), R p_i and d_i = R p_i + G - P_i, both (..., 6, 3) [m]; (2)."""
-    pose = np.asarray(pose, dtype=float)
-    rotation = rotation_matrix(pose[..., :3])
-    arm = robot.platform_joints @ np.swapaxes(rotation, -1, -2)
-    return rotation, arm, arm + pose[..., None, 3:] - robot.shaft_positions
 
-
-def reach_margin(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
+@in_blocks
+def reach_margin(robot: AnyRobot, pose: Array) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
     Args:
@@ -182,19 +182,18 @@ def reach_margin(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     Returns:
         (..., 6) [-].
     """
-    return robot.reach_margin(_spans(robot, pose)[2])
+    pose = as_array(pose)
+    return last(namespace(pose), core.reach_margin(arrays_of(robot, pose), pose), 1)
 
 
-def inverse_kinematics(robot: RobotParameters, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
-    """Crank angles that put the platform at `pose`; closed form of (1)-(6).
-
-    Deviation: (5) rotates G as well, a misplaced bracket; (6) gives one branch in degrees without A, B, C. Here
-    theta_i = atan2(B, A) + branch * acos(C / sqrt(A^2 + B^2)).
+@in_blocks
+def inverse_kinematics(robot: AnyRobot, pose: Array, branch: int | None = None) -> np.ndarray:
+    """Crank angles that put the platform at `pose`; closed form of (1)-(6), see `kinematics_core.cranks_at`.
 
     Args:
         robot: Geometry.
         pose: (..., 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of P in B.
-        branch: -1 or +1; None takes the robot's own.
+        branch: -1 or +1 for all legs; None takes the robot's own.
 
     Returns:
         (..., 6) [rad] crank angles, wrapped to (-pi, pi].
@@ -203,10 +202,11 @@ def inverse_kinematics(robot: RobotParameters, pose: ArrayLike, branch: int | No
         UnreachablePoseError: A rod cannot span; `.leg`, `.pose` and `.margin` say which, where and by how much.
         ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
     """
-    return _solve_cranks(robot, pose, branch)[0]
+    pose = as_array(pose)
+    return core.crank_angles(within_reach(core.cranks_at(*checked(robot, pose, branch)), pose))
 
 
-def leg_geometry(robot: RobotParameters, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
+def leg_geometry(robot: AnyRobot, pose: Array, branch: int | None = None) -> LegGeometry:
     """Directions of cranks and rods at `pose`, Fig. 1.
 
     Args:
@@ -217,40 +217,60 @@ def leg_geometry(robot: RobotParameters, pose: ArrayLike, branch: int | None = N
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    theta, rotation, arm, span = _solve_cranks(robot, pose, branch)
-    cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
-    h, quarter = robot.crank_zero_directions, robot.crank_quarter_directions
-    crank, e_n = cosine * h + sine * quarter, cosine * quarter - sine * h
-    e_l = (span - robot.crank_lengths[:, None] * crank) / robot.rod_lengths[:, None]
-    return LegGeometry(rotation, theta, arm, crank, e_n, e_l, np.sum(e_l * e_n, axis=-1))
+    pose = as_array(pose)
+    xp, (own, pose) = namespace(pose), checked(robot, pose, branch)
+    legs = core.legs_at(own, pose)
+    theta = core.crank_angles(within_reach(legs.cranks, pose))
+    arm, crank, e_n, e_l = (last(xp, vector, 2) for vector in (legs.arm, legs.crank, legs.e_n, legs.e_l))
+    rotation = xp.matrix_transpose(last(xp, legs.rotation, 2))
+    return LegGeometry(rotation, theta, arm, crank, e_n, e_l, last(xp, legs.transmission, 1))
 
 
-def _solve_cranks(
-    robot: RobotParameters, pose: ArrayLike, branch: int | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    pose = np.asarray(pose, dtype=float)
-    if pose.ndim < 1 or pose.shape[-1] != 6 or not np.isfinite(pose).all():
+def legs_within_reach(robot: AnyRobot, pose: Array) -> tuple[Robot, core.Legs]:
+    """A robot's arrays and `kinematics_core.legs_at`, checked.
+
+    Raises:
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+    """
+    own, pose = checked(robot, pose)
+    legs = core.legs_at(own, pose)
+    within_reach(legs.cranks, pose)
+    return own, legs
+
+
+def checked(robot: AnyRobot, pose: Array, branch: int | None = None) -> tuple[Robot, Array]:
+    """The robot's arrays, with another branch if there is one, and the pose.
+
+    Raises:
+        ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
+    """
+    xp = namespace(pose)
+    if pose.ndim < 1 or pose.shape[-1] != 6 or not bool(xp.all(xp.isfinite(pose))):
         raise ConfigurationError("pose", pose, "finite numbers of shape (..., 6)")
     if branch not in (None, -1, 1):
         raise ConfigurationError("branch", branch, "-1 or 1, or None")
-    signs = robot.branches if branch is None else branch
-    rotation, arm, span = _spans(robot, pose)
-    along, up, ratio = robot.crank_equation(span)
-    size = np.abs(ratio)
-    if not size.max(initial=0.0) <= 1.0:
-        worst = np.unravel_index(int(size.argmax()), size.shape)
-        raise UnreachablePoseError(np.array(pose[worst[:-1]]), int(worst[-1]), float(1.0 - size[worst]))
-    theta = np.arctan2(up, along) + signs * np.arccos(ratio)
-    return np.arctan2(np.sin(theta), np.cos(theta)), rotation, arm, span
+    own = arrays_of(robot, pose)
+    return (own if branch is None else own._replace(branches=xp.ones_like(own.branches) * branch)), pose
+
+
+def within_reach(cranks: core.Cranks, pose: Array) -> core.Cranks:
+    """The same, if every rod can span.
+
+    Raises:
+        UnreachablePoseError: As in `inverse_kinematics`.
+    """
+    if not bool((cranks.reach >= 0.0).all()):
+        reach = np.nan_to_num(to_numpy(last(namespace(cranks.reach), cranks.reach, 1)), nan=-np.inf)
+        worst = np.unravel_index(int(reach.argmin()), reach.shape)
+        at = np.broadcast_to(to_numpy(pose), reach.shape)[worst[:-1]]
+        raise UnreachablePoseError(np.array(at), int(worst[-1]), float(reach[worst]))
+    return cranks
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product over the last axis; several times faster than numpy's on small arrays."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return out
+    xp = namespace(a, b)
+    return last(xp, cross_of_components(xp, *(xp.moveaxis(each, -1, 0) for each in xp.broadcast_arrays(a, b))), 1)
 
 
 def rod_lines(legs: LegGeometry) -> np.ndarray:
@@ -259,10 +279,11 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
     Returns:
         (..., 6, 6) [m, -], one row per leg.
     """
-    return np.concatenate([cross(legs.arm, legs.e_l), legs.e_l], axis=-1)
+    return last(namespace(legs.e_l), core.rod_lines(legs.components()), 2)
 
 
-def twist_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
+@in_blocks
+def twist_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     """d(theta)/d(twist): crank rates from the twist of P.
 
     Args:
@@ -275,11 +296,12 @@ def twist_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    legs = leg_geometry(robot, pose)
-    return rod_lines(legs) / (robot.crank_lengths * legs.transmission)[..., None]
+    pose = as_array(pose)
+    return last(namespace(pose), core.twist_jacobian(*legs_within_reach(robot, pose), masked=False), 2)
 
 
-def pose_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
+@in_blocks
+def pose_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     """d(theta)/d(pose): crank rates from the pose's rate (Euler rates).
 
     Args:
@@ -292,13 +314,11 @@ def pose_jacobian(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    pose = np.asarray(pose, dtype=float)
-    jacobian = twist_jacobian(robot, pose)
-    jacobian[..., :3] = jacobian[..., :3] @ euler_rate_matrix(pose[..., :3])
-    return jacobian
+    pose = as_array(pose)
+    return last(namespace(pose), core.pose_jacobian(*legs_within_reach(robot, pose), pose, masked=False), 2)
 
 
-def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+def crank_rates(robot: AnyRobot, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
     """Crank rates at a pose whose leg vectors are at hand; infinite or NaN at a crank's dead centre.
 
     Args:
@@ -310,14 +330,15 @@ def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pos
     Returns:
         (..., 6) [rad/s].
     """
-    along_rods = np.einsum("...ij,...j->...i", rod_lines(legs), pose_rate_to_twist(pose, pose_rate))
-    return along_rods / (robot.crank_lengths * legs.transmission)
+    xp, parts = namespace(legs.e_l), legs.components()
+    along_rods = xp.sum(core.rod_lines(parts) * core.twist(pose, pose_rate)[:, None, ...], axis=0)
+    return last(xp, along_rods / core.levers(arrays_of(robot, legs.e_l), parts), 1)
 
 
 def forward_kinematics(
-    robot: RobotParameters,
-    crank_angles: ArrayLike,
-    guess: ArrayLike | None = None,
+    robot: AnyRobot,
+    crank_angles: Array,
+    guess: Array | None = None,
     tolerance: float = 1e-13,
     max_iterations: int = 30,
 ) -> np.ndarray:
@@ -328,7 +349,7 @@ def forward_kinematics(
     Args:
         robot: Geometry.
         crank_angles: (..., 6) [rad].
-        guess: (..., 6) [rad, m] where to start; None starts at home.
+        guess: (..., 6) [rad, m] where to start; None starts at the home pose of a `RobotParameters`.
         tolerance: [m] largest rod-length error accepted.
         max_iterations: Newton steps at most.
 
@@ -337,46 +358,38 @@ def forward_kinematics(
 
     Raises:
         ForwardKinematicsError: No convergence, or a singular Jacobian on the way.
-        ConfigurationError: Wrong shape, or not finite.
+        ConfigurationError: Wrong shape, or not finite; no guess for a robot that is arrays.
     """
-    theta = np.asarray(crank_angles, dtype=float)
-    if theta.ndim < 1 or theta.shape[-1] != 6 or not np.isfinite(theta).all():
+    theta = as_array(crank_angles)
+    xp, own = namespace(theta), arrays_of(robot, theta)
+    if theta.ndim < 1 or theta.shape[-1] != 6 or not bool(xp.all(xp.isfinite(theta))):
         raise ConfigurationError("crank_angles", theta, "finite numbers of shape (..., 6)")
-    start = robot.home_pose if guess is None else np.asarray(guess, dtype=float)
-    if start.shape[-1:] != (6,) or not np.isfinite(start).all():
+    if guess is None and isinstance(robot, RobotParameters):
+        guess = xp.asarray(np.array(robot.home_pose), dtype=theta.dtype)
+    start = as_array(guess)
+    if start.shape[-1:] != (6,) or not bool(xp.all(xp.isfinite(start))):
         raise ConfigurationError("guess", start, "finite numbers of shape (..., 6)")
     try:
-        pose = np.array(np.broadcast_to(start, theta.shape))
-    except ValueError:
-        allowed = f"finite numbers whose shape fits that of crank_angles, {theta.shape}"
+        pose = xp.broadcast_to(start, theta.shape)
+    except (ValueError, RuntimeError):
+        allowed = f"finite numbers whose shape fits that of crank_angles, {tuple(theta.shape)}"
         raise ConfigurationError("guess", start, allowed) from None
-    cosine, sine = robot.crank_lengths * np.cos(theta), robot.crank_lengths * np.sin(theta)
-    tips = robot.shaft_positions + cosine[..., None] * robot.crank_zero_directions
-    tips += sine[..., None] * robot.crank_quarter_directions
-    error = np.inf
+    worst = np.inf
     for iteration in range(max_iterations + 1):
-        arm = robot.platform_joints @ np.swapaxes(rotation_matrix(pose[..., :3]), -1, -2)
-        rod = arm + pose[..., None, 3:] - tips
-        length = np.linalg.norm(rod, axis=-1)
-        residual = length - robot.rod_lengths
-        error = float(np.abs(residual).max(initial=0.0))
-        if error <= tolerance:
+        rows, error = core.rod_errors(own, theta, pose)
+        worst = float(xp.max(xp.abs(error))) if error.shape[0] else 0.0
+        if worst <= tolerance:
             return pose
-        if iteration == max_iterations or not np.isfinite(error):
+        if iteration == max_iterations or not np.isfinite(worst):
             break
-        rows = np.concatenate([cross(arm, rod), rod], axis=-1) / length[..., None]
-        rows[..., :3] = rows[..., :3] @ euler_rate_matrix(pose[..., :3])
         try:
-            step = np.linalg.solve(rows, residual[..., None])[..., 0]
-        except np.linalg.LinAlgError:
+            pose = core.newton_step(rows, error, pose, masked=False)
+        except (np.linalg.LinAlgError, RuntimeError):
             break
-        # A full Newton step from a poor guess can tumble the platform; half a radian and 0.2 m keep it in one piece.
-        scale = np.max(np.abs(step) / np.array([0.5, 0.5, 0.5, 0.2, 0.2, 0.2]), axis=-1, keepdims=True)
-        pose -= step / np.maximum(scale, 1.0)
-    raise ForwardKinematicsError(error, iteration)
+    raise ForwardKinematicsError(worst, iteration)
 
 
-def conditioning(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
+def conditioning(robot: RobotParameters, pose: Array) -> np.ndarray:
     """sigma_min / sigma_max of [e_M / length; e_l] of (14), rotations scaled by the characteristic length.
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
@@ -396,7 +409,7 @@ def conditioning(robot: RobotParameters, pose: ArrayLike) -> np.ndarray:
 
 def line_conditioning(robot: RobotParameters, legs: LegGeometry) -> np.ndarray:
     """`conditioning` from leg vectors that are already at hand; (...) [-]."""
-    rows = rod_lines(legs)
-    rows[..., :3] /= robot.characteristic_length
-    sigma = np.linalg.svd(rows, compute_uv=False)
+    xp, parts = namespace(legs.e_l), legs.components()
+    lines = xp.concat([cross_of_components(xp, parts.arm, parts.e_l) / robot.characteristic_length, parts.e_l])
+    sigma = xp.linalg.svdvals(last(xp, lines, 2))
     return sigma[..., -1] / sigma[..., 0]

@@ -8,41 +8,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.paper.nearby_starts import largest_integral, show_nearby, start_offsets
-from stewart_drake.paper.nine_experiments_section import RATIOS, growth, outcome, pair_of, paper_scenario
+from stewart_drake.paper.experiments import RATIOS, growth, largest_integral, outcome, pair_of, paper_scenario
+from stewart_drake.paper.plots.in_the_loop_plots import plot_answers, plot_ranking, plot_weights_in_force
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
-from stewart_drake.paper.tracking_score import TrackingScore, refusal, tracking_score
+from stewart_drake.paper.tracking_score import refusal, tracking_score
 from stewart_drake.paper.trajectories import Trajectory, paper_trajectory, unseen_trajectories
 from stewart_drake.paper.tuner_comparison import (
     MEAN_OF_NINE,
     ORACLE,
     Comparison,
-    Improvement,
-    best_fixed_ratio,
     constant_at,
-    explanation,
+    falling,
+    findings,
     fit_answers,
     improvements,
     log_ratio,
     mean_answer,
     mean_log_ratio,
-    verdict,
 )
+from stewart_drake.plotting import plot_states, plot_torques
 from stewart_drake.scenario import AnnTuner, Scenario
 
-_CLAIM = (
-    "A network that estimates omega_Q and omega_R online from the densities fits the LQI to the changing dynamics "
-    "(section III.D); with it the integral states are near zero at 5 s and the error shrinks (section IV, Fig. 7). The "
-    "authors' later paper (doi 10.1177/10775463211019177) puts the improvement at 45 % on average."
-)
+APART = 1e-10
+"""[rad, m] between starts that nobody could tell apart."""
 _QUICK = "heartbeat"
 _TUNER = None
 """Key of the runs under the network, beside the ratios of the fixed ones."""
@@ -76,24 +72,77 @@ def trajectories_of(study: Study) -> list[Trajectory]:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    section = Section("in_the_loop", "The tuner in the loop", _CLAIM)
     reasons = {t.name: refusal(on_trajectory(study.base, t)) for t in trajectories_of(study)}
     trajectories = [t for t in trajectories_of(study) if reasons[t.name] is None]
     done = _run(study, trajectories)
     runs = done.followed
-    comparisons = [
-        Comparison(t.name, _pose(runs[t.name, _TUNER]), {r: _pose(runs[t.name, r]) for r in RATIOS})
-        for t in trajectories
-    ]
+    scores = {key: tracking_score(log) for key, log in runs.items()}
+    pose = {key: None if score is None else score.pose_mm for key, score in scores.items()}
+    comparisons = [Comparison(t.name, pose[t.name, _TUNER], {r: pose[t.name, r] for r in RATIOS}) for t in trajectories]
     gains = improvements(comparisons)
-    _fig7(section, study, {_START[key]: runs[trajectories[0].name, key] for key in _START}, done.free)
-    show_nearby(section, study, done.nearby)
-    _ranking(section, study, trajectories, comparisons, gains)
-    _apart(section, comparisons, runs)
-    _why(section, study, comparisons, runs)
-    _incomplete(section, runs, {name: reason for name, reason in reasons.items() if reason is not None})
-    section.verdict = verdict(comparisons, gains)
-    return section
+    values = findings(comparisons, gains)
+    best = values["best"]
+    fig7 = _fig7({_condition(study): {_START[key]: runs[trajectories[0].name, key] for key in _START},
+                  "gravity off, feedforward none": done.free})  # fmt: skip
+    numbers = {
+        "fig7": {f"{where}, {which}": found for where, which, found, *_ in fig7},
+        "nearby_starts": {name: _nearby(logs) for name, logs in done.nearby.items()},
+        "pose_rmse_mm": {c.name: _rmse_numbers(c) for c in comparisons},
+        "best_fixed_ratio": best,
+        "improvement_percent": {name: asdict(gain) for name, gain in gains.items()},
+    }
+    network = load_network(study.tuner_file)
+    answers = {
+        c.name: [mean_answer(network, runs[c.name, ratio]) for ratio in RATIOS]
+        for c in comparisons
+        if None not in c.fixed.values()
+    }
+    tuned = {c.name: mean_log_ratio(runs[c.name, _TUNER]) for c in comparisons if c.tuner is not None}
+    constant = {c.name: constant_at(c, tuned[c.name]) for c in comparisons if c.name in tuned}
+    torques = [[s.torque_rms for (n, _), s in scores.items() if n == c.name and s is not None] for c in comparisons]
+    factors = {c.name: c.tuner / alike for c in comparisons if c.tuner and (alike := constant[c.name]) is not None}
+    numbers |= {
+        "answers": asdict(fit_answers(np.log10(RATIOS), np.array(list(answers.values())))) if answers else None,
+        "ratio_in_the_loop": {name: 10.0**value for name, value in tuned.items()},
+        "tuner_over_constant": factors,
+        "torque_spread_percent": max((100.0 * (max(t) / min(t) - 1.0) for t in torques if t), default=0.0),
+        "incomplete": _incomplete(runs, reasons),
+    }
+    first = runs[trajectories[0].name, _TUNER]
+    in_force = {
+        c.name: (runs[c.name, _TUNER].time, 10.0 ** log_ratio(runs[c.name, _TUNER]["weights"])) for c in comparisons
+    }
+    figures = {
+        "in_the_loop_states": plot_states(first),
+        "in_the_loop_torques": plot_torques(first),
+        "in_the_loop_ranking": plot_ranking(comparisons),
+        "in_the_loop_weights": plot_weights_in_force(in_force, {c.name: c.oracle_ratio for c in comparisons}),
+    }
+    if answers:
+        figures["in_the_loop_answers"] = plot_answers(RATIOS, answers)
+    shown = [_TUNER, 1.0, *([] if best in (None, 1.0) else [best])]
+    return study.section(
+        "in_the_loop",
+        numbers,
+        figures,
+        **values,
+        base=study.base,
+        condition=_condition(study),
+        fig7=fig7,
+        span=span,
+        starts=len(next(iter(done.nearby.values()))),
+        apart=APART,
+        ratios=RATIOS,
+        trajectories=trajectories,
+        apart_columns=["tuner" if key is None else f"ratio {key:g}" for key in shown],
+        parts={c.name: [scores[c.name, key] for key in shown] for c in comparisons},
+        falling=falling(comparisons),
+        score=network.provenance.get("scores", {}).get("validation R^2 of log ratio"),
+        typical=float(np.exp(np.mean(np.log(list(factors.values()))))) if factors else None,
+        answers={c.name: [10.0**v for v in answers[c.name]] if c.name in answers else [None] * 5 for c in comparisons},
+        constant=constant,
+        runs=len(runs),
+    )
 
 
 class _Logs(NamedTuple):
@@ -125,7 +174,7 @@ def _run(study: Study, trajectories: Sequence[Trajectory]) -> _Logs:
         "gravity off, feedforward none, tuner": under_tuner(study, free),
         "gravity off, feedforward none, 1 / 1, fixed": free,
     }
-    offsets = start_offsets(study)
+    offsets = APART * np.random.default_rng(0).uniform(-1.0, 1.0, (study.pick(5, 2), 6))
     near = [start.replace({"initial_offset": list(offset)}) for start in adrift.values() for offset in offsets]
     every = [*scenarios.values(), under_tuner(study, free), free, *near]
     # Each motion has been checked against the limits, which do not depend on the weights.
@@ -136,242 +185,60 @@ def _run(study: Study, trajectories: Sequence[Trajectory]) -> _Logs:
     return _Logs(followed, alone, {name: [next(rest) for _ in offsets] for name in adrift})
 
 
-def _fig7(
-    section: Section, study: Study, compensated: Mapping[str, SimulationLog], free: Mapping[str, SimulationLog]
-) -> None:
-    from stewart_drake.plotting import plot_states, plot_torques
-
-    log = compensated[_START[_TUNER]]
-    section.text("### Fig. 7 again")
-    condition = _condition(study)
-    section.figure(
-        f"Fig. 7(a): states, errors, integral states and the network's output on (37), (38); {condition}",
-        study.save_figure(plot_states(log), "in_the_loop_states"),
-    )
-    section.figure(
-        f"Fig. 7(b): motor torques of the same run; {condition}",
-        study.save_figure(plot_torques(log), "in_the_loop_torques"),
-    )
-    rows, numbers = [], section.numbers.setdefault("fig7", {})
-    for where, logs in ((condition, compensated), ("gravity off, feedforward none", free)):
-        for which, run in logs.items():
-            m, z = run_metrics(run), largest_integral(run)
-            roll, height = (m["rmse_deg"] or [None])[0], (m["rmse_mm"] or [None])[-1]
-            over_all = float(np.abs(run["integral"]).max(initial=0.0))
-            torques = (m["torque_rms"], m["torque_peak"])
-            rows.append((where, which, roll, height, growth(run), z, over_all, *torques, outcome(run)))
-            found = {"rmse_deg": roll, "rmse_mm": height, "integral_at_5s": z, "integral_largest": over_all}
-            found["growth"] = growth(run)
-            numbers[f"{where}, {which}"] = found
-    errors = ("RMSE roll [deg]", "RMSE Z [mm]", "late / early error", "abs(z) at 5 s", "abs(z) over the run")
-    section.table(
-        "(37), (38) under the tuner and under the weights that it starts from. RMSE of the second half; late / early: "
-        "over that of the first half, the larger of roll and Z; z in rad s and m s, the largest of six",
-        ("condition", "weights", *errors, "torque RMS [N m]", "torque peak [N m]", "ended"),
-        rows,
-    )
-    section.text(shrinking({where: found for where, found in numbers.items() if "tuner" in where}))
-
-
 def _condition(study: Study) -> str:
     name = "gravity on" if study.base.gravity > 0.0 else "gravity off"
     return f"{name}, feedforward {study.base.lqi.feedforward}"
 
 
-def shrinking(found: Mapping[str, Mapping[str, float | None]]) -> str:
-    """Whether the integral states come to zero and the error shrinks, from the numbers of each condition."""
-    lines = []
-    for where, of in found.items():
-        late, largest, ratio = of["integral_at_5s"], of["integral_largest"], of["growth"]
-        words = []
-        if late is not None and largest:
-            words.append(f"at 5 s the largest abs(z) is {late:.2g}, {100.0 * late / largest:.0f} % of that of the run")
-        if ratio is not None:
-            how = "shrinks" if ratio < 0.9 else "grows" if ratio > 1.1 else "neither shrinks nor grows"
-            words.append(f"the error of the second half is {ratio:.2f} times that of the first: it {how}")
-        lines.append(f"- {where}: {'; '.join(words) or 'the run ends early'}.")
-    return "\n".join(lines)
-
-
-def _ranking(
-    section: Section,
-    study: Study,
-    trajectories: Sequence[Trajectory],
-    comparisons: Sequence[Comparison],
-    gains: Mapping[str, Improvement],
-) -> None:
-    from stewart_drake.paper.plots.in_the_loop_plots import RankingRow, plot_ranking
-
-    best = best_fixed_ratio(comparisons)
-    section.text(
-        "### Against fixed weights\n\n"
-        "One number ranks the runs: the RMS of the pose error over the second half in mm, with rotations times "
-        f"{1e3 * study.base.robot.characteristic_length:g} mm, the robot's characteristic length (the radius of the "
-        "platform's joints). Fixed weights are five controllers under nine labels; the mean of the nine counts each by "
-        "its labels. The best fixed pair is the one with the smallest geometric mean over all trajectories"
-        f"{'' if best is None else f' (here ratio {best:g})'}; the oracle knows the best of the nine for each. None of "
-        "the motions but the first is the paper's; none is in the training data."
-    )
-    section.table(
-        "Pose RMSE [mm] over the second half: the tuner, each of the five controllers, and mean and best of the "
-        "nine pairs",
-        ("trajectory", "motion", "tuner", *(_heading(r, best) for r in RATIOS), MEAN_OF_NINE, ORACLE, "oracle's ratio"),
-        [
-            (c.name, t.text, c.tuner, *c.fixed.values(), c.mean_of_nine, c.oracle, c.oracle_ratio)
-            for c, t in zip(comparisons, trajectories, strict=True)
-        ],
-    )
-    ranking = [RankingRow(c.name, c.tuner, c.fixed, c.mean_of_nine) for c in comparisons]
-    section.figure(
-        "Pose RMSE on each trajectory: the bar spans the nine pairs, the ring marks the best, the diamond the tuner",
-        study.save_figure(plot_ranking(ranking), "in_the_loop_ranking"),
-    )
-    rows: list[tuple[object, ...]] = [
-        (c.name, *(_percent(gain.each[index]) for gain in gains.values())) for index, c in enumerate(comparisons)
-    ]
-    rows.append(("average", *(_percent(gain.mean) for gain in gains.values())))
-    rows.append(("by geometric mean", *(_percent(gain.typical) for gain in gains.values())))
-    section.table(
-        "Improvement of the tuner on each baseline, per cent of the baseline's pose RMSE; negative: the tuner is worse",
-        ("trajectory", *gains),
-        rows,
-    )
-    section.text(
-        "Against what the later paper measured its 45 % we do not know; the columns hold whatever fixed weights can be "
-        "meant. A mean of percentages is pulled down by the trajectories on which the tuner is many times worse; the "
-        "last row is 1 - geometric mean of the quotients."
-    )
-    section.numbers |= {
-        "pose_rmse_mm": {
-            c.name: {
-                "tuner": c.tuner,
-                **{f"ratio {r:g}": value for r, value in c.fixed.items()},
-                MEAN_OF_NINE: c.mean_of_nine,
-                ORACLE: c.oracle,
-                "oracle_ratio": c.oracle_ratio,
+def _fig7(
+    conditions: Mapping[str, Mapping[str, SimulationLog]],
+) -> list[tuple[str, str, dict[str, Any], tuple[Any, ...]]]:
+    """Condition, weights, numbers; RMS and peak of the torque, and outcome of each run."""
+    rows = []
+    for where, logs in conditions.items():
+        for which, log in logs.items():
+            m = run_metrics(log)
+            found = {
+                "rmse_deg": (m["rmse_deg"] or [None])[0],
+                "rmse_mm": (m["rmse_mm"] or [None])[-1],
+                "integral_at_5s": largest_integral(log),
+                "integral_largest": float(np.abs(log["integral"]).max(initial=0.0)),
+                "growth": growth(log),
             }
-            for c in comparisons
-        },
-        "best_fixed_ratio": best,
-        "improvement_percent": {name: asdict(gain) for name, gain in gains.items()},
+            rows.append((where, which, found, (m["torque_rms"], m["torque_peak"], outcome(log))))
+    return rows
+
+
+def _nearby(logs: Sequence[SimulationLog]) -> dict[str, list[float | None]]:
+    """The figures of Fig. 7 from starts that nobody could tell apart: how firmly they are determined."""
+    metrics = [run_metrics(log) for log in logs]
+    return {
+        "roll_rmse_deg": [(m["rmse_deg"] or [None])[0] for m in metrics],
+        "z_rmse_mm": [(m["rmse_mm"] or [None])[-1] for m in metrics],
+        "integral_at_5s": [largest_integral(log) for log in logs],
     }
 
 
-def _apart(section: Section, comparisons: Sequence[Comparison], runs: Runs) -> None:
-    best = best_fixed_ratio(comparisons)
-    which = [_TUNER, 1.0, *([] if best in (None, 1.0) else [best])]
-    rows: list[tuple[object, ...]] = []
-    for c in comparisons:
-        scores = [tracking_score(runs[c.name, key]) for key in which]
-        rows.append((c.name, *(v for s in scores for v in _parts(s))))
-    names = ["tuner" if key is None else f"ratio {key:g}" for key in which]
-    section.table(
-        "The same apart: rotation and position, and the torque that it took (second half, all axes, all motors)",
-        ("trajectory", *(f"{n}: {q}" for n in names for q in ("rotation [deg]", "position [mm]", "torque RMS [N m]"))),
-        rows,
-    )
+def span(values: Sequence[float | None]) -> str | None:
+    """Smallest to largest of what there is; one figure where all agree to four digits, None for nothing."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    low, high = (f"{value:.4g}" for value in (min(known), max(known)))
+    return low if low == high else f"{low} to {high}"
 
 
-def _why(section: Section, study: Study, comparisons: Sequence[Comparison], runs: Runs) -> None:
-    from stewart_drake.paper.plots.in_the_loop_plots import plot_answers, plot_weights_in_force
-
-    network = load_network(study.tuner_file)
-    answers = {
-        c.name: [mean_answer(network, runs[c.name, ratio]) for ratio in RATIOS]
-        for c in comparisons
-        if None not in c.fixed.values()
-    }
-    tuned = {c.name: mean_log_ratio(runs[c.name, _TUNER]) for c in comparisons if c.tuner is not None}
-    constant = {c.name: constant_at(c, tuned[c.name]) for c in comparisons if c.tuner is not None}
-    factors = {
-        c.name: c.tuner / alike for c in comparisons if c.tuner is not None and (alike := constant[c.name]) is not None
-    }
-    fit = fit_answers(np.log10(RATIOS), np.array(list(answers.values()))) if answers else None
-    score = network.provenance.get("scores", {}).get("validation R^2 of log ratio")
-    spread = max((_torque_spread(runs, c.name) for c in comparisons), default=0.0)
-    section.text("### Why\n\n" + explanation(comparisons, fit, score, list(factors.values()), spread))
-    section.table(
-        "What the network does with the ratio omega_Q / omega_R: its geometric mean in the loop; its answers while "
-        "it looks on at fixed weights of ratio 0.01 to 100; and what constant weights of its own mean ratio would do",
-        (
-            "trajectory",
-            "best of the nine",
-            "in the loop",
-            *(f"answer at {r:g}" for r in RATIOS),
-            "RMSE of constant weights [mm]",
-            "tuner's / that [-]",
-        ),
-        [
-            (
-                c.name,
-                c.oracle_ratio,
-                10.0 ** tuned[c.name] if c.name in tuned else None,
-                *((10.0**v for v in answers[c.name]) if c.name in answers else (None,) * len(RATIOS)),
-                constant.get(c.name),
-                factors.get(c.name),
-            )
-            for c in comparisons
-        ],
-    )
-    if answers:
-        section.figure(
-            "The network looking on at fixed weights: a perfect estimator would answer with the ratio in force",
-            study.save_figure(plot_answers(RATIOS, answers), "in_the_loop_answers"),
-        )
-    in_force = {
-        c.name: (runs[c.name, _TUNER].time, 10.0 ** log_ratio(runs[c.name, _TUNER]["weights"])) for c in comparisons
-    }
-    section.figure(
-        "Ratio of the weights in force under the tuner; what the best of the nine would have been is dashed",
-        study.save_figure(
-            plot_weights_in_force(in_force, {c.name: c.oracle_ratio for c in comparisons}), "in_the_loop_weights"
-        ),
-    )
-    section.numbers |= {
-        "answers": None if fit is None else asdict(fit),
-        "ratio_in_the_loop": {name: 10.0**value for name, value in tuned.items()},
-        "tuner_over_constant": factors,
-        "torque_spread_percent": spread,
-    }
+def _rmse_numbers(c: Comparison) -> dict[str, float | None]:
+    fixed = {f"ratio {ratio:g}": value for ratio, value in c.fixed.items()}
+    return {"tuner": c.tuner, **fixed, MEAN_OF_NINE: c.mean_of_nine, ORACLE: c.oracle, "oracle_ratio": c.oracle_ratio}
 
 
-def _incomplete(section: Section, runs: Runs, refused: Mapping[str, str]) -> None:
-    """Rows with a reason for what could not be run, or ended early."""
-    columns = ("trajectory", "weights", "reason")
-    rows = [(name, "all", f"not run: {reason}") for name, reason in refused.items()]
+def _incomplete(runs: Runs, reasons: Mapping[str, str | None]) -> list[dict[str, str]]:
+    """What could not be run, or ended early, and why."""
+    rows = [(name, "all", f"not run: {reason}") for name, reason in reasons.items() if reason is not None]
     rows += [
         (name, "tuner" if ratio is None else f"ratio {ratio:g}", outcome(log))
         for (name, ratio), log in runs.items()
         if not log.reached_end
     ]
-    section.numbers["incomplete"] = [dict(zip(columns, row, strict=True)) for row in rows]
-    if rows:
-        section.table("Not completed", columns, rows)
-    else:
-        section.text(f"All {len(runs)} runs of the comparison completed.")
-
-
-def _pose(log: SimulationLog) -> float | None:
-    score = tracking_score(log)
-    return None if score is None else score.pose_mm
-
-
-def _parts(score: TrackingScore | None) -> tuple[str | None, str | None, str | None]:
-    if score is None:
-        return None, None, None
-    return f"{score.rotation_deg:.3f}", f"{score.position_mm:.3f}", f"{score.torque_rms:.4f}"
-
-
-def _torque_spread(runs: Runs, name: str) -> float:
-    """[%] largest over smallest torque RMS of the completed runs on a trajectory, minus 1."""
-    scores = [tracking_score(log) for (n, _), log in runs.items() if n == name]
-    torques = [score.torque_rms for score in scores if score is not None]
-    return 100.0 * (max(torques) / min(torques) - 1.0) if torques else 0.0
-
-
-def _heading(ratio: float, best: float | None) -> str:
-    return f"ratio {ratio:g}" + (" (best fixed)" if ratio == best else "")
-
-
-def _percent(value: float | None) -> str | None:
-    return None if value is None else f"{round(value):+d}"
+    return [dict(zip(("trajectory", "weights", "reason"), row, strict=True)) for row in rows]

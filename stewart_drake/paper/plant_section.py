@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
@@ -11,6 +9,7 @@ from scipy.integrate import solve_ivp
 from stewart_drake.errors import RunFailure
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian, twist_to_pose_rate
+from stewart_drake.paper.plots.plant_plots import plot_convergence
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.plant.multibody_plant import build_plant
@@ -23,13 +22,6 @@ TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])
 """[N m] held constant meanwhile."""
 DURATION = 0.15
 """[s]"""
-LEAST_ORDER = 0.5
-"""[-] observed order from which on errors count as converging."""
-
-_CLAIM = (
-    "A multibody model with joints, masses and inertias of Table I validates the controller (section II.C). Here it "
-    "is Drake's discrete plant, whose loops are closed by constraints; it must move as rigid-body mechanics says."
-)
 
 
 def exact_motion(robot: RobotParameters, gravity: float, time: float = DURATION) -> np.ndarray:
@@ -77,57 +69,22 @@ def observed_orders(steps: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    from stewart_drake.paper.plots.plant_plots import plot_convergence
-
-    section = Section("plant", "The plant", _CLAIM)
     robot, gravity = study.base.robot, study.base.gravity
     steps = np.array(study.pick((2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5), (2e-3, 1e-3, 5e-4)))
     exact = exact_motion(robot, gravity)
-    errors, gaps = np.empty((len(steps), 2)), np.empty(len(steps))
+    errors, gaps = np.empty((2, len(steps))), np.empty(len(steps))
     for index, step in enumerate(steps):
         pose, gaps[index] = plant_motion(robot, gravity, float(step))
-        errors[index] = np.abs(pose - exact)[:3].max(), np.abs(pose - exact)[3:].max()
+        errors[:, index] = np.abs(pose - exact).reshape(2, 3).max(axis=1)
         study.progress((index + 1) / len(steps))
-    orders, gap_orders = observed_orders(steps, errors[:, 1]), observed_orders(steps, gaps)
-    rows = [
-        (f"{1e3 * step:g}", f"{angle:.2e}", f"{place:.2e}", "-" if i == 0 else f"{orders[i - 1]:.2f}", f"{gap:.1e}")
-        for i, (step, (angle, place), gap) in enumerate(zip(steps, errors, gaps, strict=True))
-    ]
-    section.text(
-        f"Free motion under constant torques for {DURATION:g} s: the plant against the closed-form dynamics of the "
-        "chain, integrated to 1e-12 by a Runge-Kutta method of order eight. The two dynamics share no code: one is "
-        "Drake's constraint solver on 13 moving bodies, the other six coordinates on paper."
-    )
-    section.table(
-        "Error of the platform at the end of the free motion, and the gap that the constraints leave",
-        ("step [ms]", "angle error [rad]", "position error [m]", "observed order", "loop gap [m]"),
-        rows,
-    )
-    section.figure(
-        "Position error and loop gap against the step; dotted, a little lower: slopes of order 1 and 2",
-        study.save_figure(plot_convergence(steps, errors[:, 1], gaps), "convergence"),
-    )
-    section.numbers = {
+    numbers = {
         "step": steps.tolist(),
-        "position_error": errors[:, 1].tolist(),
-        "angle_error": errors[:, 0].tolist(),
+        "position_error": errors[1].tolist(),
+        "angle_error": errors[0].tolist(),
         "loop_gap": gaps.tolist(),
-        "orders": orders.tolist(),
-        "gap_orders": gap_orders.tolist(),
+        "orders": observed_orders(steps, errors[1]).tolist(),
+        "gap_orders": observed_orders(steps, gaps).tolist(),
     }
-    section.verdict = verdict(section.numbers, study.base.plant.time_step)
-    return section
-
-
-def verdict(numbers: dict[str, Any], time_step: float) -> str:
-    """Whether the plant converges, and how far off it is at the listed step nearest to `time_step` [s]."""
-    order, errors = numbers["orders"][-1], numbers["position_error"]
-    nearest = int(np.argmin(np.abs(np.array(numbers["step"]) - time_step)))
-    if errors[-1] < errors[0] and order > LEAST_ORDER:
-        what = f"Holds: the plant converges to rigid-body mechanics, with order {order:.2f} in the step"
-    else:
-        what = f"Does not hold: the plant does not converge to rigid-body mechanics, observed order {order:.2f}"
-    return (
-        f"{what}; at {1e3 * numbers['step'][nearest]:g} ms it is {1e3 * errors[nearest]:.2g} mm off after "
-        f"{DURATION:g} s and its loops are open by {1e3 * numbers['loop_gap'][nearest]:.1g} mm."
-    )
+    figures = {"convergence": plot_convergence(steps, errors[1], gaps)}
+    nearest = int(np.argmin(np.abs(steps - study.base.plant.time_step)))
+    return study.section("plant", numbers, figures, nearest=nearest, duration=DURATION)

@@ -15,7 +15,8 @@ from stewart_drake.files.whole import checksum, read_checked, seal, unseal, writ
 from stewart_drake.logs.versions import collect_versions, package_version
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.paper.region import NEAR
-from stewart_drake.paper.report import Figure, Section, write_report
+from stewart_drake.paper.rendering import render
+from stewart_drake.paper.report import Section, write_report
 from stewart_drake.paper.study import Study
 from stewart_drake.references import paper_reference
 from stewart_drake.runs.outputs import prepare_folder
@@ -39,7 +40,6 @@ SECTIONS = (
 MAX_PART_BYTES = 100_000_000
 PAPER_DURATION = 10.0
 """[s] for which the robot must be able to follow (37), (38)."""
-TITLE = "Intelligent optimal feed-back torque control of a rotary Stewart platform: what holds and what does not"
 
 
 def reproduce(
@@ -96,7 +96,8 @@ def _reproduce(
         if finished is not None:
             finished(section)
         advance(1.0)
-    write_report(folder, TITLE, _preface(quick, versions), sections)
+    preface = render("report", "preface", quick=quick, versions=versions, near=NEAR)
+    write_report(folder, render("report", "title"), preface, sections)
     numbers = {section.key: section.numbers for section in sections}
     document = {"quick": quick, "versions": versions, "scenario": base.to_dict(), "numbers": numbers}
     write_atomically(folder / "report.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
@@ -139,25 +140,9 @@ def _kept(path: Path, folder: Path) -> Section | None:
 
 
 def _digests(section: Section, folder: Path) -> dict[str, str | None]:
-    figures = [f"figures/{item.file}" for item in section.items if isinstance(item, Figure)]
-    return {name: digest(folder / name) for name in (*figures, *section.files)}
+    return {name: digest(folder / name) for name in section.files}
 
 
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
     work = {"scenario": base.to_dict(), "quick": quick}
     return checksum(identity(work, [base.tuner], versions, more=["torch"]))[:12]
-
-
-def _preface(quick: bool, versions: dict[str, str | None]) -> str:
-    size = "This is the quick version, with smaller sizes. " if quick else ""
-    names = ("stewart-drake", "drake", "numpy", "scipy", "torch", "python")
-    named = ", ".join(f"{name} {versions[name]}" for name in names)
-    return (
-        "Every number, table and figure below was computed by `stewart-drake reproduce`. Each section says what the "
-        "paper claims and what came of it, and then shows the evidence. "
-        f"{size}Versions: {named}; revision {versions['git_revision'] or 'unknown'}.\n\n"
-        "Numbers in brackets are the paper's equations. **D** marks a departure from the print; the last section lists "
-        "all. *Ratio* means omega_Q / omega_R. `printed` is the rod force (15) as it stands, `statics` the one that "
-        "balances the crank. The *near box* holds the poses around home where the controlled motions are: "
-        f"{NEAR.words}. Legs and motors are counted from 0."
-    )

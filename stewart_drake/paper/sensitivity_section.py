@@ -10,20 +10,19 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+from matplotlib.figure import Figure
+
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.paper.experiments import outcome, pair_of, paper_scenario
 from stewart_drake.paper.in_the_loop_section import under_tuner
-from stewart_drake.paper.nine_experiments_section import outcome, pair_of, paper_scenario
-from stewart_drake.paper.report import Section, holds
+from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
+from stewart_drake.paper.report import Section
 from stewart_drake.paper.sensitivity_changes import Change, changes, feedforward_share, longer
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.tracking_score import TrackingScore, refusal, tracking_score
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import AnnTuner, Scenario
 
-_CLAIM = (
-    "Sensitivity to the controller's parameters and robustness are left to a later publication (section V); the "
-    "integral action is to reject what is uncertain in the dynamics (section III.A)."
-)
 DURATION = 6.28
 """[s] two periods of (37), (38): errors are judged over the second."""
 MATTERS, HARDLY = 10.0, 1.0
@@ -80,17 +79,53 @@ class Response:
             found[effect.factor] = max(size, found.get(effect.factor, 0.0))
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
+    def named(self, least: float, most: int | None = None) -> str:
+        """The first factors that move the pose error by `least` [%] or more, in words; by how much, or ends early."""
+        swings = [(factor, swing) for factor, swing in self.swings("pose_mm").items() if swing >= least]
+        words = ((factor, "ends early" if math.isinf(swing) else f"{swing:.0f} %") for factor, swing in swings[:most])
+        return ", ".join(f"{factor} ({much})" for factor, much in words)
+
+    def weak(self, most: float) -> list[str]:
+        """Factors that move the pose error by no more than `most` [%]."""
+        return [factor for factor, swing in self.swings("pose_mm").items() if swing <= most]
+
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    section = Section("sensitivity", "Sensitivity and robustness", _CLAIM)
-    responses = _run(study)
-    section.numbers = {"controllers": {r.name: _numbers(r) for r in responses}}
-    _overview(section, study, responses)
-    _figures(section, study, responses)
-    _findings(section, study, responses)
-    section.verdict = verdict(responses)
-    return section
+    base, responses = study.base, _run(study)
+    numbers: dict[str, Any] = {"controllers": {r.name: _numbers(r) for r in responses}}
+    if base.gravity != 0.0 and base.lqi.feedforward != "none":
+        numbers["feedforward_share"] = {
+            f"{step:+d} mm": feedforward_share(longer(base.robot, 1e-3 * step), base.believed_robot, base.gravity)
+            for step in (-1, 1)
+        }
+    figures = {f"sensitivity_{r.name.replace(' ', '_')}": _figure(r) for r in responses if r.unchanged is not None}
+    fallen = {r.name: [e.label for e in r.effects if e.factor == "masses" and e.score is None] for r in responses}
+    every = dict.fromkeys((e.factor, e.label) for r in responses for e in r.effects)
+    return study.section(
+        "sensitivity",
+        numbers,
+        figures,
+        **findings(responses),
+        duration=study.pick(DURATION, 0.5 * DURATION),
+        table={change: [cell for r in responses for cell in _cells(r, *change)] for change in every},
+        fallen={name: labels for name, labels in fallen.items() if labels},
+        matters=MATTERS,
+        hardly=HARDLY,
+    )
+
+
+def findings(responses: Sequence[Response]) -> dict[str, Any]:
+    """What the verdict rests on: how many runs end early or blow up, and which controllers complete all of theirs."""
+    effects = [(r, e) for r in responses for e in r.effects]
+    return {
+        "responses": responses,
+        "steady": [r.unchanged is not None and all(e.score is not None for e in r.effects) for r in responses],
+        "changed": len(effects),
+        "early": sum(e.score is None for _, e in effects),
+        "blown": sum((r.shift(e, "pose_mm") or 0.0) > 100.0 * (BLOWN_UP - 1.0) for r, e in effects),
+        "blown_up": BLOWN_UP,
+    }
 
 
 def _numbers(response: Response) -> dict[str, Any]:
@@ -154,135 +189,34 @@ def _applied(change: Change, base: Scenario, refusals: dict[RobotParameters, str
     return refusals[scenario.robot] or scenario
 
 
-def _overview(section: Section, study: Study, responses: Sequence[Response]) -> None:
-    duration = study.pick(DURATION, 0.5 * DURATION)
-    section.text(
-        f"(37), (38) for {duration:g} s, errors over the second half; pose RMSE as in the section on the tuner in the "
-        "loop, torque RMS over all motors and the same time. One thing is changed at a time. Masses, inertias (of all "
-        "moving bodies) and rods are those of the simulated robot; the controller, its feedforward included, goes on "
-        "believing in the nominal ones. The window m of (35), (36) counts ticks, so another sample time is another "
-        "window in seconds; the network is not trained again for either. For the network, omega_Q and omega_R are "
-        "changed at its output. What comes of a controller that leaves gravity out is in the nine experiments."
-    )
-    every = {(e.factor, e.label): None for r in responses for e in r.effects}
-    rows: list[tuple[object, ...]] = [("unchanged", "", *(c for r in responses for c in _cells(r, r.unchanged)))]
-    for factor, label in every:
-        cells: list[object] = []
-        for response in responses:
-            effect = next((e for e in response.effects if (e.factor, e.label) == (factor, label)), None)
-            if effect is None:
-                cells += [None, None]
-            elif effect.score is None:
-                cells += [effect.ended, None]
-            else:
-                cells += _cells(response, effect.score)
-        rows.append((factor, label, *cells))
-    section.table(
-        "Pose RMSE [mm] and torque RMS [N m] after each change, and by how much that differs from the unchanged run",
-        ("factor", "changed to", *(f"{r.name}: {q}" for r in responses for q in ("pose [mm]", "torque [N m]"))),
-        rows,
-    )
-
-
-def _cells(response: Response, score: TrackingScore | None) -> list[object]:
-    if score is None:
+def _cells(response: Response, factor: str, label: str) -> list[str | None]:
+    """Pose error and torque after a change, with their shifts; how the run ended where it ended early."""
+    effect = next((e for e in response.effects if (e.factor, e.label) == (factor, label)), None)
+    if effect is None:
         return [None, None]
-    if response.unchanged is None or score == response.unchanged:
-        return [score.pose_mm, score.torque_rms]
-    effect = Effect("", "", score, "completed")
-    pose, torque = response.shift(effect, "pose_mm"), response.shift(effect, "torque_rms")
-    return [f"{score.pose_mm:.4g} ({pose:+z.1f} %)", f"{score.torque_rms:.4g} ({torque:+z.1f} %)"]
+    if effect.score is None:
+        return [effect.ended, None]
+    cells: list[str | None] = []
+    quantities: tuple[Quantity, ...] = ("pose_mm", "torque_rms")
+    for quantity in quantities:
+        shift = response.shift(effect, quantity)
+        value = f"{getattr(effect.score, quantity):.4g}"
+        cells.append(value if shift is None or effect.score == response.unchanged else f"{value} ({shift:+z.1f} %)")
+    return cells
 
 
-def _figures(section: Section, study: Study, responses: Sequence[Response]) -> None:
-    from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
-
+def _figure(response: Response) -> Figure:
+    tornados = []
     quantities: tuple[tuple[Quantity, str, str], ...] = (
         ("pose_mm", "pose RMSE", "mm"),
         ("torque_rms", "torque RMS", "N m"),
     )
-    for response in responses:
-        if response.unchanged is None:
-            continue
-        tornados = []
-        for quantity, name, unit in quantities:
-            bars = [
-                TornadoBar(
-                    factor,
-                    [
-                        (e.label, None if e.score is None else getattr(e.score, quantity))
-                        for e in response.effects
-                        if e.factor == factor
-                    ],
-                )
-                for factor in response.swings(quantity)
-            ]
-            value = getattr(response.unchanged, quantity)
-            tornados.append(Tornado(name, unit, value, bars, logarithmic=quantity == "pose_mm"))
-        section.figure(
-            f"{response.name}: largest effect on top; the line is the unchanged run",
-            study.save_figure(plot_tornados(tornados), f"sensitivity_{response.name.replace(' ', '_')}"),
-        )
-
-
-def _findings(section: Section, study: Study, responses: Sequence[Response]) -> None:
-    lines = []
-    for response in responses:
-        swings = response.swings("pose_mm")
-        strong = [_named(factor, swing) for factor, swing in swings.items() if swing >= MATTERS]
-        weak = [factor for factor, swing in swings.items() if swing <= HARDLY]
-        rest = f"; by {HARDLY:g} % at most with {', '.join(weak)}" if weak else ""
-        lines.append(
-            f"- {response.name}: pose RMSE moves by {MATTERS:g} % or more with {', '.join(strong) or 'nothing'}{rest}."
-        )
-    section.text("\n".join(lines))
-    base = study.base
-    if base.gravity == 0.0 or base.lqi.feedforward == "none":
-        return
-    fallen = {r.name: [e.label for e in r.effects if e.factor == "masses" and e.score is None] for r in responses}
-    if any(fallen.values()):
-        named = "; ".join(f"{name} at {', '.join(labels)}" for name, labels in fallen.items() if labels)
-        section.text(
-            "Masses that are off leave as much of the weight to (34) alone: a smaller case of the sagging without "
-            f"feedforward in the section on the nine experiments. Runs end early: {named}. The integral action is too "
-            "slow to take the load up in time."
-        )
-    shares = {
-        step: feedforward_share(longer(base.robot, 1e-3 * step), base.believed_robot, base.gravity) for step in (-1, 1)
-    }
-    section.text(
-        "A rod of another length acts through the feedforward too. Along (37), (38) the wrong static torque leaves a "
-        "vertical force in phase with the inertia force -m Z''_d that (20) leaves out: "
-        + ", ".join(f"{share:+.2f} times it for {step:+d} mm" for step, share in shares.items())
-        + ". Where the sign is positive it adds to that disturbance, where it is negative it makes up for part of it."
-    )
-    section.numbers["feedforward_share"] = {f"{step:+d} mm": share for step, share in shares.items()}
-
-
-def verdict(responses: Sequence[Response]) -> str:
-    """One line from the numbers."""
-    effects = [(r, e) for r in responses for e in r.effects]
-    early = sum(e.score is None for _, e in effects)
-    blown = sum((r.shift(e, "pose_mm") or 0.0) > 100.0 * (BLOWN_UP - 1.0) for r, e in effects)
-    steady = [r.unchanged is not None and all(e.score is not None for e in r.effects) for r in responses]
-    parts = [
-        f"{holds(steady)}: of {len(effects)} changed runs {early or 'none'} {'ends' if early == 1 else 'end'} early, "
-        f"and {blown or 'none'} of the others {'has' if blown == 1 else 'have'} more than {BLOWN_UP:g} times the "
-        "unchanged error."
-    ]
-    for response in responses:
-        if response.unchanged is None:
-            parts.append(f"{_sentence(response.name)}: even the unchanged run ends early.")
-            continue
-        most = [_named(factor, swing) for factor, swing in response.swings("pose_mm").items()][:3]
-        what = f"{_sentence(response.name)} ({response.unchanged.pose_mm:.3g} mm unchanged)"
-        parts.append(f"{what} is most sensitive to {', '.join(most)}.")
-    return " ".join(parts)
-
-
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:]
-
-
-def _named(factor: str, swing: float) -> str:
-    return f"{factor} (ends early)" if math.isinf(swing) else f"{factor} ({swing:.0f} %)"
+    for quantity, name, unit in quantities:
+        bars = []
+        for factor in response.swings(quantity):
+            own = [effect for effect in response.effects if effect.factor == factor]
+            levels = [(e.label, None if e.score is None else getattr(e.score, quantity)) for e in own]
+            bars.append(TornadoBar(factor, levels))
+        unchanged = getattr(response.unchanged, quantity)
+        tornados.append(Tornado(name, unit, unchanged, bars, logarithmic=quantity == "pose_mm"))
+    return plot_tornados(tornados)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.network import default_network_path
 from stewart_drake.files.whole import locked_folder
+from stewart_drake.paper.rendering import render
+from stewart_drake.paper.report import Section
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
 
@@ -19,6 +23,14 @@ if TYPE_CHECKING:
 
 SEED = 20_210_601
 """Of every random choice in the report, unless a section says otherwise."""
+AXIS_NAMES = ("roll", "pitch", "yaw", "X", "Y", "Z")
+"""The six coordinates as the report writes them."""
+
+
+def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:
+    """Quantiles of what is finite, as plain numbers; none where nothing is."""
+    usable = values[np.isfinite(values)]
+    return [float(q) for q in np.quantile(usable, at)] if usable.size else []
 
 
 @dataclass(frozen=True)
@@ -71,8 +83,23 @@ class Study:
         """One of two sizes."""
         return quick if self.quick else full
 
+    def section(
+        self, key: str, numbers: dict[str, Any], figures: Mapping[str, Figure] | None = None, **values: Any
+    ) -> Section:
+        """The section that template `key` makes of its numbers; its pictures are kept.
+
+        Args:
+            key: Name of the section and of its template.
+            numbers: For the report's JSON; `n` in the template.
+            figures: Pictures by the names under which the template shows them.
+            values: What else the template speaks of.
+        """
+        files = {name: self.save_figure(figure, name) for name, figure in (figures or {}).items()}
+        blocks = {b: render(key, b, files, n=numbers, **values) for b in ("title", "claim", "verdict", "body")}
+        return Section(key, **blocks, numbers=numbers, files=[f"figures/{file}" for file in files.values()])
+
     def save_figure(self, figure: Figure, name: str) -> str:
-        """Keeps a picture for the report; returns the file's name for `Section.figure`."""
+        """Keeps a picture for the report; returns its file's name in the folder `figures`."""
         from stewart_drake.plotting import save_figure
 
         (self.folder / "figures").mkdir(parents=True, exist_ok=True)

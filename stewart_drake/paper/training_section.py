@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from stewart_drake.control.density import DensityKind
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.paper.dataset_section import dataset_of, label_spread, run_experiments
-from stewart_drake.paper.report import Section, holds
+from stewart_drake.paper.plots.training_plots import plot_learning_curves, plot_predictions
+from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import SEED, Study
 from stewart_drake.training.collect import OMEGAS
 from stewart_drake.training.dataset import Dataset
 from stewart_drake.training.train import Split, TrainingOptions, TrainingResult, split_samples, train_network
 
-_CLAIM = (
-    "One hidden layer of ten nodes, trained by back-propagation on 70 % of the samples and validated on the other 30 "
-    "%, estimates omega_Q and omega_R from the densities (section III.D, Fig. 5)."
-)
-LEARNT = 0.7
-"""[-] validation R^2 from which on we call a quantity learnt."""
 _TARGETS = ("omega_Q", "omega_R", "ratio")
 _SIDES = ("training", "validation")
 
@@ -89,27 +82,26 @@ def labels_apart(dataset: Dataset, training: np.ndarray) -> tuple[int, int]:
 
 def make(study: Study) -> Section:
     """The section; see the module."""
-    from stewart_drake.paper.plots.training_plots import plot_learning_curves, plot_predictions
-
-    section = Section("training", "The network", _CLAIM)
     scenarios, logs = run_experiments(replace(study, progress=lambda s: study.progress(0.2 * s)))
     options = TrainingOptions(epochs=study.pick(2000, 300))
     kinds: tuple[DensityKind, ...] = ("magnitude", "signed")
     data = {kind: dataset_of(study, scenarios, logs, kind) for kind in kinds}
     cells: list[tuple[DensityKind, Split]] = list(itertools.product(kinds, ("samples", "runs")))
     results: dict[tuple[DensityKind, Split], TrainingResult] = {}
+    bounds: dict[tuple[str, str, str], Scores] = {}
     for index, (kind, split) in enumerate(cells):
         results[kind, split] = train_network(data[kind], replace(options, split=split))
+        training = split_samples(data[kind], replace(options, split=split))
+        for side, mask in zip(_SIDES, (training, ~training), strict=True):
+            bounds[kind, split, side] = best_possible_scores(data[kind].outputs[mask])
         study.progress(0.2 + 0.6 * (index + 1) / len(cells))
     own = study.base.tuner.density
     network = results[own, "samples"].network
     file = study.name("tuner", ".json")
     network.save(study.folder / file)
-    section.files.append(file)
-
     twice = [train_network(data[own], replace(options, epochs=50)).network.to_bytes() for _ in range(2)]
     by_runs = split_samples(data[own], replace(options, split="runs"))
-    section.numbers = {
+    numbers = {
         "scores": {
             f"{kind} {split}": {side: scores_of(result, side) for side in _SIDES}
             for (kind, split), result in results.items()
@@ -122,88 +114,11 @@ def make(study: Study) -> Section:
         "rounding_of_training": rounding_of_training(data[own], options, network),
         "validation": scores_of(results[own, "samples"], "validation"),
     }
-    _add_scores(section, results, data, options)
-    _add_limits(section, study, own)
-    section.figure(
-        "Learning curves: loss of each epoch, by kind of density and split",
-        study.save_figure(plot_learning_curves(results), "learning_curves"),
-    )
-    section.figure(
-        "What the network answers for the data of each experiment (points: medians, bars: 5 to 95 %) against the "
-        "label. Experiments of one label stand side by side; on the dotted line the answer would be right.",
-        study.save_figure(plot_predictions(network, data[own]), "predictions"),
-    )
-    _add_repeatability(section, options)
-    section.verdict = verdict(section.numbers)
+    figures = {
+        "learning_curves": plot_learning_curves(results),
+        "predictions": plot_predictions(network, data[own]),
+    }
+    section = study.section("training", numbers, figures, base=study.base, bounds=bounds, epochs=options.epochs)
+    section.files.append(file)
     study.progress(1.0)
     return section
-
-
-def _add_scores(
-    section: Section,
-    results: Mapping[tuple[DensityKind, Split], TrainingResult],
-    data: Mapping[DensityKind, Dataset],
-    options: TrainingOptions,
-) -> None:
-    rows = []
-    for (kind, split), result in results.items():
-        training = split_samples(data[kind], replace(options, split=split))
-        for side, mask in zip(_SIDES, (training, ~training), strict=True):
-            scores, bound = scores_of(result, side), best_possible_scores(data[kind].outputs[mask])
-            rows.append(
-                (kind, split, side, *(v for name in _TARGETS[:2] for v in (scores[name], bound[name])), scores["ratio"])
-            )
-    section.table(
-        "R^2 of log10 of the weights from the densities (35), (36); split by random samples as in the paper, and by "
-        "whole runs. The bound is that of an estimator that knows the ratio of each of these samples",
-        ("density", "split", "side", "omega_Q", "bound", "omega_R", "bound", "ratio"),
-        rows,
-    )
-
-
-def _add_limits(section: Section, study: Study, own: DensityKind) -> None:
-    n = section.numbers
-    best, scores = n["best_possible"], n["scores"]
-    runs, apart = n["labels_apart"]
-    section.text(
-        "### What cannot be learnt\n\n"
-        "Only the ratio of the weights (27) acts on the robot, so pairs with one ratio leave the same data under "
-        f"different labels: here the densities of such runs differ by {n['equal_ratio_spread']:.1e} at most. Over the "
-        "nine pairs even an estimator that knew the ratio exactly could reach no more than "
-        f"R^2 = {best['omega_Q']:.2f} for omega_Q and {best['omega_R']:.2f} for omega_R; only the ratio has a bound of "
-        f"{best['ratio']:.2g}. A random split puts neighbours in time, {1e3 * study.base.lqi.period:g} ms "
-        f"apart, on both sides; a split by whole runs does not, but {apart} of its {runs} validation runs have data "
-        "that training saw under other labels alone. With the tuner's own densities the ratio's validation R^2 is "
-        f"{_short(scores[f'{own} samples']['validation']['ratio'])} by samples and "
-        f"{_short(scores[f'{own} runs']['validation']['ratio'])} by runs."
-    )
-
-
-def _add_repeatability(section: Section, options: TrainingOptions) -> None:
-    n = section.numbers
-    same = "the same weights file to the byte" if n["repeatable"] else "different weights files"
-    section.text(
-        "### Repeatability\n\n"
-        f"Two trainings with one seed gave {same} (double precision, one thread). Another machine may round sums "
-        "differently. With one weights file and every sum of the network taken in the opposite order the answers "
-        f"change by {n['rounding_of_inference']:.1e} relative at most. Trained again for {options.epochs} epochs, from "
-        f"inputs that differ in their last bit, log10 of the answers comes out up to {n['rounding_of_training']:.1e} "
-        "apart: that much may lie between the networks that two machines train."
-    )
-
-
-def verdict(numbers: dict[str, Any]) -> str:
-    """What was learnt and what was not, from the section's numbers."""
-    scores, best = numbers["validation"], numbers["best_possible"]
-    learnt = [name for name in _TARGETS if scores[name] is not None and scores[name] >= LEARNT]
-    return (
-        f"{holds(name in learnt for name in _TARGETS[:2])}: on the validation samples R^2 is "
-        f"{_short(scores['omega_Q'])} for omega_Q, {_short(scores['omega_R'])} for omega_R and "
-        f"{_short(scores['ratio'])} for their ratio, of at most {_short(best['omega_Q'])}, {_short(best['omega_R'])} "
-        f"and {_short(best['ratio'])}. Learnt (R^2 of {LEARNT:g} or more): "
-        f"{' and '.join(learnt) if learnt else 'nothing'}."
-    )
-
-
-def _short(score: float | None) -> str:
-    return "-" if score is None else f"{score:.2g}"

@@ -1,4 +1,4 @@
-"""The tuner against fixed weights: ranking, improvement in per cent, and what it depends on; pure, words included."""
+"""The tuner against fixed weights: ranking, improvement in per cent, and what it depends on; pure."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import second_half
-from stewart_drake.paper.nine_experiments_section import PAIRS, RATIOS
-from stewart_drake.paper.report import holds
+from stewart_drake.paper.experiments import PAIRS, RATIOS
 
 LABELS = {ratio: sum(math.isclose(q / r, ratio) for q, r in PAIRS) for ratio in RATIOS}
 """How many of the nine pairs have each ratio."""
@@ -185,91 +185,21 @@ def constant_at(comparison: Comparison, ratio_log10: float) -> float | None:
     return float(np.exp(np.interp(ratio_log10, np.log10(RATIOS), np.log(known))))
 
 
-def explanation(
-    comparisons: Sequence[Comparison],
-    fit: AnswerFit | None,
-    score: float | None,
-    factors: Sequence[float],
-    torque_spread: float,
-) -> str:
-    """Why the tuner ranks where it does, from the numbers.
-
-    Args:
-        comparisons: The trajectories.
-        fit: What the network's answers depend on; None where no trajectory was completed by all five.
-        score: R^2 of the log ratio on the network's own validation data, where its file says so.
-        factors: RMSE of the tuner over that of constant weights of its mean ratio, by trajectory.
-        torque_spread: [%] by which torque RMS differs at most between the runs of one trajectory.
-    """
+def falling(comparisons: Sequence[Comparison]) -> tuple[int, int]:
+    """On how many trajectories the error falls at every step of the ratio, and how many all five complete."""
     full = [list(c.fixed.values()) for c in comparisons if None not in c.fixed.values()]
-    falling = sum(all(a > b for a, b in itertools.pairwise(row) if a and b) for row in full)
-    spread = f"The torque RMS of the runs on one trajectory differs by {torque_spread:.1f} % at most"
-    nothing = ": holding the robot up and moving it takes what it takes, and R has next to nothing to save"
-    parts = [
-        f"**What would help.** The error falls at every step from ratio {RATIOS[0]:g} to {RATIOS[-1]:g} on {falling} "
-        f"of {len(full)} trajectories that all five complete. {spread}{nothing if torque_spread < 5.0 else ''}."
-    ]
-    if fit is not None:
-        sees = "hardly sees" if fit.slope < 0.2 else "sees in part" if fit.slope < 0.8 else "sees"
-        own = "" if score is None else f" (on the motion of its own data its validation R^2 was {score:.2f})"
-        parts.append(
-            f"**What the network sees.** It was trained to tell which label was in force, and it {sees} that here: "
-            f"while it looks on at fixed weights, its answer moves by {fit.slope:z.2f} decades for each decade of the "
-            f"ratio in force, where a perfect estimator's moves by 1; R^2 of the log ratio is {fit.r_squared:.2f}"
-            f"{own}. The trajectory alone accounts for {100.0 * fit.by_trajectory:.0f} % of the variance of its "
-            f"mean answers, which lie around a ratio of {10.0**fit.mean:.2g}, between the extremes of its labels. The "
-            "densities (35), (36) divide each signal by its own recent mean, so the size of the error, which is what "
-            "the weights change most, is not among the inputs: ten times the error has the same densities."
-        )
-    parts.append(
-        "**What it aims at.** No tracking error enters its training. Even a perfect estimator would answer with the "
-        "weights in force and so leave them where they are: the loop of Fig. 6 has no reason to go where the error is "
-        "smaller."
-    )
-    if factors:
-        typical = float(np.exp(np.mean(np.log(factors))))
-        effect = f"{'costs' if typical > 1.0 else 'gains'} {100.0 * abs(typical - 1.0):.0f} %"
-        parts.append(
-            "**What switching is worth.** Weights held at the ratio that the network holds on average would have an "
-            f"error that can be interpolated between the five. The tuner's is {typical:.2f} times that (geometric mean "
-            f"over {len(factors)} trajectories, {min(factors):.2f} to {max(factors):.2f}): changing the weights from "
-            f"tick to tick {effect}."
-        )
-    return "\n\n".join(parts)
+    return sum(all(a > b for a, b in itertools.pairwise(row) if a and b) for row in full), len(full)
 
 
-def verdict(comparisons: Sequence[Comparison], gains: Mapping[str, Improvement]) -> str:
-    """One line from the numbers."""
-    first = comparisons[0]
-    best = best_fixed_ratio(comparisons)
-    start, oracle = gains["ratio 1"].each[0], gains[ORACLE].each[0]
-    if first.tuner is None:
-        opening = f"on {first.name} the run under the tuner ends early."
-    else:
-        opening = (
-            f"on {first.name} the tuner's pose RMSE is {first.tuner:.3g} mm: {_against(start)} that of 1/1 held fixed, "
-            f"{_against(oracle)} that of the best of the nine."
-        )
+def findings(comparisons: Sequence[Comparison], gains: Mapping[str, Improvement]) -> dict[str, Any]:
+    """What the verdict rests on: baselines that the tuner beats, by the claimed average, and by most."""
     known = {name: gain.mean for name, gain in gains.items() if gain.mean is not None}
-    reached = [name for name, mean in known.items() if mean >= CLAIMED]
-    most = max(known, key=known.__getitem__, default=None)
-    nearest = ""
-    if most is not None:
-        typical = gains[most].typical
-        by_factor = "" if typical is None else f", or {typical:.0f} % by geometric mean"
-        nearest = f" (the most is {known[most]:.0f} %, against {most}{by_factor})"
-    named = BEST_FIXED if best is None else f"{BEST_FIXED} (ratio {best:g})"
-    better = [name for name in (BEST_FIXED, MEAN_OF_NINE, "ratio 1") if known.get(name, -1.0) > 0.0]
-    return (
-        f"{holds((len(better) == 3, bool(better)))}: {opening} Over {len(comparisons)} trajectories its error is on "
-        f"average {_against(gains[MEAN_OF_NINE].mean)} the mean of the nine and {_against(gains[BEST_FIXED].mean)} "
-        f"that of the {named}. {CLAIMED:.0f} % on average is reached against "
-        f"{', '.join(reached) if reached else f'no baseline{nearest}'}."
-    )
-
-
-def _against(percent: float | None) -> str:
-    """`12 % below` for an improvement of 12 %."""
-    if percent is None:
-        return "not comparable with"
-    return f"{abs(percent):.0f} % {'below' if percent >= 0.0 else 'above'}"
+    return {
+        "comparisons": comparisons,
+        "gains": gains,
+        "claimed": CLAIMED,
+        "best": best_fixed_ratio(comparisons),
+        "reached": [name for name, mean in known.items() if mean >= CLAIMED],
+        "most": max(known, key=known.__getitem__, default=None),
+        "better": [name for name in (BEST_FIXED, MEAN_OF_NINE, "ratio 1") if known.get(name, -1.0) > 0.0],
+    }

@@ -102,6 +102,13 @@ class VisitedRegion:
         return self.peak_torque / self.log.scenario.robot.effort_limit
 
     @property
+    def far(self) -> np.ndarray:
+        """(6,) [rad, m] largest distance of each coordinate from the motion's centre."""
+        scenario = self.log.scenario
+        middle = np.array(getattr(scenario.reference, "center", scenario.robot.home_pose))
+        return np.abs(self.envelope.pose - middle).max(axis=0)
+
+    @property
     def speed(self) -> float:
         """[rad/s] largest of any crank."""
         return float(np.abs(self.envelope.crank_rate).max())
@@ -142,39 +149,19 @@ def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
     return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
 
 
-def region_verdict(regions: Sequence[VisitedRegion], runs: int) -> str:
-    """What came of the claim that the method defines the workspace of states and torques.
+def findings(regions: Sequence[VisitedRegion], runs: int) -> dict[str, Any]:
+    """What the verdict on the claim rests on, that the method defines the workspace of states and torques.
 
     Args:
         regions: Of the runs that left a log, the scenario's own motion first.
         runs: All that were tried.
     """
     done = [region for region in regions if region.log.reached_end]
-    if 2 * len(done) <= runs:
-        reasons = sorted({str(region.log.reason) for region in regions if not region.log.reached_end})
-        why = f" ({', '.join(reasons)})" if reasons else ""
-        return f"Does not hold: only {len(done)} of {runs} controlled motions came to their end{why}."
-    peaks = [region.peak_torque for region in done]
-    most = 100.0 * max(region.torque_use for region in done)
-    bounded = (
-        f"{len(done)} of {runs} controlled motions came to their end; each fills a bounded region of states "
-        f"and torques (up to {max(peaks):.2f} N m, {most:.0f} % of the motors' limit)"
-    )
-    first = regions[0]
-    (use, limit), (reference_use, _) = first.worst, first.reference_worst
-    own = (
-        f"{first.name[0].upper()}{first.name[1:]} takes up {100.0 * first.torque_use:.0f} % of the torque and at most "
-        f"{100.0 * use:.0f} % of a limit on poses ({limit.replace('_', ' ')}; "
-        f"its reference {100.0 * reference_use:.0f} %)."
-    )
-    outside = [region.name for region in done if region.worst[0] > 1.0]
-    if outside:
-        own += f" Poses beyond a limit were visited by: {'; '.join(outside)}."
-    range_ = f"from {min(peaks):.2f} to {max(peaks):.2f} N m"
-    if max(peaks) <= LARGE_SPREAD * min(peaks):
-        holds = "Holds" if len(done) == runs else "Holds in part"
-        return f"{holds}: {bounded}, and the largest torque hardly depends on the motion ({range_}). {own}"
-    return (
-        f"Holds in part: {bounded}. But the region belongs to the motion, not to the method: the largest torque of a "
-        f"run goes {range_}. {own}"
-    )
+    return {
+        "regions": regions,
+        "runs": runs,
+        "done": done,
+        "reasons": sorted({str(region.log.reason) for region in regions if not region.log.reached_end}),
+        "outside": [region.name for region in done if region.worst[0] > 1.0],
+        "large_spread": LARGE_SPREAD,
+    }

@@ -1,8 +1,7 @@
-"""What the robot can do at each of many poses: fast, closed forms over arrays with the poses on the last axis.
+"""What the robot can do at each of many poses: the mechanics of `kinematics_core`, poses on the last axis.
 
-The same quantities as in `kinematics`, `limits` and `rigid_body_model`, several times faster: crank angles are never
-formed (their cosine and sine follow from A, B, C of the crank equation), all vectors are kept as (3, legs, poses), and
-blocks that fit the cache go to a pool of threads (numpy lets go of the interpreter inside its loops).
+The same quantities as in `kinematics`, `limits` and `dynamics`, several times faster: in blocks that fit the cache, by
+a pool of threads (numpy lets go of the interpreter inside its loops).
 
 Serial and parallel singularities are told apart by two measures. `transmission` |e_l . e_N| is zero where a crank is at
 its dead centre (serial): the motor moves, the platform does not; `reach` is zero there too. `conditioning` is zero
@@ -21,9 +20,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.leg import LEGS
+from stewart_drake.mechanics import kinematics_core as core
+from stewart_drake.mechanics.arrays import Robot, cross, dot, fitted, namespace, numpy_robot
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines, rotation_matrix
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.mechanics.dynamics_core import weight
+from stewart_drake.planning.limits import crank_strokes
+from stewart_drake.robot import RobotParameters
 
 _BLOCK = 1024  # poses at a time: 15 pairs of legs each, arrays of 120 kB, a dozen of them alive
 _REACH_BLOCK = 8192
@@ -42,6 +45,7 @@ class PoseMeasures:
             has not the sign that it has at home; zero at a parallel singularity.
         ball_swing: [rad] largest swing of a rod from home, seen in the platform.
         universal_swing: [rad] largest swing of a rod from home, seen in its crank.
+        stroke: [-] largest distance of a crank from the middle of its range, as a part of half of it; 0 without stops.
         clearance: [m] smallest distance of the surfaces of links of different legs; negative where they overlap.
         holding_torque: [N m] largest |motor torque| at rest; infinite exactly at a parallel singularity.
         force: [N] largest force, without moment about P, that can be exerted in any direction whatever.
@@ -53,6 +57,7 @@ class PoseMeasures:
     conditioning: np.ndarray
     ball_swing: np.ndarray
     universal_swing: np.ndarray
+    stroke: np.ndarray
     clearance: np.ndarray
     holding_torque: np.ndarray
     force: np.ndarray
@@ -121,25 +126,8 @@ def smallest_reach(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     reach = np.empty(len(pose))
     for first in range(0, len(pose), _REACH_BLOCK):
         block = slice(first, first + _REACH_BLOCK)
-        reach[block] = _Cranks(robot, pose[block]).reach.min(axis=0)
+        reach[block] = core.reach_margin(numpy_robot(robot), pose[block]).min(axis=0)
     return reach
-
-
-class _Cranks:
-    """The crank equation A cos(theta) + B sin(theta) = C of every leg; arrays (6, n), vectors (3, 6, n)."""
-
-    def __init__(self, robot: RobotParameters, pose: np.ndarray) -> None:
-        self.rotation = np.ascontiguousarray(np.moveaxis(rotation_matrix(pose[:, :3]), 0, -1))
-        self.arm = robot.platform_joints @ self.rotation
-        self.joint = self.arm + pose[:, 3:].T[:, None, :]
-        self.span = self.joint - robot.shaft_positions.T[:, :, None]
-        a = robot.crank_lengths[:, None]
-        self.along = (2.0 * a) * _dot(self.span, robot.crank_zero_directions.T[:, :, None])
-        self.up = (2.0 * a) * _dot(self.span, robot.crank_quarter_directions.T[:, :, None])
-        self.constant = _dot(self.span, self.span) + (a * a - robot.rod_lengths[:, None] ** 2)
-        self.size = np.hypot(self.along, self.up)
-        ratio = np.divide(self.constant, self.size, out=np.full_like(self.size, np.inf), where=self.size > 0.0)
-        self.reach = 1.0 - np.abs(ratio)
 
 
 @dataclass(frozen=True)
@@ -152,47 +140,34 @@ class _HomeRods:
 
     @staticmethod
     def of(robot: RobotParameters) -> _HomeRods:
-        legs = leg_geometry(robot, robot.home_pose)
-        in_platform = legs.e_l @ rotation_matrix(robot.home_pose[:3])
-        axis = np.cross(robot.crank_quarter_directions, robot.crank_zero_directions)
-        in_crank = [np.sum(legs.e_l * direction, axis=-1) for direction in (legs.crank, axis, legs.e_n)]
-        return _HomeRods(in_platform.T, np.array(in_crank), float(np.sign(np.linalg.det(rod_lines(legs)))) or 1.0)
+        own = numpy_robot(robot)
+        legs = core.legs_at(own, robot.home_pose)
+        in_platform = np.einsum("ck,cl->kl", legs.rotation, legs.e_l)
+        return _HomeRods(in_platform, _in_crank(own, legs), float(np.sign(core.determinant(legs))) or 1.0)
+
+
+def _in_crank(robot: Robot, legs: core.Legs) -> np.ndarray:
+    """(3, 6, ...) directions of the rods along the cranks, their lateral axes and e_N."""
+    lateral = cross(namespace(robot.zeros), robot.quarters, robot.zeros)
+    return np.stack([dot(legs.e_l, legs.crank), dot(legs.e_l, lateral), legs.transmission])
 
 
 def _measure(
     robot: RobotParameters, home: _HomeRods, pose: np.ndarray, gravity: float, torque_limit: float
 ) -> np.ndarray:
-    """All fields of `PoseMeasures` but the first, (8, n), of poses within reach."""
-    cranks = _Cranks(robot, pose)
-    a, length = robot.crank_lengths[:, None], robot.rod_lengths[:, None]
-    h, quarter = robot.crank_zero_directions.T[:, :, None], robot.crank_quarter_directions.T[:, :, None]
-    # theta = atan2(B, A) + branch acos(C / size), so no angle is needed: with root = branch sqrt(size^2 - C^2),
-    # cos = (A C - B root) / size^2, sin = (B C + A root) / size^2 and e_l . e_N = -root / (2 a l).
-    square = cranks.size * cranks.size
-    root = robot.branches[:, None] * np.sqrt((cranks.size - cranks.constant) * (cranks.size + cranks.constant))
-    cosine = (cranks.along * cranks.constant - cranks.up * root) / square
-    sine = (cranks.up * cranks.constant + cranks.along * root) / square
-    transmission = root / (-2.0 * a * length)
-    crank = cosine * h + sine * quarter
-    e_l = (cranks.span - a * crank) / length
-
-    in_crank = (
-        (cranks.constant / (2.0 * a) - a) / length,
-        _dot(cranks.span, _cross(quarter, h)) / length,
-        transmission,
-    )
-    lines = np.concatenate([_cross(cranks.arm, e_l), e_l])
-    conditioning, inverse = _invert(robot, home, lines)
+    """All fields of `PoseMeasures` but the first, (9, n), of poses within reach."""
+    own = fitted(numpy_robot(robot), 1)
+    legs = core.legs_at(own, pose)
+    conditioning, inverse = _invert(robot, home, core.rod_lines(legs))
     return np.stack(
         [
-            np.abs(transmission).min(axis=0),
+            np.abs(legs.transmission).min(axis=0),
             conditioning,
-            _largest_swing(e_l, np.einsum("ckn,kl->cln", cranks.rotation, home.in_platform)),
-            _largest_swing(in_crank, home.in_crank[:, :, None]),
-            _smallest_distance(robot, cranks, crank, e_l) - 2.0 * robot.link_radius,
-            *_strength(
-                robot, cranks, cosine * quarter[2] - sine * h[2], a * transmission, inverse, gravity, torque_limit
-            ),
+            _largest_swing(legs.e_l, np.einsum("ckn,kl->cln", legs.rotation, home.in_platform)),
+            _largest_swing(_in_crank(own, legs), home.in_crank[:, :, None]),
+            _largest_stroke(robot, legs.cranks),
+            _smallest_distance(own, legs) - 2.0 * robot.link_radius,
+            *_strength(core.levers(own, legs), weight(own, legs, gravity), inverse, torque_limit),
         ]
     )
 
@@ -221,34 +196,26 @@ def _invert(robot: RobotParameters, home: _HomeRods, lines: np.ndarray) -> tuple
 
 
 def _strength(
-    robot: RobotParameters,
-    cranks: _Cranks,
-    rise: np.ndarray,
-    lever: np.ndarray,
-    inverse: np.ndarray,
-    gravity: float,
-    torque_limit: float,
+    lever: np.ndarray, weight: tuple[np.ndarray, np.ndarray], inverse: np.ndarray, torque_limit: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Holding torque, force and moment, each (n,).
 
-    `rise` (6, n) [-] is the vertical part of e_N, `lever` (6, n) [m] torque over rod force.
+    Args:
+        lever: (6, n) [m] torque over rod force.
+        weight: What gravity takes to hold, of `dynamics_core.weight`: no force but along z, no moment about it.
+        inverse: (6, 6, n) of the rods' lines.
+        torque_limit: [N m].
     """
-    half_rod = 0.5 * robot.rod_mass * gravity
-    along_x, along_y = half_rod * cranks.arm[:2].sum(axis=1) + gravity * (
-        cranks.rotation[:2].swapaxes(1, 2) @ robot.platform_moment
-    )
-    weight = robot.platform_mass * gravity + LEGS * half_rod
+    wrench, own = weight
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Each platform joint carries half a rod, each crank half a rod at its tip and its own weight in the middle.
-        rod_force = inverse[0] * along_y - inverse[1] * along_x + weight * inverse[5]
-        own = (half_rod + 0.5 * robot.crank_mass * gravity) * robot.crank_lengths[:, None] * rise
+        rod_force = inverse[0] * wrench[0] + inverse[1] * wrench[1] + inverse[5] * wrench[5]
         torque = np.abs(lever * rod_force + own)
         # At a parallel singularity infinities of both signs meet in the sum: no torque holds.
         torque[np.isnan(torque)] = np.inf
         spare = torque_limit - torque
         size = np.abs(lever)
         moment, force = (
-            np.where(spare > 0.0, spare / (size * np.sqrt(_dot(part, part))), 0.0).min(axis=0)
+            np.where(spare > 0.0, spare / (size * np.sqrt(dot(part, part))), 0.0).min(axis=0)
             for part in (inverse[:3], inverse[3:])
         )
     return torque.max(axis=0), force, moment
@@ -260,20 +227,27 @@ def _largest_swing(now: np.ndarray | tuple[np.ndarray, ...], then: np.ndarray) -
     return 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(chord, axis=0)), 1.0))
 
 
-def _smallest_distance(robot: RobotParameters, cranks: _Cranks, crank: np.ndarray, e_l: np.ndarray) -> np.ndarray:
+def _largest_stroke(robot: RobotParameters, cranks: core.Cranks) -> np.ndarray:
+    """`PoseMeasures.stroke` (n,); angles are formed for robots with stops alone."""
+    if not np.isfinite(robot.crank_angle_ranges).any():
+        return np.zeros(cranks.sine.shape[1:])
+    stroke, half = crank_strokes(robot, core.crank_angles(cranks))
+    return np.asarray((stroke / half).max(axis=-1))
+
+
+def _smallest_distance(robot: Robot, legs: core.Legs) -> np.ndarray:
     """Smallest distance (n,) [m] between centre lines of links of different legs.
 
     `limits.segment_distance` with unit directions, so that a link's parameter is the length along it.
     """
-    shaft = np.broadcast_to(robot.shaft_positions.T[:, :, None], cranks.span.shape)
-    a, rod = robot.crank_lengths[:, None], robot.rod_lengths[:, None]
-    links = ((shaft, crank, a), (shaft + a * crank, e_l, rod))
+    shaft, crank, a = np.broadcast_to(robot.shafts, legs.crank.shape), legs.crank, robot.cranks
+    links = ((shaft, crank, a), (shaft + a * crank, legs.e_l, robot.rods))
     of_one = [(start[:, _ONE], direction[:, _ONE], length[_ONE]) for start, direction, length in links]
     of_other = [(start[:, _OTHER], direction[:, _OTHER], length[_OTHER]) for start, direction, length in links]
     smallest = np.full((len(_ONE), crank.shape[-1]), np.inf)
     for (start, u, end), (other_start, v, other_end) in itertools.product(of_one, of_other):
         r = start - other_start
-        uv, ur, vr = _dot(u, v), _dot(u, r), _dot(v, r)
+        uv, ur, vr = dot(u, v), dot(u, r), dot(v, r)
         determinant = 1.0 - uv * uv
         skew = determinant > np.finfo(float).eps
         s = np.clip((uv * vr - ur) / np.where(skew, determinant, 1.0), 0.0, end) * skew
@@ -281,16 +255,5 @@ def _smallest_distance(robot: RobotParameters, cranks: _Cranks, crank: np.ndarra
         s = np.clip(uv * t - ur, 0.0, end)
         r += s * u
         r -= t * v
-        np.minimum(smallest, _dot(r, r), out=smallest)
+        np.minimum(smallest, dot(r, r), out=smallest)
     return np.sqrt(smallest.min(axis=0))
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Scalar product over the first axis, of length three."""
-    product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product over the first axis."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.planning.feasibility import SEARCH_RTOL, FeasibilityReport, bisect, check_reference, largest_scale
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, Reference
@@ -26,9 +28,14 @@ def motion_report(scenario: Scenario) -> FeasibilityReport:
     # Where numbers overflow a limit is broken, or the check names the signal; warnings would only add noise.
     with np.errstate(all="ignore"):
         try:
-            return check_reference(
-                scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity
-            )
+            with user_code(scenario):
+                return check_reference(
+                    scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity
+                )
+        except ControllerError as error:
+            raise ConfigurationError(
+                "reference", scenario.reference, f"a motion that does not raise ({error})"
+            ) from None
         except ConfigurationError as error:
             if error.key not in ("pose", "pose_rate", "pose_acceleration"):
                 raise

@@ -17,7 +17,6 @@ from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.control.inputs import checked_legs
 from stewart_drake.control.user_controller import user_code
-from stewart_drake.control.user_errors import ControllerStop
 from stewart_drake.errors import (
     ConfigurationError,
     RunFailure,
@@ -28,6 +27,7 @@ from stewart_drake.errors import (
     raised_at,
 )
 from stewart_drake.files.named_files import file_digests
+from stewart_drake.files.user_errors import ControllerError, ControllerStop
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows, RowsInMemory
@@ -110,7 +110,7 @@ def _run_loop(
     """Runs a loop from its start; see `run`."""
     scenario = loop.scenario
     _compile(loop)
-    with drake_guard("preparing the simulator"), user_code(scenario.controller):
+    with drake_guard("preparing the simulator"), user_code(scenario):
         simulator = Simulator(loop, loop.create_start_context())
         _integrate_in_substeps(simulator, scenario.plant.time_step)
     context = simulator.get_mutable_context()
@@ -134,11 +134,11 @@ def _run_loop(
     ended_by: RunFailure | KeyboardInterrupt | None = None
     start = time.perf_counter()
     try:
-        with drake_guard("simulation"), user_code(scenario.controller), _quiet():
+        with drake_guard("simulation"), user_code(scenario), _quiet():
             simulator.Initialize()
         for done in sorted({*range(stride, total, stride), total, *breaks}):
             # What `progress` raises is not ours, so it stays outside of the guard.
-            with drake_guard("simulation"), user_code(scenario.controller), _quiet():
+            with drake_guard("simulation"), user_code(scenario), _quiet():
                 _refuse_early_end(simulator.AdvanceTo(done * step))
             if done in breaks:
                 loop.plant.break_rod(context, breaks[done])
@@ -268,8 +268,12 @@ def check_scenario(scenario: Scenario) -> None:
     """
     motion_report(scenario).raise_if_infeasible()
     if scenario.safety is not None:
-        with _quiet():
-            _check_safety(scenario, scenario.safety)
+        try:
+            with user_code(scenario), _quiet():
+                _check_safety(scenario, scenario.safety)
+        except ControllerError as error:
+            names = ", ".join(scenario.safety.monitor_names)
+            raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
     with _quiet():
         try:
             checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])

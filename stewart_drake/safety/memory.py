@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -134,8 +135,13 @@ def initial_memory(torque: np.ndarray) -> SafetyMemory:
     return SafetyMemory(torque, 0.0, 0.0, -1.0, torque, torque, *(0.0,) * 6, np.zeros(5), 0.0, torque)
 
 
-def first_trip(memory: SafetyMemory, period: float) -> dict[str, Any] | None:
+def first_trip(memory: SafetyMemory, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
     """What the layer has to tell of a run; None where no monitor tripped.
+
+    Args:
+        memory: Of the last tick.
+        period: [s] of the ticks.
+        names: Of the monitors, see `SafetyOptions.monitor_names`.
 
     Returns:
         monitor, level, time [s], leg (or None) and cause (or None) of the first trip; worst, the highest level; last,
@@ -148,7 +154,7 @@ def first_trip(memory: SafetyMemory, period: float) -> dict[str, Any] | None:
 
     def told(monitor: float, tick: float, leg: float) -> dict[str, Any]:
         time = round(float(tick) * period, 9)
-        return {"monitor": MONITORS[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
+        return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 
     stopped = memory.level >= RAMP
     return {

@@ -139,3 +139,12 @@ def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> Trip
     if np.abs(inputs.command).max() > _ABSURD * limit:
         return Trip(MONITORS.index("torque_limit"), HOLD, int(np.abs(inputs.command).argmax()))
     return None
+
+
+def further(options: SafetyOptions, inputs: SafetyInputs) -> Trip | None:
+    """What the user's own monitors say of a finite measurement."""
+    for index, monitor in enumerate(options.monitors):
+        leg = monitor.look(inputs)
+        if leg is not None:
+            return Trip(len(MONITORS) + index, RAMP, leg)
+    return None

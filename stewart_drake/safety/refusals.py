@@ -19,7 +19,7 @@ from stewart_drake.mechanics.kinematics import (
 )
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import MONITORS, SafetyInputs
-from stewart_drake.safety.monitors import look
+from stewart_drake.safety.monitors import further, look
 from stewart_drake.safety.safety_options import SafetyOptions
 
 _SAMPLES = 4000
@@ -64,8 +64,21 @@ def refuse_motion(
         allowed = f"one that does not trip {monitor} along the reference, as it does"
         _refuse("horizon", options.horizon, values, largest, when, allowed)
     torque = inverse_dynamics(robot, *motion, gravity)
+    _refuse_by_further(options, time, motion, torque)
     _refuse_effort(robot, options, time, torque)
     _refuse_torque_rate(options, time, torque)
+
+
+def _refuse_by_further(
+    options: SafetyOptions, time: np.ndarray, motion: tuple[np.ndarray, np.ndarray, np.ndarray], torque: np.ndarray
+) -> None:
+    """Refuses a monitor of the user's own that the motion itself trips."""
+    for row in range(len(time) if options.monitors else 0):
+        trip = further(options, SafetyInputs(torque[row], motion[0][row], motion[1][row], motion[0][row]))
+        if trip is not None:
+            index = trip.monitor - len(MONITORS)
+            allowed = f"one that the reference does not trip, as it does at t = {time[row]:.3f} s"
+            raise ConfigurationError(f"safety.monitors.{index}", options.monitor_names[trip.monitor], allowed)
 
 
 def _refuse_effort(robot: RobotParameters, options: SafetyOptions, time: np.ndarray, torque: np.ndarray) -> None:
@@ -152,9 +165,10 @@ def refuse_start(
     Raises:
         ConfigurationError: Names the monitor.
     """
-    trip = look(robot, options, 0.0, SafetyInputs(np.zeros(6), pose, pose_rate, reference), 0.0).trip
+    inputs = SafetyInputs(np.zeros(6), pose, pose_rate, reference)
+    trip = look(robot, options, 0.0, inputs, 0.0).trip
     if trip is not None:
-        name = MONITORS[trip.monitor]
+        name = options.monitor_names[trip.monitor]
         if np.array_equal(pose, reference):
             # The motion itself has been looked at: it is the look ahead that leads out of bounds.
             raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.registry import MONITORS as MONITORS_OF_USERS
 from stewart_drake.robot import RobotParameters
+from stewart_drake.safety.memory import MONITORS
 from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 
 
@@ -62,9 +64,16 @@ class SafetyOptions(Section, key="safety"):
     """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
+    monitors: tuple[Annotated[Any, MONITORS_OF_USERS], ...] = ()
+    """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
     runaway: Annotated[Real, Field(ge=1.0)] = 2.0
     """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:
     the run ends at once."""
+
+    @property
+    def monitor_names(self) -> tuple[str, ...]:
+        """Names by the number in the log, those of `monitors` last."""
+        return (*MONITORS, *(getattr(each, "name", each.kind) for each in self.monitors))
 
     def check_against(self, robot: RobotParameters, period: float) -> None:
         """Rules between these options, the robot as believed and the control period [s].

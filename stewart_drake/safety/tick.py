@@ -26,6 +26,7 @@ from stewart_drake.safety.monitors import (
     USABLE_TRANSMISSION,
     View,
     failed,
+    further,
     look,
     measured,
     unusable,
@@ -71,6 +72,8 @@ def safety_tick(
     limit = math.inf if options.torque_limit is None else options.torque_limit * robot.effort_limit
     trip = view.trip if view is not None else None
     trip = trip or unusable(options, inputs, limit)
+    if trip is None and seen:
+        trip = further(options, inputs)
     if trip is not None:
         return _react(robot, options, period, view, memory, trip)
 
@@ -124,7 +127,7 @@ def flat_tick(
         before = SafetyMemory.from_flat(memory)
         return safety_tick(robot, options, gravity, period, inputs, before).flat()
 
-    if not compiled:
+    if not compiled or options.monitors:
         return reference
     # numba takes half a second to import, and compiles on first use.
     from stewart_drake.compiled.mechanism import pack
@@ -199,13 +202,15 @@ def _stopping(
     memory = memory._replace(since=memory.since + 1.0)
     if view is None and memory.held >= options.budget(period):
         # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
-        raise _stop(memory, period, "stopped: no measurement to hold the robot by", held=False)
+        raise _stop(options, memory, period, "stopped: no measurement to hold the robot by", held=False)
     speed = np.zeros(6) if view is None else view.speed
     fastest = options.runaway * (15.0 if options.crank_speed is None else options.crank_speed)
     if np.abs(speed).max() > fastest:
-        raise _stop(memory, period, f"stopping, but a crank turns at {np.abs(speed).max():.3g} rad/s", held=False)
+        raise _stop(
+            options, memory, period, f"stopping, but a crank turns at {np.abs(speed).max():.3g} rad/s", held=False
+        )
     if memory.since * period > options.ramp_time + options.safe_hold_time + 1e-9:
-        raise _stop(memory, period, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
+        raise _stop(options, memory, period, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
     share = min(1.0, memory.since * period / options.ramp_time)
     level = SAFE_HOLD if share >= 1.0 else RAMP
     damping = 0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping
@@ -219,7 +224,9 @@ def _stopping(
     )
 
 
-def _stop(memory: SafetyMemory, period: float, what: str, held: bool) -> SafetyStop:
-    name = MONITORS[int(memory.monitor)]
-    trip = first_trip(memory if held else memory._replace(level=float(END), worst=float(END)), period)
+def _stop(options: SafetyOptions, memory: SafetyMemory, period: float, what: str, held: bool) -> SafetyStop:
+    name = options.monitor_names[int(memory.monitor)]
+    trip = first_trip(
+        memory if held else memory._replace(level=float(END), worst=float(END)), period, options.monitor_names
+    )
     return SafetyStop(name, f"{name}: {what}", int(memory.leg) if memory.leg >= 0.0 else None, trip)

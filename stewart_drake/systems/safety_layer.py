@@ -109,4 +109,4 @@ class SafetyLayer(TickedSystem):
         mine = self.GetMyContextFromRoot(context)
         asked = not self.get_output_port(self.result.get_index()).cache_entry().is_out_of_date(mine)
         values = self.result.Eval(mine) if asked else mine.get_discrete_state(0).value()
-        return first_trip(SafetyMemory.from_flat(values[:MEMORY_SIZE]), self._nominal)
+        return first_trip(SafetyMemory.from_flat(values[:MEMORY_SIZE]), self._nominal, self._options.monitor_names)

@@ -12,8 +12,8 @@ from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, construct, load_class, user_code
-from stewart_drake.control.user_errors import ControllerError
 from stewart_drake.errors import ConfigurationError, RunFailure
+from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario

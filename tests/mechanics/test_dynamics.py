@@ -89,7 +89,8 @@ def kinetic_energy(robot, pose, rate):
 
 
 def with_pose(robot):
-    return st.tuples(st.just(robot), poses(0.6, robot))
+    # Nearer to a dead centre finite differences of energies lose too many digits.
+    return st.tuples(st.just(robot), poses(0.35, robot))
 
 
 def motion(pose, rate, acceleration):

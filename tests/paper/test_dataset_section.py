@@ -6,7 +6,6 @@ import pyarrow.parquet as pq
 import pytest
 from made_logs import made_log
 
-from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.paper import dataset_section as section_module
 from stewart_drake.paper.dataset_section import (
@@ -19,10 +18,10 @@ from stewart_drake.paper.dataset_section import (
     run_distances,
     run_experiments,
     same_ratio,
-    verdict,
 )
 from stewart_drake.paper.plots.training_plots import plot_densities
-from stewart_drake.paper.report import Figure, Section, Table, Text
+from stewart_drake.paper.rendering import render
+from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import SineReference
@@ -51,28 +50,19 @@ def made_up(ratio_only=True, runs=9, rows=20, seed=0):
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def asked(monkeypatch, runs_by):
     """In place of searches, fixed amplitudes; in place of simulations, logs that depend on the ratio alone."""
-    scenarios = []
 
-    def run_all(_, wanted, progress=None, check=True):
-        assert check
-        scenarios.append(wanted)
-        progress(1.0)
-        logs = []
-        for scenario in wanted:
-            rows = round(scenario.duration / scenario.controller.period) + 1
-            rng = np.random.default_rng(round(1000 + 10 * np.log10(scenario.tuner.omega_q / scenario.tuner.omega_r)))
-            signals = {name: rng.normal(size=(rows, 6)) for name in ("error", "torque")}
-            weights = np.tile([scenario.tuner.omega_q, scenario.tuner.omega_r], (rows, 1))
-            log = made_log(rows=rows, step=scenario.controller.period, weights=weights, **signals)
-            logs.append(dataclasses.replace(log, scenario=scenario))
-        return logs
+    def rule(scenario):
+        rows = round(scenario.duration / scenario.controller.period) + 1
+        rng = np.random.default_rng(round(1000 + 10 * np.log10(scenario.tuner.omega_q / scenario.tuner.omega_r)))
+        signals = {name: rng.normal(size=(rows, 6)) for name in ("error", "torque")}
+        weights = np.tile([scenario.tuner.omega_q, scenario.tuner.omega_r], (rows, 1))
+        return made_log(rows=rows, step=scenario.controller.period, weights=weights, **signals)
 
-    monkeypatch.setattr(RunStore, "run_all", run_all)
     monkeypatch.setattr(collect, "feasible_amplitudes", lambda *_: (LARGEST, LARGEST))
     monkeypatch.setattr(section_module, "feasible_amplitudes", lambda *_: (LARGEST, LARGEST))
-    return scenarios
+    return runs_by(rule)
 
 
 def test_the_whole_study_has_the_paper_s_number_of_samples_and_all_five_bursts(tmp_path, asked):
@@ -190,15 +180,17 @@ def test_limits_that_leave_no_motion_are_refused():
 # --- the section ---------------------------------------------------------------------------------------------------
 
 
-def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, asked):
+@pytest.mark.parametrize(("quick", "bursts"), [(True, 2), (False, 5)])
+def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, asked, quick, bursts):
     shares = []
-    section = make(Study(tmp_path, quick=True, base=BASE, progress=shares.append))
+    section = make(Study(tmp_path, quick, BASE, shares.append))
     assert len(asked) == 1
     n = section.numbers
-    assert section.files == ["dataset-quick.parquet"]
-    data = load_dataset(tmp_path / "dataset-quick.parquet")
+    file = "dataset-quick.parquet" if quick else "dataset.parquet"
+    assert section.files == [f"figures/densities{'-quick' if quick else ''}.png", file]
+    data = load_dataset(tmp_path / file)
     assert data.digest() == n["sha256"]
-    assert n["samples"] == len(data.run) == 9 * 640
+    assert n["samples"] == len(data.run) == 9 * (640 if quick else 1600)
     assert data.metadata["density"] == BASE.tuner.density
     assert n["largest_amplitude"] == [list(row) for row in LARGEST]
     np.testing.assert_allclose(n["amplitude"], 0.8 * np.array(LARGEST), atol=1e-6)
@@ -208,47 +200,40 @@ def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, as
     assert n["distinct"] == 5
     feasible = sum(LARGEST[f][a] >= PAPER_AMPLITUDE[a] for f in range(5) for a in range(6))
     assert n["share_of_paper_amplitudes_feasible"] == pytest.approx(feasible / 30)
-    assert Section.from_json(section.to_json()).verdict == section.verdict == verdict(n, 9)
-    (figure,) = (item for item in section.items if isinstance(item, Figure))
-    assert (tmp_path / "figures" / figure.file).is_file()
-
-
-@pytest.mark.parametrize(("quick", "bursts"), [(True, 2), (False, 5)])
-def test_only_bursts_that_were_run_are_listed_as_run(tmp_path, asked, quick, bursts):
-    section = make(Study(tmp_path, quick, BASE))
-    assert len(asked) == 1
-    (table,) = (item for item in section.items if isinstance(item, Table))
-    rows = {row[0]: row[1:] for row in table.rows}
+    assert Section.from_json(section.to_json()) == section
+    # Only bursts that were run are listed as run.
+    rows = {line.split(" | ")[0][2:]: line for line in section.body.split("\n") if line.startswith("| ")}
     assert [name for name in rows if name.endswith("as run")] == [f"{f:g} Hz, as run" for f in FREQUENCIES[:bursts]]
     assert [name for name in rows if name.endswith("alone")] == [f"{f:g} Hz, each axis alone" for f in FREQUENCIES]
-    assert rows["1 Hz, as run"] == ("27.5 deg", "22.9 deg", "18.3 deg", "80.0 mm", "80.0 mm", "40.0 mm")
-    assert rows["2 Hz, each axis alone"][3].startswith("50.0 mm (")
-    assert rows["paper, 1 to 5 Hz"] == ("30.0 deg",) * 3 + ("300.0 mm",) * 3
-    words = " ".join(item.markdown for item in section.items if isinstance(item, Text))
-    assert f"the bursts of 1 to {bursts} Hz" in words
-    assert "0.3 m at 5 Hz alone is 296 m/s^2" in words
-    assert f"{9 * (640 if quick else 1600)} samples: 9 runs of" in words
+    assert rows["1 Hz, as run"].endswith("| 27.5 deg | 22.9 deg | 18.3 deg | 80.0 mm | 80.0 mm | 40.0 mm |")
+    assert "| 50.0 mm (" in rows["2 Hz, each axis alone"]
+    assert rows["paper, 1 to 5 Hz"].endswith("| 30.0 deg | 30.0 deg | 30.0 deg | 300.0 mm | 300.0 mm | 300.0 mm |")
+    assert f"the bursts of 1 to {bursts} Hz" in section.body
+    assert "0.3 m at 5 Hz alone is 296 m/s^2" in section.body
 
 
 def test_only_the_limits_that_are_on_are_named(tmp_path, asked):
     section = make(Study(tmp_path, True, BASE.replace({"limits.clearance": None, "limits.euler_pitch": None})))
     assert len(asked) == 1
-    words = " ".join(item.markdown for item in section.items if isinstance(item, Text))
-    assert "reach, conditioning, transmission, joint swing, crank speed, torque;" in words
+    assert "reach, conditioning, transmission, joint swing, crank speed, torque;" in section.body
 
 
-def test_the_verdict_follows_from_the_numbers():
-    numbers = {"samples": 14400, "share_of_paper_amplitudes_feasible": 11 / 30, "distinct": 5}
-    assert verdict(numbers, 9).startswith(
-        "Holds in part: 14400 samples collected (the paper: 14400). The paper's amplitude is feasible"
-    )
-    assert "in 11 of 30 combinations" in verdict(numbers, 9)
-    assert "The 9 runs hold 5 distinct sets of data." in verdict(numbers, 9)
-    other = {"samples": 90, "share_of_paper_amplitudes_feasible": 1.0, "distinct": 9}
-    assert verdict(other, 9).startswith("Holds: 90 samples")
-    assert verdict(other | {"share_of_paper_amplitudes_feasible": 0.0}, 9).startswith("Does not hold: ")
-    assert "in 30 of 30" in verdict(other, 9)
-    assert "9 distinct" in verdict(other, 9)
+@pytest.mark.parametrize(
+    ("feasible", "distinct", "words"), [(11, 5, "Holds in part"), (30, 9, "Holds"), (0, 5, "Does not hold")]
+)
+def test_the_verdict_follows_from_the_numbers(feasible, distinct, words):
+    numbers = {"samples": 14400, "distinct": distinct}
+    told = render("dataset", "verdict", n=numbers, feasible=feasible, cells=30, runs=9, paper_samples=PAPER_SAMPLES)
+    assert told.startswith(f"{words}: 14400 samples collected (the paper: 14400). The paper's amplitude is feasible in")
+    assert f"in {feasible} of 30 combinations" in told
+    assert told.endswith(f"The 9 runs hold {distinct} distinct sets of data.")
+
+
+def test_the_runs_of_the_report_hold_five_sets_of_data(report):
+    n = report.sections["dataset"].numbers
+    assert (n["distinct"], n["samples"]) == (5, 9 * 640)
+    assert n["equal_ratio_spread"] < 1e-6 < 1e-2 < n["next_ratio_spread"]
+    assert load_dataset(report.folder / "dataset-quick.parquet").digest() == n["sha256"]
 
 
 def test_the_figure_shows_each_density_by_ratio_with_labelled_axes():

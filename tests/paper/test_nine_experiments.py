@@ -7,23 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_logs import made_log
 
-from stewart_drake.campaigns.run_store import RunStore, run_key
-from stewart_drake.paper import nine_experiments_section as nine
+from stewart_drake.campaigns.run_store import run_key
+from stewart_drake.logs.versions import collect_versions
+from stewart_drake.paper.experiments import PAIRS, RATIOS, growth, outcome, pair_of, paper_scenario
 from stewart_drake.paper.nine_experiments_section import (
-    PAIRS,
-    RATIOS,
+    EQUAL_GAINS,
     distinct,
+    findings,
     gains_along_reference,
-    growth,
     make,
-    outcome,
-    pair_of,
-    paper_scenario,
     relative_distances,
     trajectory_spread,
-    verdict,
 )
-from stewart_drake.paper.report import Section, Table, Text
+from stewart_drake.paper.rendering import render
 from stewart_drake.paper.study import Study
 from stewart_drake.references import paper_reference
 from stewart_drake.runs import simulation
@@ -186,20 +182,24 @@ def logs_of(integrals, uncompensated, compensated):
     return logs | {(9.81, "gravity", (0.1, float(k))): made for k, made in enumerate(compensated)}
 
 
+def verdict(logs, controllers=5):
+    counts, values = findings(logs)
+    return render("nine_experiments", "verdict", n=counts | {"controllers": controllers}, **values)
+
+
 def test_the_verdict_counts_what_the_runs_show():
-    numbers = {"controllers": 5}
     logs = logs_of([0.009, -0.009, 0.011, -0.5], [failed(0.2), failed(0.3), log()], [log(), failed(1.0)])
-    text = verdict(numbers, logs)
-    assert text.startswith("Holds in part: without gravity the integral states are below 0.01 at 5 s for 2 of 4 pairs")
-    assert "shrinks from the first to the second half for 4 of the 4 that complete" in text
-    assert "0.50 to 0.50" in text
-    assert "(34) alone 2 of 3 runs end early" in text
-    assert "compensated 1 of 2 complete" in text
-    assert "The nine pairs are 5 controllers." in text
-    assert numbers["near_zero_at_5s"] == 2
-    assert numbers["lost_uncompensated"] == 2
-    assert numbers["survived_compensated"] == 1
-    assert numbers["error_growth"] == pytest.approx([0.5] * 4, rel=0.01)
+    counts, _ = findings(logs)
+    assert {name: counts[name] for name in ("near_zero_at_5s", "lost_uncompensated", "survived_compensated")} == {
+        "near_zero_at_5s": 2, "lost_uncompensated": 2, "survived_compensated": 1,
+    }  # fmt: skip
+    assert counts["error_growth"] == pytest.approx([0.5] * 4, rel=0.01)
+    text = verdict(logs)
+    assert text.startswith(
+        "Holds in part: without gravity the integral states are below 0.01 at 5 s for 2 of 4 pairs; the"
+    )
+    assert "for 4 of the 4 that complete (second half over first: 0.50 to 0.50). With gravity" in text
+    assert "(34) alone 2 of 3 runs end early; with gravity compensated 1 of 2 complete. The nine pairs are 5" in text
 
 
 def test_the_verdict_of_the_opposite_runs_says_the_opposite():
@@ -207,17 +207,16 @@ def test_the_verdict_of_the_opposite_runs_says_the_opposite():
     logs[0.0, "none", PAIRS[0]] = with_error(0.1, 0.3)
     logs[0.0, "none", PAIRS[0]]["integral"][100] = 1.0
     logs[0.0, "none", PAIRS[1]] = failed(4.9)
-    text = verdict({"controllers": 5}, logs)
-    assert text.startswith("Does not hold: ")
-    assert "below 0.01 at 5 s for 0 of 2 pairs" in text
-    assert "for 0 of the 1 that complete (" in text
-    assert "3.00 to 3.00)" in text
-    assert "0 of 1 runs end early" in text
-    assert "compensated 0 of 1 complete" in text
+    text = verdict(logs)
+    assert text.startswith("Does not hold: without gravity the integral states are below 0.01 at 5 s for 0 of 2 pairs;")
+    assert "for 0 of the 1 that complete (second half over first: 3.00 to 3.00)" in text
+    assert "0 of 1 runs end early; with gravity compensated 0 of 1 complete." in text
+    # Where no run completes there is no factor.
+    assert "for 0 of the 0 that complete. With" in verdict({(0.0, "none", PAIRS[0]): failed(1.0)})
 
 
 def test_a_verdict_on_runs_that_all_do_as_the_paper_says():
-    text = verdict({"controllers": 9}, logs_of([0.001, 0.002], [log()], [log()]))
+    text = verdict(logs_of([0.001, 0.002], [log()], [log()]), controllers=9)
     assert text.startswith("Holds: ")
     assert text.endswith("The nine pairs are 9 controllers.")
 
@@ -228,50 +227,36 @@ def test_the_pair_that_section_iv_starts_from_decides_on_the_integral_states(at_
     for pair in PAIRS:
         logs[0.0, "none", pair]["pose"][:] = with_error(0.1, 0.3)["pose"]
     logs[0.0, "none", (1.0, 1.0)]["integral"][100, 3] = at_1_1
-    text = verdict({"controllers": 5}, logs)
+    text = verdict(logs)
     assert text.startswith(f"{word}: ")
-    assert f"1/1 of section IV {'' if at_1_1 < 0.01 else 'not '}among them" in text
-
-
-def test_a_verdict_where_no_run_completes_has_no_factor():
-    text = verdict({"controllers": 5}, {(0.0, "none", PAIRS[0]): failed(1.0)})
-    assert "for 0 of the 0 that complete. With" in text
+    assert f"1/1 of section IV {'' if at_1_1 < 0.01 else 'not '}among them;" in text
 
 
 # --- the section ---------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """In place of simulations, logs by a rule: with gravity and no feedforward a run ends after its ratio in s."""
-    scenarios = []
+def asked(runs_by):
+    """Logs by a rule: with gravity and no feedforward a run ends after its ratio in s."""
 
-    def run_all(_, wanted, progress=None, check=True):
-        assert check
-        scenarios.append(list(wanted))
-        progress(1.0)
-        logs = []
-        for scenario in wanted:
-            ratio = scenario.tuner.omega_q / scenario.tuner.omega_r
-            bare = scenario.gravity > 0.0 and scenario.controller.feedforward == "none"
-            end = min(scenario.duration, ratio if bare else scenario.duration)
-            rows = int(end / 0.01 + 1e-9) + 1
-            pose = np.zeros((rows, 6))
-            pose[:, 0] = ratio
-            pose[:, 5] = -0.001 * np.arange(rows)
-            outcome = {} if end == scenario.duration else {"status": "failed", "reason": "crank_dead_centre", "leg": 1}
-            made = made_log(rows=rows, step=0.01, pose=pose, end_time=end, **outcome)
-            logs.append(dataclasses.replace(made, scenario=scenario))
-        return logs
+    def rule(scenario):
+        ratio = scenario.tuner.omega_q / scenario.tuner.omega_r
+        bare = scenario.gravity > 0.0 and scenario.controller.feedforward == "none"
+        end = min(scenario.duration, ratio if bare else scenario.duration)
+        rows = int(end / 0.01 + 1e-9) + 1
+        pose = np.zeros((rows, 6))
+        pose[:, 0] = ratio
+        pose[:, 5] = -0.001 * np.arange(rows)
+        outcome = {} if end == scenario.duration else {"status": "failed", "reason": "crank_dead_centre", "leg": 1}
+        return made_log(rows=rows, step=0.01, pose=pose, end_time=end, **outcome)
 
-    monkeypatch.setattr(RunStore, "run_all", run_all)
-    return scenarios
+    return runs_by(rule)
 
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_the_section_covers_every_pair_gravity_and_feedforward(tmp_path, asked, quick):
-    shares = []
-    section = make(Study(tmp_path, quick, BASE, shares.append))
+    # A base without gravity still shows the runs with it.
+    section = make(Study(tmp_path, quick, BASE.replace({"gravity": 0.0 if quick else 9.81})))
     conditions = section.numbers["conditions"]
     assert set(conditions) == {f"gravity {g}, {f}" for g in ("0", "9.81") for f in ("none", "gravity", "platform")}
     names = [f"{q:g} / {r:g}" for q, r in PAIRS]
@@ -281,53 +266,39 @@ def test_the_section_covers_every_pair_gravity_and_feedforward(tmp_path, asked, 
         assert all(row["torque peak [N m]"] is not None and row["ended"] for row in rows)
         assert len(rows) == 9 or quick
         assert len(rows) >= 3
-    assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx(1.0)
-    assert Section.from_json(section.to_json()).verdict == section.verdict
     # Five seconds and one period are within every run that the claim is about.
     assert all(s.duration >= 5.0 for s in asked[0] if s.gravity == 0.0 and s.controller.feedforward == "none")
     assert all(s.duration >= np.pi for group in asked for s in group)
     # Without gravity its feedforward is the run that is there already.
-    keys = [
-        [run_key(s, dict.fromkeys(("stewart-drake", "drake", "numpy", "source"))) for s in group] for group in asked
-    ]
-    assert len(set(keys[0])) < len(keys[0])
+    versions = collect_versions()
+    assert len({run_key(scenario, versions) for scenario in asked[0]}) < len(asked[0])
 
 
-@pytest.mark.usefixtures("asked")
-def test_a_table_row_holds_what_its_run_gave(tmp_path):
+def test_the_section_shows_what_its_runs_gave(tmp_path, asked):
     section = make(Study(tmp_path, False, BASE))
-    tables = [item for item in section.items if isinstance(item, Table)]
-    bare = next(t for t in tables if "gravity 9.81 m/s^2, feedforward none" in t.caption)
-    rows = {row[0]: dict(zip(bare.columns, row, strict=True)) for row in bare.rows}
-    assert rows["0.1 / 10"]["ended"] == "crank dead centre, leg 1, 0.010 s"
-    assert rows["0.1 / 10"]["RMSE roll [deg]"] == "-"
-    assert rows["0.1 / 10"]["largest abs(z) at 5 s [rad s, m s]"] == "-"
-    assert rows["10 / 0.1"]["ended"] == "completed"
-    assert float(rows["10 / 0.1"]["RMSE roll [deg]"]) == pytest.approx(np.degrees(100.0), rel=1e-3)
-    assert "for 10 s" in bare.caption
-
-
-@pytest.mark.usefixtures("asked")
-def test_the_ratio_is_what_tells_the_runs_apart(tmp_path):
-    numbers = make(Study(tmp_path, True, BASE)).numbers
-    assert numbers["controllers"] == 5
-    assert numbers["gain_spread"] < 1e-10 < numbers["gain_spread_next_ratio"]
-    assert numbers["trajectory_spread_same_ratio"] == pytest.approx(0.0, abs=1e-12)
-    assert numbers["trajectory_spread_next_ratio"] == pytest.approx(0.09)
-
-
-def test_the_time_to_failure_is_listed_by_ratio_for_each_map_and_period(tmp_path, asked):
-    section = make(Study(tmp_path, False, BASE))
-    times = section.numbers["time_to_failure"]
+    n = section.numbers
+    rows = {row["omega_Q / omega_R"]: row for row in n["conditions"]["gravity 9.81, none"]}
+    early = rows["0.1 / 10"]
+    assert early["ended"] == "crank dead centre, leg 1, 0.010 s"
+    assert early["RMSE roll [deg]"] is early["largest abs(z) at 5 s [rad s, m s]"] is None
+    assert rows["10 / 0.1"]["RMSE roll [deg]"] == pytest.approx(np.degrees(100.0), rel=1e-3)
+    cells = [line for line in section.body.split("\n") if line.startswith("| 0.1 / 10 | - | - |")]
+    assert any(line.endswith("| crank dead centre, leg 1, 0.010 s |") for line in cells)
+    assert "*(37), (38) for 10 s, gravity 9.81 m/s^2, feedforward none; RMSE" in section.body
+    # The ratio is what tells the runs apart.
+    assert n["controllers"] == 5
+    assert n["gain_spread"] < EQUAL_GAINS < n["gain_spread_next_ratio"]
+    assert n["trajectory_spread_same_ratio"] == pytest.approx(0.0, abs=1e-12)
+    assert n["trajectory_spread_next_ratio"] == pytest.approx(0.09)
+    # The time to failure, by ratio for each map and period.
+    times = n["time_to_failure"]
     assert set(times) == {"0.005 statics", "0.005 printed", "0.001 statics", "0.001 printed"}
     assert times["0.001 printed"] == dict(
         zip((f"ratio {r}" for r in ("0.01", "0.1", "1", "10", "100")), (0.01, 0.1, 1.0, None, None), strict=True)
     )
-    assert section.numbers["largest_drop_mm"] == pytest.approx([1.0, 1000.0])
-    words = next(i.markdown for i in section.items if isinstance(i, Text) and "Gravity and (34)" in i.markdown)
-    assert "by 1.0 to 1000.0 mm below" in words
-    assert "ends early in 6 of 10 runs, the printed map in 6" in words
+    assert n["largest_drop_mm"] == pytest.approx([1.0, 1000.0])
+    assert "by 1.0 to 1000.0 mm below" in section.body
+    assert "ends early in 6 of 10 runs, the printed map in 6" in section.body
     bare = {(s.controller.period, s.controller.force_map) for s in asked[1]}
     assert bare == {(p, m) for p in (0.005, 0.001) for m in ("statics", "printed")}
 
@@ -339,10 +310,12 @@ def test_a_plant_with_long_steps_is_not_asked_for_periods_that_it_cannot_have(tm
     assert {s.controller.period for group in asked for s in group} == {0.004}
 
 
-def test_a_base_without_gravity_still_shows_the_runs_with_it(tmp_path, asked):
-    section = make(Study(tmp_path, True, BASE.replace({"gravity": 0.0})))
-    assert {s.gravity for group in asked for s in group} == {0.0, 9.81}
-    assert "gravity 9.81, none" in section.numbers["conditions"]
+def test_the_multibody_plant_says_what_the_paper_leaves_out(report):
+    n = report.sections["nine_experiments"].numbers
+    assert n["near_zero_at_5s"] >= 5
+    assert n["lost_uncompensated"] > 0
+    assert n["trajectory_spread_same_ratio"] < 1e-9 < 1e-5 < n["trajectory_spread_next_ratio"]
+    assert n["gain_spread"] < EQUAL_GAINS
 
 
 def test_equal_ratios_move_the_robot_equally_on_the_multibody_plant():
@@ -352,4 +325,3 @@ def test_equal_ratios_move_the_robot_equally_on_the_multibody_plant():
     ]
     assert trajectory_spread(runs[:2]) < 1e-12
     assert trajectory_spread(runs[::2]) > 1e-5
-    assert nine.EQUAL_GAINS == 1e-10

@@ -1,11 +1,11 @@
 import base64
-import json
 import math
 import re
 from html import unescape
 from html.parser import HTMLParser
 from urllib.parse import unquote
 
+import jinja2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,19 +13,21 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.paper.report import (
-    Figure,
-    Section,
-    Table,
-    Text,
+from stewart_drake.paper.rendering import (
     cell,
+    environment,
+    formatted,
     holds,
-    to_html,
-    to_markdown,
-    write_report,
+    quantiles,
+    render,
+    row,
+    tidy,
+    without_tag_lines,
 )
+from stewart_drake.paper.report import Section, to_html, to_markdown, write_report
+from stewart_drake.paper.reproduce import SECTIONS
 
-PNG = b"\x89PNG\r\n\x1a\n"
+BODY = tidy("Some *words*\nwith `code`.\n\n*Errors*\n\n| step [ms] | error [m] |\n| 1 | 0.1235 |\n| 2.5 | - |", {})
 
 
 def picture(folder, name="curve.png"):
@@ -36,11 +38,12 @@ def picture(folder, name="curve.png"):
     return (folder / "figures" / name).read_bytes()
 
 
-def section(key="one", title="First claim", **changes):
-    made = Section(key, title, "The paper says so.", "Holds: 3 of 3.", **changes)
-    made.text("Some *words* with `code`.")
-    made.table("Errors", ("step [ms]", "error [m]"), [(1, 0.123456), (2.5, None)])
-    return made
+def section(key="one", title="First claim", body=BODY, **changes):
+    return Section(key, title, "The paper says so.", "Holds: 3 of 3.", body, **changes)
+
+
+def showing(caption, file):
+    return tidy(f"![{caption}](it)", {"it": file})
 
 
 class Page(HTMLParser):
@@ -79,7 +82,7 @@ class Page(HTMLParser):
             self._cell += data
 
 
-def render(tmp_path, sections, title="A report"):
+def render_page(tmp_path, sections, title="A report"):
     write_report(tmp_path, title, "Preface.", sections)
     return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
 
@@ -92,22 +95,8 @@ plain = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words, inner, max_size=3),
     max_leaves=8,
 )
-tables = st.integers(1, 3).flatmap(
-    lambda n: st.builds(
-        Table,
-        words,
-        st.lists(words, min_size=n, max_size=n).map(tuple),
-        st.lists(st.lists(words, min_size=n, max_size=n).map(tuple), max_size=3).map(tuple),
-    )
-)
 sections = st.builds(
-    Section,
-    key=words,
-    title=words,
-    claim=words,
-    verdict=words,
-    items=st.lists(st.builds(Text, words) | tables | st.builds(Figure, words, words), max_size=4),
-    numbers=st.dictionaries(words, plain, max_size=4),
+    Section, *[words] * 5, numbers=st.dictionaries(words, plain, max_size=4), files=st.lists(words, max_size=2)
 )
 
 
@@ -122,24 +111,32 @@ def test_numbers_that_json_does_not_have_are_refused_when_they_are_kept(value):
         section(numbers={"it": value}).to_json()
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{",
-        "[]",
-        "3",
-        "{}",
-        json.dumps({**json.loads(section().to_json()), "items": [3]}),
-        json.dumps({**json.loads(section().to_json()), "items": [{"type": "Video"}]}),
-        json.dumps({**json.loads(section().to_json()), "items": [{"type": "Text"}]}),
-        json.dumps({**json.loads(section().to_json()), "items": {"type": "Text"}}),
-        section().to_json()[:-2],
-    ],
-)
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "{}", '{"key": "k"}', section().to_json()[:-2]])
 def test_what_is_no_section_is_told_by_the_errors_that_are_promised(text):
-    with pytest.raises((ValueError, KeyError, TypeError)):
+    with pytest.raises((ValueError, TypeError)):
         Section.from_json(text)
+
+
+# --- templates -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def of_template(monkeypatch):
+    """Renders a text as the body of a template."""
+
+    def of(text, figures=None, **values):
+        made = environment().from_string("{% block body %}" + without_tag_lines(text) + "{% endblock %}")
+        monkeypatch.setattr(jinja2.Environment, "get_template", lambda *_: made)
+        return render("any", "body", figures, **values)
+
+    return of
+
+
+@pytest.mark.parametrize("key", [*SECTIONS, "report"])
+def test_every_template_has_its_blocks(key):
+    wanted = {"title", "preface"} if key == "report" else {"title", "claim", "verdict", "body"}
+    assert wanted <= set(environment().get_template(f"{key}.md.j2").blocks)
+    assert len(render(key, "title").split("\n")) == 1
 
 
 @pytest.mark.parametrize(
@@ -150,30 +147,64 @@ def test_a_verdict_begins_with_how_much_of_the_claim_holds(parts, words):
     assert holds(part for part in parts) == words
 
 
-# --- tables --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
-    [
-        (None, "-"),
-        (0.123456, "0.1235"),
-        (np.float64(2e-7), "2e-07"),
-        (1234567, "1234567"),
-        ("a|b", "a|b"),
-        (True, "True"),
-    ],
+    [(None, "-"), (0.123456, "0.1235"), (np.float64(2e-7), "2e-07"), (1234567, "1234567"), ("a|b", "a|b")],
 )
-def test_a_cell_reads_as_a_person_would_write_it(value, text):
-    assert cell(value) == text
+def test_a_value_reads_as_a_person_would_write_it(of_template, value, text):
+    assert cell(value) == of_template("{{ it }}", it=value) == text
+
+
+def test_numbers_are_formatted_with_a_scale_and_a_dash_for_nothing():
+    assert formatted(0.0123, ".1f", 1e3) == "12.3"
+    assert formatted(None, ".1f", 1e3) == "-"
+    assert quantiles([1e-13, 2e-3, 0.5], ".3g", 1e3, 1e-11) == "0 / 2 / 500"
+    assert quantiles([], ".3g") == "-"
+
+
+def test_paragraphs_points_and_tables_come_out_on_their_lines(of_template):
+    text = """
+One paragraph{% if long %} on
+two lines{% endif %}
+{% for name in names %}
+{{ name }}{{ "." if loop.last else "," }}
+{% endfor %}
+
+
+- a point
+  that goes on
+- another
+
+| a | b |
+{% for name in names %}
+| {{ name }} | {{ loop.index }} |
+{% endfor %}
+"""
+    found = of_template(text, long=True, names=["x", "y"]).split("\n\n")
+    assert found == [
+        "One paragraph on two lines x, y.",
+        "- a point that goes on\n- another",
+        "| a | b |\n|---|---|\n| x | 1 |\n| y | 2 |",
+    ]
+
+
+def test_a_row_that_does_not_fit_its_columns_is_refused_at_once():
+    with pytest.raises(ValueError, match=r"1 cells under 2 columns: \| 3 \|"):
+        tidy("| a | b |\n| 1 | 2 |\n| 3 |", {})
+
+
+def test_a_template_that_speaks_of_what_is_not_given_is_an_error(of_template):
+    with pytest.raises(jinja2.UndefinedError, match="missing"):
+        of_template("{{ missing }}")
+    with pytest.raises(KeyError, match="curve"):
+        of_template("![A curve](curve)")
 
 
 def test_cells_reach_the_reader_as_they_are_whatever_they_hold(tmp_path):
     columns = ("abs |x|", "<b>", "a & b")
     rows = [("1 | 2", "x <y> z", "two\nlines"), ("\\|", "|", "äöü ω² 漢"), ("", "<script>alert(1)</script>", "&lt;")]
-    made = Section("k", "Odd | title", "claim", "verdict | with <angle> & pipes")
-    made.table("caption", columns, rows)
-    page = render(tmp_path, [made])
+    body = tidy("\n".join(row(*cells) for cells in (columns, *rows)), {})
+    page = render_page(tmp_path, [Section("k", "Odd | title", "claim", "verdict | with <angle> & pipes", body)])
     overview, table = page.tables
     assert overview[1] == ["Odd | title", "verdict | with <angle> & pipes"]
     assert [len(row) for row in table] == [3] * 4
@@ -184,20 +215,13 @@ def test_cells_reach_the_reader_as_they_are_whatever_they_hold(tmp_path):
     assert "script" not in page.tags
 
 
-def test_a_row_that_does_not_fit_its_columns_is_refused_at_once():
-    with pytest.raises(ValueError, match=r"table 'Errors': 1 cells under 2 columns"):
-        Section("k", "t", "c").table("Errors", ("a", "b"), [("1", "2"), ("3",)])
-
-
 # --- the page ------------------------------------------------------------------------------------------------------
 
 
 def test_the_page_holds_its_pictures_and_loads_nothing(tmp_path):
     first, second = picture(tmp_path), picture(tmp_path, "with space (2).png")
-    made = section()
-    made.figure("A curve [m] over [s]", "curve.png")
-    made.figure("Another", "with space (2).png")
-    page = render(tmp_path, [made])
+    body = showing("A curve [m] over [s]", "curve.png") + "\n\n" + showing("Another", "with space (2).png")
+    page = render_page(tmp_path, [section(body=body)])
     assert len(page.loaded) == 2
     for source, content in zip(page.loaded, (first, second), strict=True):
         kind, data = source.split(",")
@@ -211,7 +235,7 @@ def test_the_page_holds_its_pictures_and_loads_nothing(tmp_path):
 
 def test_every_link_of_the_overview_leads_to_its_section(tmp_path):
     titles = ["Plain", "Odd | `code` & <angle>: (37), (38)?", "Überprüfung, ω_Q / ω_R", "III.D -- data"]
-    page = render(tmp_path, [section(str(i), title) for i, title in enumerate(titles)])
+    page = render_page(tmp_path, [section(str(i), title) for i, title in enumerate(titles)])
     assert [unquote(unescape(link)) for link in page.links] == [f"#{anchor}" for anchor in page.ids]
     assert len(set(page.ids)) == len(titles)
     assert [row[0] for row in page.tables[0][1:]] == [title.replace("`", "") for title in titles]
@@ -219,10 +243,9 @@ def test_every_link_of_the_overview_leads_to_its_section(tmp_path):
 
 def test_markdown_and_page_say_the_same(tmp_path):
     picture(tmp_path)
-    made = section()
-    made.figure("A curve", "curve.png")
+    made = section(body=BODY + "\n\n" + showing("A curve", "curve.png"))
     other = section("two", "Second claim")
-    render(tmp_path, [made, other])
+    render_page(tmp_path, [made, other])
     markdown, page = (tmp_path / "report.md").read_text(), (tmp_path / "report.html").read_text()
     for text in (markdown, page):
         words = ["A report", "Preface.", "First claim", "The paper says so.", "Holds: 3 of 3.", "0.1235", "A curve"]
@@ -235,15 +258,14 @@ def test_markdown_and_page_say_the_same(tmp_path):
 
 
 def test_the_title_of_the_page_is_escaped(tmp_path):
-    render(tmp_path, [section()], title="a < b & {body}")
+    render_page(tmp_path, [section()], title="a < b & {body}")
     assert "<title>a &lt; b &amp; {body}</title>" in (tmp_path / "report.html").read_text().replace("\n", "")
 
 
 def test_a_missing_picture_is_named_and_the_earlier_report_stays(tmp_path):
-    render(tmp_path, [section()])
+    render_page(tmp_path, [section()])
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    made = section(title="Another")
-    made.figure("Gone", "gone.png")
+    made = section(title="Another", body=showing("Gone", "gone.png"))
     with pytest.raises(ConfigurationError, match=r"gone\.png.*No such file"):
         write_report(tmp_path, "A report", "", [made])
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -255,10 +277,8 @@ def test_a_report_into_a_missing_folder_is_refused(tmp_path):
 
 
 def test_numbers_and_their_units_stay_on_one_line(tmp_path):
-    made = Section("k", "K", "c", "v")
-    made.table(
-        "Unbroken", ("torque [N m]", "at"), [("0.3 (-0.5 %)", "12.5 mm, 3 legs"), ("a\u00a0b", "2.5 s, 3 sides")]
-    )
+    rows = [("torque [N m]", "at"), ("0.3 (-0.5 %)", "12.5 mm, 3 legs"), ("a\u00a0b", "2.5 s, 3 sides")]
+    made = Section("k", "K", "c", "v", tidy("\n".join(row(*cells) for cells in rows), {}))
     page = to_html(to_markdown("t", "p", [made]), "t", tmp_path)
     for text in ("torque [N\u00a0m]", "0.3 (-0.5\u00a0%)", "12.5\u00a0mm, 3 legs", "a\u00a0b", "2.5\u00a0s, 3 sides"):
         assert f">{text}</t" in page

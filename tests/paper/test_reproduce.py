@@ -1,9 +1,11 @@
 import functools
+import itertools
 import json
 import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -11,12 +13,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 from conftest import make_network
+from matplotlib.image import imread
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.logs import versions
 from stewart_drake.paper import reproduce as module
-from stewart_drake.paper.departures_section import DEPARTURES
-from stewart_drake.paper.report import Figure, Section
+from stewart_drake.paper.departures_section import departures
+from stewart_drake.paper.report import Section
 from stewart_drake.paper.reproduce import SECTIONS, check_base, reproduce
 from stewart_drake.scenario import Scenario
 
@@ -40,14 +43,13 @@ def made(monkeypatch):
         def make(study):
             calls.append((key, study.quick))
             study.progress(0.5)
-            section = Section(key, f"The {key}", f"Claim of {key}.", f"Verdict of {key}.")
-            section.numbers = {"rows": (1, 2.5, None), "size": study.pick(10, 3), "z": {"pi": float(np.pi)}}
+            body = f"![A line](<figures/{key}.png>)"
+            numbers = {"rows": (1, 2.5, None), "size": study.pick(10, 3), "z": {"pi": float(np.pi)}}
             (study.folder / "figures").mkdir(exist_ok=True)
             (study.folder / "figures" / f"{key}.png").write_bytes(PNG + study.pick(b"whole", b"quick"))
-            section.figure("A line", f"{key}.png")
             (study.folder / f"{key}.txt").write_text(str(study.quick))
-            section.files.append(f"{key}.txt")
-            return section
+            words = f"The {key}", f"Claim of {key}.", f"Verdict of {key}."
+            return Section(key, *words, body, numbers, [f"figures/{key}.png", f"{key}.txt"])
 
         made = ModuleType(key)
         made.make = make
@@ -413,52 +415,64 @@ class Links(HTMLParser):
             self.ids.append(values["id"])
 
 
-@pytest.mark.slow
-def test_the_quick_reproduction_from_a_shell_tests_every_claim(tmp_path):
-    code = "from stewart_drake.cli.app import main\nif __name__ == '__main__': main()"
-    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    done = subprocess.run(
-        [sys.executable, "-c", code, "reproduce", "--quick", "--out", "report"],
-        cwd=tmp_path,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=1500,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    folder = tmp_path / "report"
+def test_the_quick_report_tests_every_claim(report):
+    folder, sections, _ = report
     document = json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
     assert list(document["numbers"]) == list(SECTIONS)
-    assert all(document["numbers"].values())
-    parts = {path.name.rpartition("-")[0]: json.loads(path.read_text()) for path in (folder / "parts").glob("*.json")}
-    assert set(parts) == set(SECTIONS)
-    markdown, page = (folder / "report.md").read_text(), (folder / "report.html").read_text()
-    figures = []
-    for key in SECTIONS:
-        section = Section.from_json(json.dumps(parts[key]["section"]))
-        assert section.numbers == document["numbers"][key]
-        assert section.items
-        for words in (section.title, section.claim, section.verdict):
-            assert len(words.split()) >= 1
+    markdown, links = (folder / "report.md").read_text(), Links((folder / "report.html").read_text())
+    shown = re.findall(r"\(<figures/([^>]+)>\)", markdown)
+    assert len(shown) == len(set(shown)) >= 10
+    for key, section in sections.items():
+        assert section.numbers == document["numbers"][key] != {}
+        for words in (section.title, section.claim, section.verdict, section.body):
             assert words in markdown
-        assert not re.search(r"\b(nan|None|inf)\b", section.verdict), section.verdict
-        figures += [item.file for item in section.items if isinstance(item, Figure)]
+            assert words
+        # Quick, every claim comes out as it does whole.
+        assert re.match(r"(Holds|Holds in part|Does not hold|Neither)\b", section.verdict), section.verdict
+        assert not re.search(r"\b(nan|None(?! of)|inf|undefined)\b|\{[{%]", section.verdict + section.body), key
+        for before, block in itertools.pairwise(section.body.split("\n\n")):
+            assert not block.startswith("| ") or re.fullmatch(r"\*.+\*", before), f"{key}: a table without its caption"
+        # Every picture that a section made is shown in it, and the other way round.
+        own = {name.removeprefix("figures/") for name in section.files if name.startswith("figures/")}
+        assert own == set(re.findall(r"\(<figures/([^>]+)>\)", section.body))
         for name in section.files:
             assert (folder / name).stat().st_size > 0
-    for where, _, _, places in DEPARTURES:
+    assert {path.name for path in (folder / "figures").iterdir()} == set(shown)
+    for name in shown:
+        pixels = imread(folder / "figures" / name)
+        assert min(pixels.shape[:2]) > 200
+        assert 0.01 < (pixels[..., :3] < 0.9).any(axis=-1).mean() < 0.95, f"{name} is blank"
+    for where, _, _, places in departures():
         # A section that is named for an equation speaks of it.
         for equation in re.findall(r"^\(\d+\)", where):
-            assert [key for key in places if key in parts and equation not in str(parts[key]["section"])] == [], where
-    assert len(figures) == len(set(figures)) >= 10
-    assert {path.name for path in (folder / "figures").iterdir()} == set(figures)
-    for name in figures:
-        assert (folder / "figures" / name).read_bytes().startswith(PNG)
-    links = Links(page)
-    assert len(links.sources) == len(figures)
+            assert [
+                s.key for s in sections.values() if s.title.split(":")[0] in places and equation not in s.body
+            ] == []
+    assert len(links.sources) == len(shown)
     assert all(source.startswith("data:image/png;base64,") for source in links.sources)
     inside = {f"#{name}" for name in links.ids}
     assert len(links.ids) == len(SECTIONS)
     assert inside <= set(links.targets)
     assert all(target in inside or target.startswith("https://") for target in links.targets)
+
+
+def test_its_progress_rises_from_zero_to_one_within_each_section(report):
+    shares = [share for _, share in report.progress]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    counts = Counter(key for key, _ in report.progress)
+    # From the start to the end of each, and on the way where it takes time.
+    assert min(counts.values()) >= 2
+    assert all(counts[key] > 2 for key in set(SECTIONS) - {"departures"})
+
+
+def test_a_shell_finds_the_finished_report_and_prints_each_verdict(report):
+    code = "from stewart_drake.cli.app import main\nif __name__ == '__main__': main()"
+    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    command = [sys.executable, "-c", code, "reproduce", "--quick", "--out", str(report.folder)]
+    before = content(report.folder / "parts") | content(report.folder / "figures")
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert [section.title for section in report.sections.values() if section.title not in done.stdout] == []
+    assert content(report.folder / "parts") | content(report.folder / "figures") == before

@@ -1,11 +1,8 @@
-import copy
-import json
-
 import numpy as np
 import pytest
 import scipy.linalg
 
-from stewart_drake.control.state_space import discretize, input_matrix, output_matrix, state_matrix
+from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, state_matrix
 from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines
 from stewart_drake.paper.as_printed import matrices_21_22_24
 from stewart_drake.paper.lqi_poles import (
@@ -21,28 +18,20 @@ from stewart_drake.paper.lqi_poles import (
     same_gain,
     slowest_decay,
 )
-from stewart_drake.paper.plots.state_space_plots import plot_decay, plot_discretisation, plot_matrices, plot_singular
-from stewart_drake.paper.report import Figure, Section, Table
+from stewart_drake.paper.rendering import render
 from stewart_drake.paper.singularities import (
     first_singularity,
     measures,
     nonzero_columns,
     stabilisability_rank,
 )
-from stewart_drake.paper.state_space_lqi import acceleration_map, compare_discretisations
-from stewart_drake.paper.state_space_section import make, verdict
-from stewart_drake.paper.study import Study
+from stewart_drake.paper.state_space_lqi import compare_discretisations
+from stewart_drake.paper.state_space_section import findings
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
 AXES = np.eye(6)
 AT_HOME = acceleration_map(ROBOT, ROBOT.home_pose)
-
-
-@pytest.fixture(scope="module")
-def section(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("state_space")
-    return make(Study(folder, quick=True)), folder
 
 
 # --- matrices --------------------------------------------------------------------------------------------------------
@@ -189,9 +178,8 @@ def test_product_shape_knows_what_multiplies():
 # --- the section -----------------------------------------------------------------------------------------------------
 
 
-def test_the_section_holds_what_it_should(section):
-    made, folder = section
-    numbers = made.numbers
+def test_the_section_holds_what_it_should(report):
+    numbers = report.sections["state_space"].numbers
     assert numbers["matrices_as_printed"] == {"A": True, "B": True, "C": True}
     assert numbers["hautus"]["detectability"] == 18
     assert all(row["full"] == row["poses"] for row in numbers["hautus"]["regions"].values())
@@ -213,49 +201,44 @@ def test_the_section_holds_what_it_should(section):
     assert 0.5 < decay[0.01]["least"] < decay[0.01]["most"] < 0.8
     assert decay[100.0]["most"] == pytest.approx(0.866, abs=1e-3)
     assert decay[100.0]["faster"] > 3.0
-    assert made.verdict.startswith("Holds in part")
-    assert "5 controllers" in made.verdict
-    assert "down to 12, at singular poses" in made.verdict
-    assert "to 0.87 rad/s" in made.verdict
-    json.dumps(numbers, allow_nan=False)
-    assert Section.from_json(made.to_json()) == made
-    for item in made.items:
-        if isinstance(item, Figure):
-            assert (folder / "figures" / item.file).stat().st_size > 10_000
-        if isinstance(item, Table):
-            assert all(len(row) == len(item.columns) for row in item.rows)
-
-
-def test_the_verdict_follows_the_numbers(section):
-    numbers = copy.deepcopy(section[0].numbers)
-    numbers["hautus"]["regions"]["near, statics"]["full"] -= 1
-    assert verdict(numbers).startswith("Does not hold")
-    assert "not even at every regular pose" in verdict(numbers)
-    numbers = copy.deepcopy(section[0].numbers)
-    for row in numbers["tau_for_m_inverse_tau"]["rows"]:
-        row["radius"] = 0.9
-    numbers["riccati"]["sizes_fit"], numbers["riccati"]["undiscretised_gain"] = True, 0.5
-    numbers["nine_pairs"]["distinct"], numbers["hautus"]["singular"] = 9, []
-    numbers["decay"]["rows"][0]["most"] = 2.5
     said = verdict(numbers)
-    assert "still gives stable loops" in said
-    assert "as printed can be evaluated" in said
-    assert "undiscretised is not zero" in said
-    assert "9 controllers" in said
-    assert "to 2.50 rad/s" in said
-    assert "falls" not in said
+    assert report.sections["state_space"].verdict == said
+    assert said.startswith(
+        "Holds in part: (28) has rank 18 at every regular pose tried and falls, down to 12, at singular"
+    )
+    assert "5 controllers" in said
+    assert "to 0.87 rad/s" in said
 
 
-def test_figures_have_labelled_axes():
-    matrices = plot_matrices(state_matrix(), input_matrix(AT_HOME), output_matrix())
-    assert matrices.axes[1].get_xticklabels()[0].get_text() == "$T_0$"
-    assert len(matrices.axes[0].get_yticklabels()) == 18
-    x = np.array([1.0, 0.1])
-    singular = plot_singular({"Serial|mm": (x, {"conditioning": x}), "Parallel|deg": (x, {"conditioning": x})})
-    assert [p.get_xlabel()[-5:] for p in singular.axes] == [" [mm]", "[deg]"]
-    assert "[SI]" in singular.axes[0].get_ylabel()
-    decay = plot_decay(x, {"equal": x}, (0.87,), {"1": x}, {"1": x})
-    assert "rad/s" in decay.axes[0].get_ylabel()
-    periods = plot_discretisation(x, {"1": x}, {"1": x})
-    assert {p.get_xlabel() for p in periods.axes} == {"control period [ms]"}
-    assert all("[%]" in p.get_ylabel() for p in periods.axes)
+def verdict(numbers):
+    return render("state_space", "verdict", n=numbers, **findings(numbers))
+
+
+def test_the_verdict_follows_the_numbers():
+    numbers = {
+        "hautus": {"detectability": 18, "regions": {"near, statics": {"poses": 3, "full": 3}}, "singular": []},
+        "tau_for_m_inverse_tau": {"period": 0.005, "rows": [{"ratio": 1.0, "radius": 0.9}]},
+        "riccati": {"sizes_fit": True, "undiscretised_gain": 0.5},
+        "nine_pairs": {"distinct": 9},
+        "decay": {"rows": [{"least": 0.5, "most": 2.5}]},
+    }
+    said = verdict(numbers)
+    assert said.startswith("Holds in part: (28) has rank 18 at every regular pose tried; (29) has rank 18 everywhere.")
+    for words in (
+        "still gives stable loops",
+        "as printed can be evaluated",
+        "undiscretised is not zero",
+        "9 controllers",
+        "at 0.50 to 2.50 rad/s",
+    ):
+        assert words in said
+    numbers["hautus"]["singular"] = [{"rank": {"printed": 17, "statics": None}}]
+    numbers["hautus"]["regions"]["near, statics"]["full"] = 2
+    numbers["tau_for_m_inverse_tau"]["rows"][0]["radius"] = 1.1
+    numbers["riccati"] = {"sizes_fit": False, "undiscretised_gain": 1e-16}
+    said = verdict(numbers)
+    assert said.startswith(
+        "Does not hold: (28) has rank 18 not even at every regular pose tried and falls, down to 17,"
+    )
+    for words in ("gives an unstable loop at ratio 1 (at 5 ms)", "as printed cannot be", "undiscretised is zero"):
+        assert words in said

@@ -14,13 +14,10 @@ from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.paper import workspace_section as section_module
 from stewart_drake.paper.pose_study import KINDS, motion_slice, slice_surveys, survey_poses
-from stewart_drake.paper.report import Figure, Table
+from stewart_drake.paper.rendering import render
 from stewart_drake.paper.study import Study
-from stewart_drake.paper.visited_region import (
-    controlled_motions,
-    region_verdict,
-    visited_region,
-)
+from stewart_drake.paper.visited_region import controlled_motions, findings, visited_region
+from stewart_drake.paper.workspace_section import sizes
 from stewart_drake.planning.limits import Limits
 from stewart_drake.planning.workspace import measure_poses
 from stewart_drake.planning.workspace_region import COORDINATES, losses, poses_at, utilisation
@@ -62,24 +59,6 @@ def poses(study):
     return survey_poses(study, 3000, ROBOT.home_pose)
 
 
-def two_motions(study):
-    """Two runs of a tenth of a second in place of the section's own."""
-    return {
-        "the paper's motion": study.base.replace({"duration": 0.1}),
-        "standing still": study.base.replace({"duration": 0.1, "reference": {"kind": "hold"}}),
-    }
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Section, its study and the progress that it reported."""
-    shares = []
-    study = Study(tmp_path_factory.mktemp("made"), quick=True, progress=shares.append)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(section_module, "controlled_motions", two_motions)
-        return section_module.make_section(study, 2000, ROBOT.home_pose), study, shares
-
-
 def test_ranges_end_where_a_limit_is_met(poses):
     for end in (0, 1):
         pose = np.tile(ROBOT.home_pose, (6, 1))
@@ -106,8 +85,7 @@ def test_centers_out_of_reach_become_an_empty_row(study):
     found = survey_poses(study, 1000, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.395]))
     missing = [name for name, _, survey in found.others if survey is None]
     assert "roll 30 deg" in missing
-    rows = [section_module._size_row(name, kind, survey) for name, kind, survey in found.others]
-    assert [row[1:] for row in rows if row[0] == "roll 30 deg"] == [("-",) * 5]
+    assert [sizes(kind, survey) for name, kind, survey in found.others if name == "roll 30 deg"] == [["-"] * 5]
 
 
 def test_slices_go_through_the_centre_and_along_the_third_coordinate(study, poses):
@@ -142,29 +120,27 @@ def test_what_a_perfect_run_visits():
     assert region.power == np.abs(region.envelope.power).max()
 
 
+def verdict(*logs, runs=None, names=("the paper's motion", "fast", "broken")):
+    regions = [visited_region(name, log) for name, log in zip(names, logs, strict=False)]
+    return render("workspace", "verdict", **findings(regions, len(regions) if runs is None else runs)), regions
+
+
 def test_verdict_when_torques_depend_on_the_motion():
-    regions = [visited_region("the paper's motion", perfect_log()), visited_region("fast", perfect_log(scale=4.0))]
-    text = region_verdict(regions, 2)
+    text, regions = verdict(perfect_log(), perfect_log(scale=4.0))
     assert text.startswith("Holds in part: 2 of 2 controlled motions")
-    assert f"from {regions[0].peak_torque:.2f} to {4.0 * regions[0].peak_torque:.2f} N m" in text
+    assert f"from {regions[0].peak_torque:.2f} to {4.0 * regions[0].peak_torque:.2f} N m. The paper's motion" in text
     assert "not to the method" in text
     assert "beyond a limit" not in text
 
 
 def test_verdict_when_they_do_not():
-    regions = [visited_region("the paper's motion", perfect_log()), visited_region("same", perfect_log(scale=1.2))]
-    text = region_verdict(regions, 2)
+    text, _ = verdict(perfect_log(), perfect_log(scale=1.2))
     assert text.startswith("Holds: 2 of 2")
-    assert "hardly depends on the motion" in text
+    assert "the motors' limit), and the largest torque hardly depends on the motion (from" in text
 
 
 def test_verdict_counts_failed_runs_and_names_poses_beyond_a_limit():
-    regions = [
-        visited_region("the paper's motion", perfect_log(offset=0.012)),
-        visited_region("same", perfect_log()),
-        visited_region("broken", perfect_log(scale=9.0, status="failed")),
-    ]
-    text = region_verdict(regions, 3)
+    text, _ = verdict(perfect_log(offset=0.012), perfect_log(), perfect_log(scale=9.0, status="failed"))
     # A run that did not end counts for nothing in the spread, but keeps the claim from holding.
     assert text.startswith("Holds in part: 2 of 3 controlled motions")
     assert "hardly depends on the motion" in text
@@ -172,10 +148,9 @@ def test_verdict_counts_failed_runs_and_names_poses_beyond_a_limit():
 
 
 def test_verdict_when_no_more_than_half_of_the_runs_end():
-    regions = [visited_region("the paper's motion", perfect_log(status="failed")), visited_region("b", perfect_log())]
     text = "Does not hold: only 1 of 2 controlled motions came to their end (crank_dead_centre)."
-    assert region_verdict(regions, 2) == text
-    assert region_verdict([], 4) == "Does not hold: only 0 of 4 controlled motions came to their end."
+    assert verdict(perfect_log(status="failed"), perfect_log())[0] == text
+    assert verdict(runs=4)[0] == "Does not hold: only 0 of 4 controlled motions came to their end."
 
 
 @pytest.mark.parametrize("quick", [True, False])
@@ -235,35 +210,29 @@ def test_singularities_have_colours_of_their_own(study, poses):
     assert len(colours) == 3  # edge of the limits, serial, parallel
 
 
-def test_section_from_end_to_end(made):
-    section, study, shares = made
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-    numbers = json.loads(json.dumps(section.numbers, allow_nan=False))
-    found = numbers["workspaces"]["position"]
-    assert found["connected"] <= found["feasible"] <= found["spanning"]
-    assert found["boundary_volume"] == pytest.approx(found["connected"], rel=0.1)
-    assert numbers["motions"]["standing still"]["status"] == "completed"
-    assert numbers["motions"]["standing still"]["peak_torque"] == pytest.approx(0.329, abs=0.05)
+def test_section_from_end_to_end(report):
+    section = report.sections["workspace"]
+    numbers = section.numbers
+    for kind in KINDS:
+        found = numbers["workspaces"][kind]
+        assert found["connected"] <= found["feasible"] <= found["spanning"]
+        assert found["boundary_volume"] == pytest.approx(found["connected"], rel=0.1) or kind == "orientation"
+    paper = numbers["motions"]["the paper's motion"]
+    assert paper["status"] == "completed"
+    assert paper["reference_torque"] == pytest.approx(visited_region("", perfect_log()).peak_torque, rel=1e-3)
     assert {"ball_swing", "conditioning"} <= set(numbers["workspaces"]["orientation"]["first"])
     assert section.verdict.startswith("Holds")
-    for item in section.items:
-        if isinstance(item, Table):
-            assert all(len(row) == len(item.columns) for row in item.rows), item.caption
-        if isinstance(item, Figure):
-            assert (study.folder / "figures" / item.file).is_file()
-    text = "\n".join(item.markdown for item in section.items if hasattr(item, "markdown"))
-    assert "a parallel singularity ends some" in text
-    assert "none ends near a singularity" in text
+    assert "a parallel singularity ends some" in section.body
+    assert "none ends near a singularity" in section.body
 
 
-def test_command_writes_the_report_and_its_numbers(tmp_path, made, monkeypatch):
-    section, done, _ = made
+def test_command_writes_the_report_and_its_numbers(tmp_path, report, monkeypatch):
+    section = report.sections["workspace"]
     asked = []
 
     def same_again(study, samples, center):
         asked.append((study.base, samples, center))
-        shutil.copytree(done.folder / "figures", study.folder / "figures", dirs_exist_ok=True)
+        shutil.copytree(report.folder / "figures", study.folder / "figures", dirs_exist_ok=True)
         return section
 
     monkeypatch.setattr(section_module, "make_section", same_again)
@@ -271,12 +240,12 @@ def test_command_writes_the_report_and_its_numbers(tmp_path, made, monkeypatch):
     pose = [0.1, 0.0, 0.0, 0.0, 0.0, 0.31]
     result = CliRunner().invoke(workspace, [*arguments, "--pose", *map(str, pose)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    assert "standing still" in result.output
+    assert "the paper's motion" in result.output
     (base, samples, center) = asked[0]
     assert (base.limits.clearance, samples, center.tolist()) == (0.008, 1000, pose)
     assert json.loads((tmp_path / "w" / "workspace.json").read_text()) == section.numbers
     assert {"report.html", "report.md", "figures"} <= {path.name for path in (tmp_path / "w").iterdir()}
-    assert dict(section_module.summary(section.numbers))["torque of standing still"].endswith("completed")
+    assert dict(section_module.summary(section.numbers))["torque of the paper's motion"].endswith("completed")
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, TEXT, heatmap, label, legend, panels
+from stewart_drake.paper.plots.drawing import COLORS, contoured, curves
+from stewart_drake.plotting.panels import BLUE, ORANGE, QUIET, TEXT, label, legend, panels
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,13 @@ def plot_ratio(ratios: Mapping[str, np.ndarray], slices: Sequence[RatioSlice]) -
     """
     figure, axes = panels(2, 2, 7.2)
     bins = np.linspace(0.0, 1.0, 41)
-    for (name, values), color in zip(ratios.items(), (BLUE, ORANGE, GREEN), strict=False):
+    for (name, values), color in zip(ratios.items(), COLORS, strict=False):
         weights = np.full(values.size, 100.0 / max(values.size, 1))
         axes[0, 0].hist(values, bins=bins, weights=weights, histtype="step", color=color, linewidth=1.8, label=name)
     label(axes[0, 0], "All legs at random poses", r"$(e_l \cdot e_N)^2$: force by (15) / true force [-]", "legs [%]")
     legend(axes[0, 0], title="box", title_fontsize=9, loc="upper left")
     for panel, of in zip(axes.flat[1:], slices, strict=True):
-        heatmap(figure, panel, of.x, of.y, of.values, "worst leg [-]", cmap="cividis", vmin=0.0, vmax=1.0)
-        levels = [0.2, 0.4, 0.6, 0.8, 0.9]
-        lines = panel.contour(of.x, of.y, of.values, levels=levels, colors="black", linewidths=0.7)
-        panel.clabel(lines, fmt="%g", fontsize=8)
+        contoured(figure, panel, of.x, of.y, of.values, "worst leg [-]", [0.2, 0.4, 0.6, 0.8, 0.9], vmax=1.0)
         if of.path is not None:
             panel.plot(*of.path.T, color=ORANGE, linewidth=2.0, label="(37), (38)")
             legend(panel, loc="lower right")
@@ -65,9 +62,9 @@ def plot_measured(
     transmission: np.ndarray,
     force: np.ndarray,
     scales: np.ndarray,
-    scale_errors: Mapping[str, np.ndarray],
+    scale_errors: Mapping[str, Sequence[float]],
     steps: np.ndarray,
-    step_errors: Mapping[str, np.ndarray],
+    step_errors: Mapping[str, Sequence[float]],
 ) -> Figure:
     """Rod force per torque in Drake's massless limit, and how that limit and the step to zero are approached.
 
@@ -88,9 +85,12 @@ def plot_measured(
     left.set_ylim(0.0, min(8.0, 1.1 * float(np.abs(force).max())))
     label(left, "Force of a rod, massless legs", "$e_l \\cdot e_N$ [-]", "$|a| F / T$ [-]")
     legend(left, loc="upper right")
-    _curves(middle, scales, scale_errors)
+    for panel, at, errors in ((middle, scales, scale_errors), (right, steps, step_errors)):
+        curves(panel, at, errors, "os^", linewidth=1.6)
+        panel.set(xscale="log", yscale="log")
+        panel.invert_xaxis()
+        legend(panel, loc="lower left")
     label(middle, "Legs made lighter", "factor on the legs' masses [-]", "relative error [-]")
-    _curves(right, steps, step_errors)
     label(right, "Plant step made smaller", "time step [s]", "relative error [-]")
     return figure
 
@@ -108,14 +108,8 @@ def plot_models(errors: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
         panel.hlines(rows, low, high, color=BLUE, linewidth=5.0, alpha=0.45)
         panel.plot(middle, rows, "o", color=BLUE, markersize=6.0)
         for row, value in zip(rows, middle, strict=True):
-            panel.annotate(
-                f"{value:.0f}" if value >= 1.0 else f"{value:.1g}",
-                (value, row),
-                (0, 7),
-                textcoords="offset points",
-                ha="center",
-                fontsize=9,
-            )
+            text = f"{value:.0f}" if value >= 1.0 else f"{value:.1g}"
+            panel.annotate(text, (value, row), (0, 7), textcoords="offset points", ha="center", fontsize=9)
         panel.set_yticks(rows, list(models))
         panel.set_ylim(-0.6, len(models) - 0.3)
         panel.set_xlim(0.0, 1.08 * float(np.max(high)))
@@ -132,19 +126,10 @@ def plot_tilt(angle: np.ndarray, errors: Mapping[str, np.ndarray], marked: float
         marked: [rad] the paper's largest angle.
     """
     figure, ((panel,),) = panels(1, 1, 3.8)
-    styles = zip((BLUE, ORANGE, GREEN, PURPLE), ("-", (0, (6, 2)), (0, (3, 1.5)), (0, (1, 1))), strict=True)
-    for (name, values), (color, style) in zip(errors.items(), styles, strict=False):
-        panel.plot(np.degrees(angle), 100.0 * values, color=color, linestyle=style, linewidth=1.8, label=name)
+    curves(panel, np.degrees(angle), {name: 100.0 * values for name, values in errors.items()})
     panel.axvline(np.degrees(marked), color=QUIET, linestyle=":", linewidth=1.4)
     panel.set_xlim(0.0, float(np.degrees(angle[-1])))
     panel.set_ylim(bottom=0.0)
     label(panel, "Turned about all three axes at once", "roll = pitch = yaw [deg]", "error [%]")
     legend(panel, loc="upper left")
     return figure
-
-
-def _curves(panel: Axes, x: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
-    for (name, values), color, marker in zip(curves.items(), (BLUE, ORANGE, GREEN), "os^", strict=False):
-        panel.loglog(x, values, marker=marker, markersize=4.0, color=color, linewidth=1.6, label=name)
-    panel.invert_xaxis()
-    legend(panel, loc="lower left")

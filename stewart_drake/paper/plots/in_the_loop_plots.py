@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
+from stewart_drake.paper.plots.drawing import legend_below, logarithmic
+from stewart_drake.paper.tuner_comparison import Comparison
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, QUIET, TEXT, label, legend, panels
 
 _RATIO_COLORS = ("#08306B", "#2171B5", "#6BAED6", "#A6CEE3", "#D2E4F0")
@@ -26,24 +26,7 @@ _DIAMOND = {**_ALONE, "marker": "D", "markersize": 8.0, "markeredgewidth": 0.8, 
             "color": ORANGE, "zorder": 5.0}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class RankingRow:
-    """Pose RMSE [mm] on one trajectory; None where a run ended early.
-
-    Attributes:
-        name: Of the trajectory.
-        tuner: The network in the loop.
-        fixed: By ratio omega_Q / omega_R, the same ratios in every row.
-        mean: Of the nine pairs.
-    """
-
-    name: str
-    tuner: float | None
-    fixed: Mapping[float, float | None]
-    mean: float | None
-
-
-def plot_ranking(ranking: Sequence[RankingRow]) -> Figure:
+def plot_ranking(ranking: Sequence[Comparison]) -> Figure:
     """Pose RMSE on every trajectory: bars from the best to the worst of the nine, the five controllers, the tuner."""
     figure, ((panel,),) = panels(1, 1, 1.6 + 0.42 * len(ranking))
     rows = np.arange(len(ranking))[::-1]
@@ -56,10 +39,10 @@ def plot_ranking(ranking: Sequence[RankingRow]) -> Figure:
         for color, rmse in zip(_RATIO_COLORS, entry.fixed.values(), strict=True):
             if rmse is not None:
                 panel.plot(rmse, row, color=color, **_DOT)
-        for value, style in ((entry.mean, _TICK), (entry.tuner, _DIAMOND)):
+        for value, style in ((entry.mean_of_nine, _TICK), (entry.tuner, _DIAMOND)):
             if value is not None:
                 panel.plot(value, row, **style)
-    _decades(panel, "x")
+    logarithmic(panel, "x")
     panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     drawn = [v for r in ranking for v in (r.tuner, *r.fixed.values()) if v is not None]
     if drawn:
@@ -100,14 +83,13 @@ def plot_weights_in_force(
         panel.axhline(mean, color=ORANGE, linewidth=1.8, label="its geometric mean")
         if (wanted := best[name]) is not None:
             panel.axhline(wanted, color=GREEN, linewidth=1.8, linestyle=(0, (4, 2)), label="best of the nine")
-        _decades(panel, "y")
+        logarithmic(panel, "y")
         panel.set_ylim(0.006, 170.0)
         label(panel, name, "", r"$\omega_Q\,/\,\omega_R$ [-]" if index % columns == 0 else "")
         if index + columns >= len(ratios):
             panel.set_xlabel("time [s]", fontsize=10, color=TEXT)
             panel.tick_params(labelbottom=True)
-    entries = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*entries, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    legend_below(figure, axes[0, 0], 3)
     return figure
 
 
@@ -127,17 +109,8 @@ def plot_answers(ratios: Sequence[float], answers: Mapping[str, Sequence[float]]
                    label=name if first else "each other trajectory" if index == 1 else "_")  # fmt: skip
     mean = np.mean(list(answers.values()), axis=0)
     panel.plot(ratios, 10.0**mean, color=BLUE, linewidth=2.6, marker="s", markersize=5.5, label="mean over all")
-    _decades(panel, "x")
-    _decades(panel, "y")
+    logarithmic(panel, "xy")
     label(panel, "Does the network see the weights?", r"ratio $\omega_Q/\omega_R$ in force, fixed [-]",
           "ratio that the network answers [-]")  # fmt: skip
     legend(panel, loc="upper left")
     return figure
-
-
-def _decades(panel: Axes, which: Literal["x", "y"]) -> None:
-    """A logarithmic axis with plain numbers at its decades."""
-    axis = panel.xaxis if which == "x" else panel.yaxis
-    panel.set(**{f"{which}scale": "log"})
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from stewart_drake.plotting.panels import BLUE, ORANGE, QUIET, heatmap, label, legend, panels
+from stewart_drake.paper.plots.drawing import contoured
+from stewart_drake.plotting.panels import BLUE, ORANGE, QUIET, label, legend, panels
 
 
 def plot_forward(
@@ -38,15 +39,12 @@ def plot_forward(
                 handlelength=1.0, columnspacing=1.0)  # fmt: skip
 
     usable = np.isfinite(error) & (error > 0.0)
-    for side, name, color, marker in (
-        (~across, "home's side of the parallel singularity", BLUE, "o"),
-        (across, "beyond it", ORANGE, "^"),
-    ):
+    sides = (~across, "home's side of the parallel singularity", BLUE, "o"), (across, "beyond it", ORANGE, "^")
+    for side, name, color, marker in sides:
         right.loglog(conditioning[usable & side], error[usable & side], marker, color=color, markersize=2.5, alpha=0.5,
                      label=name)  # fmt: skip
-    label(
-        right, "Its error, and where it goes elsewhere", "conditioning of the rods' lines [-]", "error in the pose [m]"
-    )
+    title = "Its error, and where it goes elsewhere"
+    label(right, title, "conditioning of the rods' lines [-]", "error in the pose [m]")
     legend(right, loc="center right", markerscale=2.0)
     return figure
 
@@ -64,14 +62,10 @@ def plot_misprints(
     """
     figure, ((left, right),) = panels(1, 2, 3.9, sharey=True)
     degrees = np.degrees(angle)
-    for panel, shift, title in (
-        (left, rotation_shift, "Entry (3,1) of (3)"),
-        (right, bracket_shift, "Bracket of (5)"),
-    ):
-        heatmap(figure, panel, degrees, degrees, 1e3 * shift, "joint misplaced by [mm]", cmap="cividis", vmin=0.0)
+    shifts = (left, rotation_shift, "Entry (3,1) of (3)"), (right, bracket_shift, "Bracket of (5)")
+    for panel, shift, title in shifts:
         levels = MaxNLocator(5).tick_values(0.0, 1e3 * float(shift.max()))[1:]
-        lines = panel.contour(degrees, degrees, 1e3 * shift, levels=levels, colors="black", linewidths=0.7)
-        panel.clabel(lines, fmt="%g", fontsize=8)
+        contoured(figure, panel, degrees, degrees, 1e3 * shift, "joint misplaced by [mm]", levels)
         panel.set_aspect("equal")
         label(panel, title, "roll [deg]", "pitch [deg]" if panel is left else "")
     if not bracket_in_reach.all():

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, label, legend, panels
+from stewart_drake.paper.plots.drawing import COLORS, curves, legend_below, logarithmic
+from stewart_drake.plotting.panels import QUIET, TEXT, label, legend, panels
 
 STATE_NAMES = (
     r"$\phi$", r"$\dot\phi$", r"$\theta$", r"$\dot\theta$", r"$\psi$", r"$\dot\psi$",
@@ -16,8 +17,6 @@ STATE_NAMES = (
     r"$z_\phi$", r"$z_\theta$", r"$z_\psi$", "$z_X$", "$z_Y$", "$z_Z$",
 )  # fmt: skip
 """The 18 errors in the paper's order."""
-_COLORS = (BLUE, ORANGE, GREEN, PURPLE, SKY)
-_STYLES = ("-", (0, (6, 2)), (0, (2, 1)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)))
 
 
 def plot_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Figure:
@@ -39,21 +38,20 @@ def plot_singular(approaches: Mapping[str, tuple[np.ndarray, Mapping[str, np.nda
         approaches: Title with the distance's unit after a bar -> (n,) distances and name -> (n,) values.
     """
     figure, axes = panels(1, len(approaches), 4.4, sharey=True)
-    for panel, (title, (distance, curves)) in zip(axes[0], approaches.items(), strict=True):
+    for panel, (title, (distance, named)) in zip(axes[0], approaches.items(), strict=True):
         name, unit = title.split("|")
-        for (curve, values), color, style in zip(curves.items(), _COLORS, _STYLES, strict=False):
-            panel.loglog(distance, values, color=color, linestyle=style, linewidth=1.8, label=curve)
+        curves(panel, distance, named)
+        panel.set(xscale="log", yscale="log")
         panel.invert_xaxis()
         label(panel, name, f"distance to the singular pose [{unit}]", "")
     axes[0, 0].set_ylabel("singular values [SI], others [-]", fontsize=10, color=TEXT)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    legend_below(figure, axes[0, 0], 3)
     return figure
 
 
 def plot_decay(
     strength: np.ndarray,
-    curves: Mapping[str, np.ndarray],
+    weightings: Mapping[str, np.ndarray],
     limits: Sequence[float],
     channels: Mapping[str, np.ndarray],
     channel_decay: Mapping[str, np.ndarray],
@@ -62,14 +60,15 @@ def plot_decay(
 
     Args:
         strength: (n,) [1/s^4] g.
-        curves: Weighting -> (n,) [rad/s].
+        weightings: Name -> (n,) [rad/s].
         limits: [rad/s] what each weighting comes to for large g.
         channels: Ratio -> (k,) g of the robot's six channels at home.
         channel_decay: Ratio -> (k,) [rad/s].
     """
     figure, ((panel,),) = panels(1, 1, 4.2)
-    for (name, values), limit, color in zip(curves.items(), limits, _COLORS, strict=False):
-        panel.loglog(strength, values, color=color, linewidth=1.8, label=name)
+    curves(panel, strength, weightings, linestyle="-")
+    panel.set(xscale="log", yscale="log")
+    for limit, color in zip(limits, COLORS, strict=False):
         panel.axhline(limit, color=color, linestyle=":", linewidth=1.2)
     for (name, at), marker in zip(channels.items(), "ovs^D", strict=False):
         panel.plot(at, channel_decay[name], marker, color=TEXT, markersize=4.5, linestyle="none", alpha=0.75,
@@ -90,13 +89,10 @@ def plot_discretisation(period: np.ndarray, gain: Mapping[str, np.ndarray], deca
         decay: Ratio -> (n,) [-] relative difference of the slowest decay that they give the exact sampled loop.
     """
     figure, ((left, right),) = panels(1, 2, 3.8)
-    for panel, curves in ((left, gain), (right, decay)):
-        for (name, values), color, style in zip(curves.items(), _COLORS, _STYLES, strict=False):
-            panel.semilogx(1e3 * period, 100.0 * values, color=color, linestyle=style, linewidth=1.8,
-                           label=f"ratio {name}")  # fmt: skip
-        panel.xaxis.set_major_formatter("{x:g}")
-    left.set_yscale("log")
-    left.yaxis.set_major_formatter("{x:g}")
+    for panel, differences in ((left, gain), (right, decay)):
+        curves(panel, 1e3 * period, {f"ratio {name}": 100.0 * values for name, values in differences.items()})
+    logarithmic(left, "xy")
+    logarithmic(right, "x")
     right.axhline(0.0, color=QUIET, linewidth=0.8)
     label(left, "Gain", "control period [ms]", "size of the difference [%]")
     label(right, "Slowest decay of the sampled loop", "control period [ms]", "difference [%]")

@@ -10,17 +10,16 @@ from matplotlib.figure import Figure
 
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.logs.log import AXES
-from stewart_drake.plotting.panels import label, legend, panels
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, SKY, TEXT, YELLOW, label, legend, panels
 from stewart_drake.training.dataset import Dataset
 
 if TYPE_CHECKING:
     from stewart_drake.control.density import DensityKind
     from stewart_drake.training.train import Split, TrainingResult
 
-_INK = "#3b4754"
-# Okabe and Ito, from low to high ratio.
-_RATIO_COLORS = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00")
-_SPLIT_COLORS = {"samples": "#0072b2", "runs": "#d55e00"}
+_RATIO_COLORS = (BLUE, SKY, GREEN, YELLOW, ORANGE)
+"""From low to high ratio."""
+_SPLIT_COLORS = {"samples": BLUE, "runs": ORANGE}
 
 
 def plot_densities(dataset: Dataset) -> Figure:
@@ -37,19 +36,13 @@ def plot_densities(dataset: Dataset) -> Figure:
         color = _RATIO_COLORS[index % len(_RATIO_COLORS)]
         axes.vlines(at, low, high, color=color, linewidth=3.0, alpha=0.55)
         axes.plot(at, middle, "o", color=color, markersize=3.5, label=f"{10.0**value:g}")
-    axes.axvline(5.5, color=_INK, linewidth=0.6)
-    axes.axhline(1.0, color=_INK, linewidth=0.6, linestyle=":")
+    axes.axvline(5.5, color=TEXT, linewidth=0.6)
+    axes.axhline(1.0, color=TEXT, linewidth=0.6, linestyle=":")
     axes.set_xticks(range(12), names, rotation=35, ha="right")
     axes.grid(visible=False, axis="x")
     label(axes, "", "", "density [-]")
-    figure.legend(
-        title="ratio of weights",
-        ncols=len(values),
-        frameon=False,
-        loc="outside upper right",
-        fontsize=9,
-        title_fontsize=9,
-    )
+    style = {"title": "ratio of weights", "fontsize": 9, "title_fontsize": 9, "frameon": False}
+    figure.legend(ncols=len(values), loc="outside upper right", **style)
     return figure
 
 
@@ -63,10 +56,9 @@ def plot_learning_curves(results: Mapping[tuple[DensityKind, Split], TrainingRes
                 continue
             epochs = np.arange(1, len(result.training_loss) + 1)
             color = _SPLIT_COLORS[split]
-            axes.plot(epochs, result.training_loss, color=color, label=f"split by {split}: training")
-            axes.plot(
-                epochs, result.validation_loss, color=color, linestyle="--", label=f"split by {split}: validation"
-            )
+            losses = {"training": (result.training_loss, "-"), "validation": (result.validation_loss, "--")}
+            for side, (loss, style) in losses.items():
+                axes.plot(epochs, loss, color=color, linestyle=style, label=f"split by {split}: {side}")
         axes.set_xscale("log")
         label(axes, f"{kind} densities", "epoch", "")
     grid[0, 0].set_ylabel("mean squared error of log10 weights", fontsize=10)
@@ -89,7 +81,7 @@ def plot_predictions(network: TunerNetwork, dataset: Dataset) -> Figure:
             axes.vlines(at, low, high, color=_RATIO_COLORS[0], linewidth=2.0, alpha=0.5)
             axes.plot(at, middle, "o", color=_RATIO_COLORS[0], markersize=4.0)
         reach = float(np.abs(labels).max()) * 1.25
-        axes.plot([-reach, reach], [-reach, reach], color=_INK, linewidth=0.8, linestyle=":")
+        axes.plot([-reach, reach], [-reach, reach], color=TEXT, linewidth=0.8, linestyle=":")
         label(axes, name, "log10 of the label", "")
     grid[0, 0].set_ylabel("log10 of the network's answer", fontsize=10)
     return figure

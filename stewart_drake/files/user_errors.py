@@ -43,31 +43,31 @@ class UserCode(AbstractContextManager[None]):
     A class: a generator under `contextmanager` would let StopIteration pass.
 
     Args:
-        own: Name of the user's module, or of the package that it is in; None for no user's controller.
+        own: Names of the user's modules, or of the packages that they are in; none where no code is the user's.
 
     Raises:
         ControllerError: In place of what was raised.
     """
 
-    def __init__(self, own: str | None) -> None:
+    def __init__(self, *own: str) -> None:
         self._own = own
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._own is None or error is None or isinstance(error, (RunFailure, KeyboardInterrupt)):
+        if not self._own or error is None or isinstance(error, (RunFailure, KeyboardInterrupt)):
             return
         # The first frame is the one that has this guard.
         inner = None if trace is None else trace.tb_next
         if _first_own(inner, self._own) is None:
             verdict = type(error) is RuntimeError or isinstance(error, (StewartDrakeError, SystemExit))
-            if verdict or (inner is not None and _is_in(inner, _PACKAGE)):
+            if verdict or (inner is not None and _is_in(inner, (_PACKAGE,))):
                 return
-        line, lines = describe(error, inner, self._own)
-        raise ControllerError(f"the controller raised {line}", lines) from error
+        line, lines = describe(error, inner, *self._own)
+        raise ControllerError(f"the user's code raised {line}", lines) from error
 
 
-def describe(error: BaseException, trace: TracebackType | None, own: str) -> tuple[str, str]:
+def describe(error: BaseException, trace: TracebackType | None, *own: str) -> tuple[str, str]:
     """An error in the user's code in one line, with file and line, and the user's part of its traceback."""
     try:
         text = " ".join(str(error).split())
@@ -88,15 +88,15 @@ def describe(error: BaseException, trace: TracebackType | None, own: str) -> tup
     return f"{line} ({where})", "\n".join(lines)
 
 
-def _first_own(trace: TracebackType | None, own: str) -> TracebackType | None:
+def _first_own(trace: TracebackType | None, own: tuple[str, ...]) -> TracebackType | None:
     while trace is not None and not _is_in(trace, own):
         trace = trace.tb_next
     return trace
 
 
-def _is_in(trace: TracebackType, package: str) -> bool:
-    return _belongs(trace.tb_frame.f_globals.get("__name__"), package)
+def _is_in(trace: TracebackType, packages: tuple[str, ...]) -> bool:
+    return _belongs(trace.tb_frame.f_globals.get("__name__"), packages)
 
 
-def _belongs(module: object, package: str) -> bool:
-    return isinstance(module, str) and (module == package or module.startswith(f"{package}."))
+def _belongs(module: object, packages: tuple[str, ...]) -> bool:
+    return isinstance(module, str) and any(module == each or module.startswith(f"{each}.") for each in packages)

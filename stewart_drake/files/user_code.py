@@ -1,0 +1,160 @@
+"""A class of the user's own: where it comes from, and when its code may run.
+
+A file is run only where it lies beside the scenario or below, see `named_files`; a module only where it is part of an
+installed package. Nothing is imported before the class is needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import linecache
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.installed import distribution_of
+from stewart_drake.files.user_errors import describe
+from stewart_drake.files.whole import read_checked
+
+MAX_BYTES = 1_000_000
+"""Of a file with a class."""
+CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
+CLASS_WORDS = "module:Class or path/to/file.py:Class"
+_FILES = "stewart_drake_user"
+"""Package that modules made from a user's files count to; there is none of this name."""
+
+
+def path_of(given: Any) -> str:
+    """What stands in a file for a class or an object that was given in Python."""
+    kind = given if isinstance(given, type) else type(given)
+    return f"{kind.__module__}:{kind.__name__}"
+
+
+@dataclass(frozen=True)
+class UserClass:
+    """A class by import path, or itself.
+
+    Attributes:
+        path: module:Class, or path/to/file.py:Class.
+        key: Key of the scenario that has the path, for messages.
+        given: The class, or an object in its place, where it was given in Python; None for one by its path.
+    """
+
+    path: str
+    key: str
+    given: Any = None
+
+    @property
+    def file(self) -> Path | None:
+        """The file that the class is in; None where it is in a module to import."""
+        file, _, _ = self.path.rpartition(":")
+        return Path(file) if file.endswith(".py") and self.given is None else None
+
+    @property
+    def code(self) -> str:
+        """What is run: the path of the file, or the module with the installed package that it is part of.
+
+        Raises:
+            ConfigurationError: The module is part of none.
+        """
+        if self.given is not None or self.file is not None:
+            return self.path if self.file is None else str(self.file)
+        distribution = distribution_of(self._module)
+        if distribution is None:
+            own = f"{self._module.rpartition('.')[2]}.py:{self.path.rpartition(':')[2]}"
+            allowed = f"a class of an installed package, or for a file of your own {own}"
+            raise ConfigurationError(self.key, self.path, allowed)
+        return f"{self._module} (installed with {distribution})"
+
+    @property
+    def own_module(self) -> str:
+        """Package that the user's frames in a traceback are of."""
+        if self.given is not None:
+            return self._module
+        return _FILES if self.file is not None else self._module.partition(".")[0]
+
+    @property
+    def _module(self) -> str:
+        return self.path.rpartition(":")[0]
+
+    def named(self) -> Any:
+        """What the path names, whatever it is.
+
+        Raises:
+            ConfigurationError: Its module is no file of the user's and of no installed package, and then not imported;
+                it cannot be imported; it does not have the name.
+        """
+        _, _, name = self.path.rpartition(":")
+        source = self.code
+        with self._refused(f"a module that can be imported, with a class {name}"):
+            module = importlib.import_module(self._module) if self.file is None else _load_file(Path(source))
+            return getattr(module, name)
+
+    def load(self) -> type:
+        """The class; it is not called.
+
+        Raises:
+            ConfigurationError: See `named`; it is not a class.
+        """
+        if self.given is not None:
+            return self.given if isinstance(self.given, type) else type(self.given)
+        found = self.named()
+        if not isinstance(found, type):
+            name = self.path.rpartition(":")[2]
+            raise ConfigurationError(self.key, self.path, f"a class; {name} is a {type(found).__name__}")
+        return found
+
+    def construct(self, arguments: Mapping[str, Any], offered: Mapping[str, Any]) -> Any:
+        """An object of the class, made with `arguments` and with those of `offered` that the constructor names.
+
+        Raises:
+            ConfigurationError: See `load`; the constructor raises.
+        """
+        if self.given is not None and not isinstance(self.given, type):
+            return self.given
+        kind = self.load()
+        section = self.key.rpartition(".")[0]
+        keywords = dict(arguments)
+        with self._refused(f"a constructor that takes {section}.arguments and does not raise"):
+            for name, parameter in inspect.signature(kind).parameters.items():
+                if name in offered and parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+                    keywords.setdefault(name, offered[name])
+            return kind(**keywords)
+
+    @contextmanager
+    def _refused(self, allowed: str) -> Iterator[None]:
+        try:
+            yield
+        except (ConfigurationError, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            what, _ = describe(error, error.__traceback__, self.own_module)
+            raise ConfigurationError(self.key, self.path, f"{allowed} ({what})") from error
+
+
+def _load_file(path: Path) -> ModuleType:
+    content = read_checked(path, f"controller file {path}", MAX_BYTES)
+    # By content: an edited file is another module, and two files of one name are two.
+    name = f"{_FILES}.{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module
+    try:
+        # What was read is what runs; the lines of a traceback are its lines too.
+        code = compile(content, str(path), "exec")
+        text = content.decode(errors="replace")
+        linecache.cache[str(path)] = (len(text), None, text.splitlines(keepends=True), str(path))
+        exec(code, vars(module))
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

@@ -1,0 +1,73 @@
+"""Fixtures of the reproduction: its quick report, made once for the whole session."""
+
+import dataclasses
+import fcntl
+import json
+import os
+from typing import NamedTuple
+
+import pytest
+
+from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.paper.report import Section
+from stewart_drake.paper.reproduce import SECTIONS, reproduce
+from stewart_drake.paper.study import Study
+
+
+class Report(NamedTuple):
+    """The quick report: its folder, its sections by key, and each call of its progress."""
+
+    folder: object
+    sections: dict
+    progress: list
+
+
+def pytest_collection_modifyitems(items):
+    # One worker makes the report; others that waited for it would stand idle.
+    for item in items:
+        if "report" in item.fixturenames:
+            item.add_marker(pytest.mark.xdist_group("report"))
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="session")
+def report(tmp_path_factory):
+    """The quick report, made once for the whole session, whichever workers ask for it."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "quick-report"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        calls = folder / "progress.json"
+        if not calls.exists():
+            shares = []
+            reproduce(folder / "out", quick=True, progress=lambda key, share: shares.append((key, share)))
+            calls.write_text(json.dumps(shares))
+    parts = {path.name.rpartition("-")[0]: path for path in (folder / "out" / "parts").glob("*.json")}
+    found = {key: Section.from_json(json.dumps(json.loads(parts[key].read_text())["section"])) for key in SECTIONS}
+    return Report(folder / "out", found, json.loads(calls.read_text()))
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Figures are drawn but not written, which takes most of a section's time."""
+    monkeypatch.setattr(Study, "save_figure", lambda _, _figure, name: f"{name}.png")
+
+
+@pytest.fixture
+def runs_by(monkeypatch):
+    """In place of simulations: `runs_by(rule)` makes the log of a scenario by a rule; gives the groups asked for."""
+
+    def replace_runs(rule):
+        groups = []
+
+        def run_all(_store, scenarios, progress=None, **_options):
+            groups.append(list(scenarios))
+            if progress is not None:
+                progress(1.0)
+            return [dataclasses.replace(rule(scenario), scenario=scenario) for scenario in scenarios]
+
+        monkeypatch.setattr(RunStore, "run_all", run_all)
+        return groups
+
+    return replace_runs

@@ -1,0 +1,262 @@
+"""Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
+
+import json
+from typing import Literal
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.hardware.sensor_faults import SensorOptions
+from stewart_drake.logs.log import load_log
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.plotting.run_plots import plot_states, plot_torques
+from stewart_drake.registry import CONTROLLERS, SENSORS
+from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
+from stewart_drake.section import NotNegative, Positive
+from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems.ticked import TickedSystem
+
+SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
+HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
+
+
+class ToyController(LeafSystem):
+    """The robot's weight at home, and a spring."""
+
+    def __init__(self, robot, gravity, stiffness=0.5):
+        super().__init__()
+        self.weight, self.stiffness = static_torque(robot, robot.home_pose, gravity), stiffness
+        self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorInputPort("reference", 18)
+        self.DeclareVectorOutputPort("torque", 6, self._calc)
+
+    def _calc(self, context, output):
+        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
+        output.SetFromVector(self.weight - self.stiffness * away)
+
+
+class ToyReference:
+    """A slow rise; knows one time at a time, and nothing of arrays."""
+
+    def __init__(self, height=0.001):
+        self.height = height
+
+    def evaluate(self, t):
+        if t > 1.0:
+            raise RuntimeError("the end of the world")
+        up = np.array([0.0, 0.0, 0.0, 0.0, 0.0, self.height])
+        return HOME + up * t, up, 0.0 * up
+
+
+class ToyPush:
+    """A push upwards."""
+
+    def __init__(self, force=1.0):
+        self.force = force
+
+    def evaluate(self, t):
+        return [0.0, 0.0, 0.0, 0.0, 0.0, self.force * t]
+
+
+def checked_logged_and_plotted(scenario, tmp_path):
+    check_scenario(scenario)
+    log = run(scenario)
+    assert log.status == "completed", log.message
+    log.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")
+    assert again.scenario.to_dict() == scenario.to_dict()
+    np.testing.assert_array_equal(again["pose"], log["pose"])
+    assert plot_states(again).axes
+    assert plot_torques(again).axes
+    return log
+
+
+@pytest.mark.parametrize(
+    "given", [ToyController, {"kind": ToyController, "period": 0.002, "arguments": {"stiffness": 1.0}}]
+)
+def test_a_controller_from_a_notebook_cell(given, tmp_path):
+    scenario = Scenario.from_dict({**SHORT, "controller": given, "reference": {"kind": "hold"}})
+    assert scenario.controller.system == "test_outside_kinds:ToyController"
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    assert np.abs(log["torque"]).max() > 0.01
+    longer = scenario.replace({"duration": 0.11, "controller.period": 0.001})
+    assert run(longer).status == "completed"
+
+
+@pytest.mark.parametrize(
+    "given", [ToyReference, ToyReference(0.002), {"kind": ToyReference, "arguments": {"height": 0.003}}]
+)
+def test_any_object_with_evaluate_is_a_reference(given, tmp_path):
+    scenario = Scenario(**SHORT, reference=given)
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    height = {type: 0.001, ToyReference: 0.002, dict: 0.003}[type(given)]
+    np.testing.assert_allclose(log["reference"][-1, 5], 0.3 + height * log.time[-1], rtol=1e-9)
+    inside = scenario.replace({"reference": {"kind": "adjusted", "motion": given, "scale": 2.0}})
+    np.testing.assert_allclose(inside.reference.evaluate(0.1)[1][5], 2.0 * height)
+
+
+def test_what_a_reference_raises_is_told_before_the_run_and_in_it_keeps_the_log():
+    scenario = Scenario(**{**SHORT, "duration": 1.2}, reference=ToyReference())
+    with pytest.raises(ConfigurationError, match=r"reference.*the end of the world"):
+        check_scenario(scenario)
+    log = run(scenario, check=False)
+    assert (log.status, log.reason) == ("failed", "controller_raised")
+    assert "the end of the world (test_outside_kinds.py" in log.message
+    assert len(log.time) > 50
+    with pytest.raises(InfeasibleReferenceError):
+        check_scenario(Scenario(**SHORT, reference=ToyReference(50.0)))
+
+
+def test_a_disturbance_adds_to_the_others(tmp_path):
+    others = {"kind": "constant", "wrench": [0.0] * 5 + [0.5]}
+    scenario = Scenario(**SHORT, disturbances=(ToyPush, others, ToyPush(2.0)), reference={"kind": "hold"})
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    np.testing.assert_allclose(log["disturbance"][:, 5], 0.5 + 3.0 * log.time, rtol=1e-6)
+
+
+CODE = """
+class Rise:
+    def __init__(self, height):
+        self.height = height
+
+    def evaluate(self, t):
+        return [0, 0, 0, 0, 0, 0.3 + self.height * t], [0, 0, 0, 0, 0, self.height], [0] * 6
+"""
+
+
+def test_a_file_beside_the_scenario_is_run_by_its_path_and_no_other_is(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "mine.py").write_text(CODE)
+    file = tmp_path / "scenario.yaml"
+    text = "duration: 0.1\ntuner: {{kind: fixed}}\nreference: {{kind: '{}:Rise', arguments: {{height: 0.002}}}}\n"
+    file.write_text(text.format("deep/mine.py"))
+    scenario = load_scenario(file)
+    assert scenario.reference.kind == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
+    checked_logged_and_plotted(scenario, tmp_path)
+    file.write_text(text.format(tmp_path.parent / "mine.py"))
+    with pytest.raises(ConfigurationError, match=r"^kind: .*a file in .* or below"):
+        load_scenario(file)
+    for module in ("os:system", "builtins:print", "mine:Rise"):
+        file.write_text(text.format("x.py").replace("x.py:Rise", module))
+        with pytest.raises(ConfigurationError, match=r"^reference\.kind: .*installed package"):
+            load_scenario(file).reference.evaluate(0.0)
+    file.write_text(text.format("deep/mine.py").replace("0.002", ".nan"))
+    with pytest.raises(ConfigurationError, match=r"^reference\.arguments"):
+        load_scenario(file)
+
+
+class ToySensorOptions(SensorOptions):
+    """A sensor that is off along Z."""
+
+    kind: Literal["toy"] = "toy"
+    off: NotNegative = 0.001
+    """[m]"""
+
+
+class ToySensor(TaskSpaceSensor):
+    def __init__(self, plant, off):
+        super().__init__(plant)
+        self.off = off
+
+    def _calc(self, context, output):
+        super()._calc(context, output)
+        output.get_mutable_value()[5] += self.off
+
+
+def add_toy_sensor(wiring, options):
+    sensor = wiring.add("toy", ToySensor(wiring.plant, options.off), plant_state=wiring.plant.state_output_port)
+    return wiring.with_faults(sensor.measurement, options.faults)
+
+
+class ToyLawOptions(ControllerOptions):
+    """Options of a controller with a section of its own."""
+
+    kind: Literal["toy_law"] = "toy_law"
+    period: Positive = 0.001
+    gain: NotNegative = 1.0
+    """[N m/m]"""
+
+    @property
+    def label(self):
+        return "a toy law"
+
+
+class ToyLaw(TickedSystem):
+    def __init__(self, options, site):
+        super().__init__(options.period, np.zeros(6), site.guarded)
+        self.weight, self.gain = static_torque(site.robot, site.robot.home_pose, site.gravity), options.gain
+        self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorInputPort("reference", 18)
+        self._declare_result()
+        self.torque = self._declare_output("torque", 0, 6)
+
+    def tick(self, context, previous):  # noqa: ARG002
+        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
+        return self.weight - self.gain * away
+
+
+@pytest.fixture
+def added():
+    lines = {family: dict(family._lines) for family in (SENSORS, CONTROLLERS)}
+    SENSORS.add(ToySensorOptions, add_toy_sensor)
+    CONTROLLERS.add(ToyLawOptions, ToyLaw)
+    yield
+    for family, before in lines.items():
+        family._lines.clear()
+        family._lines.update(before)
+
+
+@pytest.mark.usefixtures("added")
+def test_a_sensor_and_a_controller_with_sections_of_their_own(tmp_path):
+    scenario = Scenario.from_dict(
+        {
+            **SHORT,
+            "reference": {"kind": "hold"},
+            "sensors": {"kind": "toy", "off": 0.002},
+            "controller": {"kind": "toy_law"},
+            "safety": {},
+        }
+    )
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    np.testing.assert_allclose(log["measured_pose"][:, 5] - log["pose"][:, 5], 0.002, atol=1e-12)
+    texts = [text.get_text() for text in plot_torques(log).texts]
+    assert any("a toy law" in text for text in texts)
+    with pytest.raises(ConfigurationError, match=r"^sensors\.off: got -1; allowed: a number, zero or positive \[m\]"):
+        scenario.replace({"sensors.off": -1})
+    with pytest.raises(ConfigurationError, match=r"did you mean toy_law\?"):
+        scenario.replace({"controller": {"kind": "toy_lw"}})
+    assert "ToySensorOptions" in json.dumps(scenario_schema())
+
+
+class ToyMonitor:
+    """Trips where the platform is too low."""
+
+    def __init__(self, lowest=0.3):
+        self.lowest = lowest
+
+    def look(self, inputs):
+        if self.lowest < 0.0:
+            raise ZeroDivisionError("blind")
+        return -1 if inputs.pose[5] < self.lowest else None
+
+
+@pytest.mark.parametrize("given", [ToyMonitor, ToyMonitor(), {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}])
+def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(given, tmp_path):
+    base = {**SHORT, "duration": 1.0, "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.302]}}
+    push = {"kind": "step", "wrench": [0, 0, 0, 0, 0, -30.0], "time": 0.05}
+    scenario = Scenario.from_dict({**base, "safety": {"monitors": [given]}})
+    log = checked_logged_and_plotted(scenario, tmp_path)
+    assert log.safety is None
+    pushed = scenario.replace({"disturbances": [push], "safety.following_error": None})
+    log = run(pushed)
+    assert (log.status, log.reason) == ("stopped", "ToyMonitor")
+    assert log.safety["monitor"] == "ToyMonitor"
+    assert log["pose"][log.time < log.safety["time"], 5].min() > 0.2999
+    with pytest.raises(ConfigurationError, match=r"^safety\.monitors\.0: got 'ToyMonitor'"):
+        check_scenario(scenario.replace({"reference.pose": [0, 0, 0, 0, 0, 0.299]}))
+    with pytest.raises(ConfigurationError, match=r"^safety\.monitors: .*blind"):
+        check_scenario(scenario.replace({"safety": {"monitors": [ToyMonitor(-1.0)]}}))
