@@ -274,6 +274,10 @@ FAILURES = (
 """Reasons for which a tick may fail, counted from 1 in signals; 1 stands for any other."""
 
 
+class OlderFileWarning(FutureWarning):
+    """A file of an older version that is read all the same."""
+
+
 def failure_code(reason: str) -> int:
     """Number of a reason, see `FAILURES`."""
     return 1 + (FAILURES.index(reason) if reason in FAILURES else 0)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LEGS, PARALLEL, Legs, check_size, read_legs
-from stewart_drake.section import SECTION, Count, NotNegative, Positive, Real, Vector3, plain
+from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.section import Count, NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class RobotParameters:
+class RobotParameters(Section, key="robot"):
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
     Leg i = 0..5 belongs to pair k = i // 2 and stands on side s = -1 (even i) or +1 (odd i) of the pair's direction
@@ -36,81 +35,67 @@ class RobotParameters:
             directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = SECTION
-
-    shaft_circle_radius: Positive = 0.20
+    shaft_circle_radius: Size = 0.20
     """[m] radius of the circle of the motor shafts."""
-    shaft_height: Real = -0.07
+    shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
-    shaft_half_angle: Positive = math.radians(8.0)
+    shaft_half_angle: Size = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
-    crank_plane_angle: Real = 0.0
+    crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
-    platform_joint_radius: Positive = 0.11
+    platform_joint_radius: Size = 0.11
     """[m] radius of the circle of the platform's joints."""
-    platform_half_angle: Positive = math.radians(52.0)
+    platform_half_angle: Size = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
-    crank_length: Positive = 0.11
+    crank_length: Size = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
-    rod_length: Positive = 0.404
+    rod_length: Size = 0.404
     """[m] crank tip to platform joint."""
-    home_height: Positive = 0.30
+    home_height: Size = 0.30
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Count = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
     legs: Legs | None = None
     """Six sections with what each leg has of its own; null for none."""
 
-    rod_mass: Positive = 0.08
+    rod_mass: Size = 0.08
     """[kg]"""
-    rod_inertia: Vector3 = (0.0016, 0.0016, 0.000001)
+    rod_inertia: Size3 = (0.0016, 0.0016, 0.000001)
     """[kg m^2] about the centre of mass; z along the rod, Ixx = Iyy."""
-    crank_mass: Positive = 0.04
+    crank_mass: Size = 0.04
     """[kg]"""
-    crank_inertia: Vector3 = (0.000001, 0.000058, 0.000059)
+    crank_inertia: Size3 = (0.000001, 0.000058, 0.000059)
     """[kg m^2] about the centre of mass; x along the crank, y along the motor axis."""
-    platform_mass: Positive = 1.0
+    platform_mass: Size = 1.0
     """[kg]"""
-    platform_inertia: Vector3 = (0.003, 0.003, 0.006)
+    platform_inertia: Size3 = (0.003, 0.003, 0.006)
     """[kg m^2] Ixx, Iyy, Izz about its centre of mass, along the axes of P."""
-    platform_products: Vector3 = (0.0, 0.0, 0.0)
+    platform_products: Signed3 = (0.0, 0.0, 0.0)
     """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
-    platform_center_of_mass: Vector3 = (0.0, 0.0, 0.0)
+    platform_center_of_mass: Signed3 = (0.0, 0.0, 0.0)
     """[m] in P."""
-    rotor_inertia: NotNegative = 0.0
+    rotor_inertia: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
     """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
-    base_mass: Positive = 7.0
+    base_mass: Size = 7.0
     """[kg]; welded to the world, so it never acts."""
-    base_inertia: Vector3 = (0.027, 0.027, 0.054)
+    base_inertia: Size3 = (0.027, 0.027, 0.054)
     """[kg m^2]"""
 
-    effort_limit: Positive = 5.0
+    effort_limit: Size = 5.0
     """[N m] largest torque of a motor."""
-    link_radius: Positive = 0.005
+    link_radius: Size = 0.005
     """[m] radius of cranks and rods, for pictures, collisions and clearance."""
-    characteristic_length: Positive = 0.11
+    characteristic_length: Size = 0.11
     """[m] makes rotations and translations comparable in conditioning."""
 
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            given = plain(getattr(self, field.name))
-            if field.name == "legs":
-                given = given if given is None else read_legs(given)
-            else:
-                check_size(
-                    f"robot.{field.name}", given, signed=field.name in _SIGNED, zero=field.name == "rotor_inertia"
-                )
-            # Lists and numpy's numbers will do, and become what can be hashed and written to a file.
-            object.__setattr__(self, field.name, given)
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if self.branch not in (-1, 1):
             raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
-            _check_three(name, inertia, "three moments Ixx, Iyy, Izz")
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
                 raise ConfigurationError(f"robot.{name}", inertia, "no moment above the sum of the other two")
-        _check_three("platform_products", self.platform_products, "three products Ixy, Ixz, Iyz")
-        _check_three("platform_center_of_mass", self.platform_center_of_mass, "three coordinates")
         principal = np.linalg.eigvalsh(self._central_inertia)
         if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
             allowed = "products with which the principal moments are positive and none is above the sum of the others"
@@ -306,14 +291,6 @@ def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> 
     up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
     constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
     return along, up, constant
-
-
-_SIGNED = {"shaft_height", "branch", "crank_plane_angle", "platform_products", "platform_center_of_mass"}
-
-
-def _check_three(name: str, value: Any, allowed: str) -> None:
-    if not isinstance(value, tuple) or len(value) != 3:
-        raise ConfigurationError(f"robot.{name}", value, allowed)
 
 
 def _check_directions(robot: RobotParameters) -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field
 
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.named_files import anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
@@ -35,7 +35,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, NotNegative, Positive, Section, Text, Vector6
-from stewart_drake.wording import as_problem, keys_of, shown
+from stewart_drake.wording import keys_of, shown
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
 
@@ -43,20 +43,6 @@ MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched by a hair, would lose their step."""
-
-
-def _named_robot(data: Any, handler: ValidatorFunctionWrapHandler) -> Any:
-    """What a robot says of itself, under the key where it stands."""
-    try:
-        return handler(data)
-    except OverflowError:
-        raise as_problem(ConfigurationError("", data, "numbers of a robot that can be built")) from None
-    except ConfigurationError as error:
-        key = error.key.removeprefix("robot").lstrip(".")
-        raise as_problem(ConfigurationError(key, error.value, error.allowed)) from None
-
-
-Robot = Annotated[RobotParameters, WrapValidator(_named_robot)]
 
 
 class Scenario(Section):
@@ -74,9 +60,9 @@ class Scenario(Section):
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
-    robot: Robot = Field(default_factory=RobotParameters)
+    robot: RobotParameters = Field(default_factory=RobotParameters)
     """Geometry, masses and limits of the simulated robot."""
-    model_robot: Robot | None = None
+    model_robot: RobotParameters | None = None
     """The robot as the controller believes it to be; null for the truth."""
     plant: PlantOptions = Field(default_factory=PlantOptions)
     """The simulated robot."""
@@ -115,7 +101,9 @@ class Scenario(Section):
         """See `Section.from_older`."""
         controller = data.get("controller")
         if isinstance(controller, Mapping) and "compiled" in controller:
-            warnings.warn("controller.compiled is the scenario's own key `compiled` now", FutureWarning, stacklevel=4)
+            warnings.warn(
+                "controller.compiled is the scenario's own key `compiled` now", OlderFileWarning, stacklevel=4
+            )
             data = {**data, "compiled": controller["compiled"]}
             data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
         return data

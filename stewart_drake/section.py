@@ -127,7 +127,7 @@ class Section:
 
     def to_dict(self) -> dict[str, Any]:
         """Every key with its value, in plain types."""
-        return {name: to_plain(getattr(self, name)) for name in self.__dataclass_fields__}
+        return {name: to_plain(getattr(self, name)) for name in self.__pydantic_fields__}
 
     def rules(self) -> None:
         """Rules between fields.
@@ -140,6 +140,7 @@ class Section:
         try:
             self.rules()
         except ConfigurationError as error:
+            error.key = error.key.removeprefix(f"{self.section_key}.")
             raise as_problem(error) from None
 
     @classmethod

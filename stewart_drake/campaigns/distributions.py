@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self, cast
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metric_table import Kind
-from stewart_drake.section import SECTION, Count, Flag, Real
-from stewart_drake.wording import explain
+from stewart_drake.section import Count, Flag, Positive, Real, Section, check_plain
+from stewart_drake.wording import chosen
 
 LARGEST = 1e100
 """Bounds beyond this are slips of the pen; differences of them could leave floating point."""
@@ -25,9 +24,8 @@ Bound = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 Whole = Annotated[Count, Field(ge=-(2**53), le=2**53)]
 
 
-class _Distribution(BaseModel):
-    model_config = cast(ConfigDict, {**SECTION, "frozen": True})
-
+class _Distribution(Section):
+    kind: str
     factor: Flag = False
     """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
     where it is a list."""
@@ -40,13 +38,12 @@ class _Distribution(BaseModel):
 
 
 class _Between(_Distribution):
+    kind: str
     low: Bound
     high: Bound
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def rules(self) -> None:
         _check_order(self.low, self.high)
-        return self
 
 
 class Uniform(_Between):
@@ -63,7 +60,7 @@ class LogUniform(_Between):
     """Uniform in the logarithm, from `low` to `high`, both positive."""
 
     kind: Literal["loguniform"] = "loguniform"
-    low: Annotated[Real, Field(gt=0.0, le=LARGEST)]
+    low: Annotated[Positive, Field(le=LARGEST)]
 
     def at(self, quantile: float) -> float:
         """See `_Distribution.at`."""
@@ -76,12 +73,12 @@ class Normal(_Distribution):
 
     kind: Literal["normal"] = "normal"
     mean: Bound
-    std: Annotated[Real, Field(gt=0.0, le=LARGEST)]
+    std: Annotated[Positive, Field(le=LARGEST)]
     low: Bound | None = None
     high: Bound | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def rules(self) -> None:
+        """See `Section.rules`."""
         if self.low is not None and self.high is not None:
             _check_order(self.low, self.high)
         below, above, _ = self._shares()
@@ -89,7 +86,6 @@ class Normal(_Distribution):
             raise ConfigurationError(
                 "low", [self.low, self.high], f"bounds that keep at least {LEAST_PROBABILITY:g} of the distribution"
             )
-        return self
 
     def at(self, quantile: float) -> float:
         """See `_Distribution.at`."""
@@ -127,10 +123,9 @@ class Integers(_Distribution):
 
     column: ClassVar[Kind] = "whole"
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def rules(self) -> None:
+        """See `Section.rules`."""
         _check_order(self.low, self.high)
-        return self
 
     def at(self, quantile: float) -> int:
         """See `_Distribution.at`."""
@@ -141,17 +136,13 @@ class Choice(_Distribution):
     """One of `values`, equally often: numbers, texts, truth values, lists, sections."""
 
     kind: Literal["choice"] = "choice"
-    values: Annotated[list[Any], Field(min_length=1, max_length=100_000)]
+    values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)]
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        try:
-            json.dumps(self.values, allow_nan=False)
-        except (TypeError, ValueError):
-            raise ConfigurationError("values", self.values, "finite numbers, texts, true, false, null, lists") from None
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        check_plain("values", self.values)
         if self.factor and not all(_is_number(value) for value in self.values):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
-        return self
 
     def at(self, quantile: float) -> Any:
         """See `_Distribution.at`."""
@@ -190,13 +181,8 @@ def parse_distribution(key: str, data: Any) -> Distribution:
         raise ConfigurationError(key, data, f"a section such as {{kind: uniform, low: 0, high: 1}}; kinds: {kinds}")
     kind = data.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ConfigurationError(f"{key}.kind", kind, f"one of {kinds}")
-    try:
-        return KINDS[kind].model_validate(dict(data))
-    except ValidationError as error:
-        raise explain(KINDS[kind], error, data, key) from None
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{key}.{error.key}", error.value, error.allowed) from None
+        raise ConfigurationError(f"{key}.kind", kind, chosen(kind, list(KINDS)))
+    return KINDS[kind].from_dict(dict(data), key)
 
 
 def column_of(distribution: Distribution) -> Kind:

@@ -123,7 +123,7 @@ class Sweep:
             distribution = parse_distribution(f"distributions.{shown(key)}", section)
             if isinstance(distribution, Choice):
                 values = [_anchored(key, value, folder) for value in distribution.values]
-                distribution = distribution.model_copy(update={"values": values})
+                distribution = type(distribution).from_dict({**distribution.to_dict(), "values": values})
             distributions[key] = distribution
         runs = given.runs
         if runs is None:
@@ -184,7 +184,7 @@ class Sweep:
             "runs": self.runs,
             "seed": self.seed,
             "sampler": self.sampler,
-            "distributions": {key: d.model_dump(mode="json") for key, d in self.distributions.items()},
+            "distributions": {key: d.to_dict() for key, d in self.distributions.items()},
         }
 
     def replace(self, **changes: Any) -> Sweep:

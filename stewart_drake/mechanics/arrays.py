@@ -195,7 +195,7 @@ def in_blocks(function: _F) -> _F:
             if result is None:
                 result = np.empty((count, *part.shape[1:]))
             result[block] = part
-        return np.reshape(result, (*shape, *part.shape[1:]))
+        return np.reshape(np.asarray(result), (*shape, *part.shape[1:]))
 
     return cast(_F, run)
 
