@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from stewart_drake.control.network import load_network as load_network
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.leg import LegParameters as LegParameters
     from stewart_drake.logs.log import SimulationLog as SimulationLog
     from stewart_drake.logs.log import load_log as load_log
+    from stewart_drake.logs.metric_table import Metric as Metric
+    from stewart_drake.logs.metric_table import add_metric as add_metric
     from stewart_drake.logs.metrics import run_metrics as run_metrics
     from stewart_drake.mechanics.dynamics import forward_dynamics as forward_dynamics
     from stewart_drake.mechanics.dynamics import inverse_dynamics as inverse_dynamics
@@ -66,6 +69,8 @@ _HOME = {
     "Limits": "planning.limits",
     "SimulationLog": "logs.log",
     "load_log": "logs.log",
+    "Metric": "logs.metric_table",
+    "add_metric": "logs.metric_table",
     "run_metrics": "logs.metrics",
     "load_network": "control.network",
     "StewartPlant": "plant.multibody_plant",
@@ -77,6 +82,7 @@ _HOME = {
     "paper_reference": "references",
     "forward_dynamics": "mechanics.dynamics",
     "inverse_dynamics": "mechanics.dynamics",
+    "LegParameters": "leg",
     "RobotParameters": "robot",
     "on_grid": "sampling",
     "AnnTuner": "scenario",

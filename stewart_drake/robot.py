@@ -4,69 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Count, NotNegative, Real, Section, plain
+from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.section import Count, NotNegative, Section
 
-LEGS = 6
-SMALLEST, LARGEST = 1e-12, 1e6
-"""Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
-
-
-Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
-Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
-Size3 = tuple[Size, Size, Size]
-Signed3 = tuple[Signed, Signed, Signed]
-_PARALLEL = 1e-6
-"""How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
-
-
-class LegParameters(Section, key="robot.legs"):
-    """What one leg has of its own; null is that of the symmetric robot."""
-
-    shaft_position: Signed3 | None = None
-    """[m] centre of the motor shaft in B."""
-    crank_zero_direction: Signed3 | None = None
-    """[-] unit vector in B along which the crank points at theta = 0."""
-    crank_quarter_direction: Signed3 | None = None
-    """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
-    platform_joint: Signed3 | None = None
-    """[m] joint centre in P."""
-    crank_length: Size | None = None
-    """[m] shaft to crank tip."""
-    rod_length: Size | None = None
-    """[m] crank tip to platform joint."""
-    branch: Count | None = None
-    """Sign of the acos in the inverse kinematics: -1 or +1."""
-    crank_angle_range: tuple[Signed, Signed] | None = None
-    """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        if self.branch not in (None, -1, 1):
-            raise ConfigurationError("branch", self.branch, "-1 or 1")
-        low, high = self.crank_angle_range or (-math.pi, math.pi)
-        if not low < high <= low + 2.0 * math.pi:
-            allowed = "two angles, rising, within one turn"
-            raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
-
-
-def _leg(given: Any) -> Any:
-    """Null, or a mapping with arrays, as a section is written."""
-    given = {} if given is None else given
-    return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
-
-
-Leg = Annotated[LegParameters, BeforeValidator(_leg)]
-Legs = tuple[Leg, Leg, Leg, Leg, Leg, Leg]
 
 
 class RobotParameters(Section, key="robot"):
@@ -163,7 +112,15 @@ class RobotParameters(Section, key="robot"):
         along, up, constant = crank_equation(span, *directions, self.crank_lengths, self.rod_lengths)
         size = np.hypot(along, up)
         margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
-        if margin.min() <= 0.0:
+        low, high = np.clip(self.crank_angle_ranges, -1e3, 1e3).T
+        if margin.min() > 0.0:
+            theta = np.arctan2(up, along) + self.branches * np.arccos(constant / size)
+            off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi
+            if (beyond := np.abs(off) > 0.5 * (high - low)).any():
+                leg = int(beyond.argmax())
+                allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
+                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (low[leg], high[leg]), allowed)
+        else:
             leg = int(margin.argmin())
             raise ConfigurationError(
                 "robot.home_height",
@@ -341,10 +298,10 @@ def _check_directions(robot: RobotParameters) -> None:
     for leg, own in enumerate(robot.legs or ()):
         for name in ("crank_zero_direction", "crank_quarter_direction"):
             given = getattr(own, name)
-            if given is not None and abs(math.hypot(*given) - 1.0) > _PARALLEL:
+            if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
                 raise ConfigurationError(f"robot.legs.{leg}.{name}", given, "a vector of length 1")
         quarter = (0.0, 0.0, 1.0) if own.crank_quarter_direction is None else own.crank_quarter_direction
-        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > _PARALLEL:
+        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
             allowed = "a direction at a right angle to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
 

@@ -24,13 +24,14 @@ from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema
-from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, NotNegative, Positive, Section, Text, Vector6

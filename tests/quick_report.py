@@ -1,5 +1,6 @@
 """Fixtures of the reproduction: its quick report, made once for the whole session."""
 
+import dataclasses
 import fcntl
 import json
 import os
@@ -7,6 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
+from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.reproduce import SECTIONS, reproduce
 from stewart_drake.paper.study import Study
@@ -50,3 +52,22 @@ def report(tmp_path_factory):
 def no_pictures(monkeypatch):
     """Figures are drawn but not written, which takes most of a section's time."""
     monkeypatch.setattr(Study, "save_figure", lambda _, _figure, name: f"{name}.png")
+
+
+@pytest.fixture
+def runs_by(monkeypatch):
+    """In place of simulations: `runs_by(rule)` makes the log of a scenario by a rule; gives the groups asked for."""
+
+    def replace_runs(rule):
+        groups = []
+
+        def run_all(_store, scenarios, progress=None, **_options):
+            groups.append(list(scenarios))
+            if progress is not None:
+                progress(1.0)
+            return [dataclasses.replace(rule(scenario), scenario=scenario) for scenario in scenarios]
+
+        monkeypatch.setattr(RunStore, "run_all", run_all)
+        return groups
+
+    return replace_runs

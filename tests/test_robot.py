@@ -8,8 +8,9 @@ from conftest import field_of
 from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.leg import LegParameters
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot import LegParameters, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()
@@ -220,6 +221,7 @@ def test_inertia_about_the_origin_of_the_platforms_frame_is_that_of_a_body_of_po
         ([{"platform_joint": (1.0, 1.0)}] + [{}] * 5, "robot.legs.0.platform_joint"),
         ([{"crank_angle_range": (1.0, -1.0)}] + [{}] * 5, "robot.legs.0.crank_angle_range"),
         ([{"rod_length": 0.2}] + [{}] * 5, "robot.home_height"),
+        ([{}] * 5 + [{"crank_angle_range": (0.5, 1.0)}], "robot.legs.5.crank_angle_range"),
     ],
 )
 def test_legs_that_cannot_be_built_are_refused_by_name(legs, key):

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from stewart_drake.campaigns.comparison_file import Comparison
 from stewart_drake.campaigns.comparison_table import (
     BANDS,
-    COLUMNS,
     Sheet,
     band_rows,
     order,
     sheets,
+    table_columns,
     table_rows,
 )
 from stewart_drake.campaigns.executors import Workplace
@@ -47,8 +47,8 @@ class ComparisonResult:
     """What a comparison leaves.
 
     Attributes:
-        table: One row a run, see `table.COLUMNS`.
-        bands: One row a band, see `table.BANDS`.
+        table: One row a run, see `comparison_table.table_columns`.
+        bands: One row a band, see `comparison_table.BANDS`.
         rows: Rows of the table as plain values, with `trace`.
         band_rows: Rows of the bands likewise.
         sheets: The tables that are read.
@@ -93,7 +93,7 @@ def run_comparison(
         rows, bands = table_rows(comparison, done), band_rows(comparison, done)
         about = {"comparison": comparison.to_dict(), "versions": dict(versions)}
         result = ComparisonResult(
-            to_arrow(COLUMNS, rows, "comparison", about),
+            to_arrow(table_columns(), rows, "comparison", about),
             to_arrow(BANDS, bands, "comparison", about),
             rows,
             bands,

@@ -17,7 +17,7 @@ TRACE_POINTS = 240
 
 
 def measure_run(log: SimulationLog, band: float) -> Row:
-    """Figures of a run: those of every sweep, and see `comparison_table.COLUMNS`.
+    """Figures of a run: those of every sweep, and see `comparison_table.table_columns`.
 
     Args:
         log: The run.

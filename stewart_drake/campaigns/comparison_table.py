@@ -30,8 +30,6 @@ NAMES = (
 """First columns of both tables."""
 
 SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: it does not")
-COLUMNS = (*NAMES, *run_columns(), SETTLING)
-"""Columns of the table."""
 
 BANDS = (
     *NAMES,
@@ -43,6 +41,11 @@ BANDS = (
     Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
 )
 """Columns of the table of bands."""
+
+
+def table_columns() -> tuple[Column, ...]:
+    """Columns of the table."""
+    return (*NAMES, *run_columns(), SETTLING)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stewart_drake.campaigns.engine import Work, fill
-from stewart_drake.campaigns.executors import LocalProcesses, Workplace
+from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_catalogue import FAULTS
 from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
@@ -43,22 +43,18 @@ class FaultTable:
 def make_table(
     folder: str | Path,
     quick: bool = False,
-    workers: int | None = None,
+    where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
-    where: Workplace | Executor | None = None,
 ) -> FaultTable:
-    """Runs every fault during every motion and writes `faults.parquet` and `faults.md`; goes on where it was stopped.
-
-    With more than one worker the calling script is imported anew, see `executors.LocalProcesses`.
+    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; goes on where it was stopped.
 
     Args:
         folder: Where to.
         quick: The held platform alone.
-        workers: Processes; None for one per core, at most 8.
+        where: Where the runs go; None for processes of this machine.
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
-        where: Where the runs go; None for `workers` processes of this machine.
 
     Raises:
         ConfigurationError: The folder cannot be written to, is in use, or holds rows of another version.
@@ -73,7 +69,7 @@ def make_table(
 
     versions = collect_versions()
     with RowStore(folder, _identity(versions), restart, (parquet.name, "faults.csv", markdown_file.name)) as store:
-        done = fill(store, wanted, work, where or LocalProcesses(workers), progress)
+        done = fill(store, wanted, work, where, progress)
         rows = tuple(FaultRow.from_plain(row) for row in done)
         write_table(
             to_arrow(COLUMNS, (row.plain() for row in rows), "faults", {"versions": versions}), folder, "faults"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.campaigns.tables import VERSION
 from stewart_drake.control.network import default_network_path, read_weights
 from stewart_drake.files.named_files import file_digests
+from stewart_drake.files.whole import checksum
+from stewart_drake.logs.metric_table import columns
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import AnnTuner
 
@@ -40,7 +42,7 @@ def identity(
         **work,
         "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": VERSION,
+        "columns": checksum([asdict(column) for column in columns()])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
 

@@ -14,9 +14,6 @@ from stewart_drake.logs.metric_table import Column
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 2
-"""Of the columns; what an earlier one has left in a folder is not gone on with."""
-
 
 def to_arrow(
     columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
@@ -42,7 +39,7 @@ def to_arrow(
         metadata = {"unit": column.unit, "text": column.text}
         fields.append(pa.field(column.name, types[column.kind], metadata=metadata))
         arrays.append(pa.array(values, type=types[column.kind]))
-    text = json.dumps({"version": VERSION, **about})
+    text = json.dumps(about)
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={f"stewart_drake.{key}": text}))
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import OutPath, out_file, out_folder, overrides
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides
 from stewart_drake.cli.compare_command import compare
 from stewart_drake.cli.faults_command import faults
 from stewart_drake.cli.sweep_command import sweep
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from stewart_drake.paper.report import Section
     from stewart_drake.training.train import Split
 
-EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED = 2, 3, 4, 130
+EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL = 2, 3, 4
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
 """Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensor_faults import check_other_leg
-from stewart_drake.robot import LEGS, SMALLEST
+from stewart_drake.leg import LEGS, SMALLEST
 from stewart_drake.section import Leg, Natural, NotNegative, Section
 
 MotorFaultKind = Literal["reversed", "swapped"]
@@ -125,7 +125,7 @@ def holdable_load(weight_torque: np.ndarray, jacobian: np.ndarray, limit: float,
     for five torques. Any load must lie in the one plane where they agree, and gravity seldom does.
 
     Args:
-        weight_torque: (6,) [N m] that hold the robot itself, `rigid_body_model.static_torque`.
+        weight_torque: (6,) [N m] that hold the robot itself, `dynamics.static_torque`.
         jacobian: (6, 6) d(theta)/d(twist), `kinematics.twist_jacobian`.
         limit: [N m] of each motor.
         dead: The leg without torque.

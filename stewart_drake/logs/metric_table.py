@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import NOT_FINITE
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Metric:
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
         kind: Of its values.
+        gather: For what the tally does not sum up itself: called with what it gave for the rows so far (at first None)
+            and the next rows, named as in a log; the last is `tally.gathered[name]`.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Metric:
     label: str = ""
     form: str = ".4g"
     kind: Kind = "number"
+    gather: Callable[[Any, Mapping[str, np.ndarray]], Any] | None = None
 
     def value(self, tally: Tally) -> Any:
         """The metric of a run, None where there is nothing to compute it from."""
@@ -108,7 +112,7 @@ def _mean_weight(index: int) -> Callable[[Tally], float | None]:
     return lambda tally: None if tally.weights is None else float(tally.weights[index] / tally.ticks)
 
 
-METRICS: tuple[Metric, ...] = (
+METRICS: list[Metric] = [
     Metric(
         "rmse_deg", "deg", "root mean square error", lambda t: _list(np.degrees(t.late_rms[:3])),
         parts=_each("rmse_{}_deg", _ANGLES), label="RMSE roll pitch yaw, second half",
@@ -191,13 +195,30 @@ METRICS: tuple[Metric, ...] = (
         parts=_each("integral_{}_at_5s", _ANGLES + _LENGTHS), label="integral states at 5 s", form=".2g",
     ),
     Metric("finite", "", "every number of the log is finite", lambda t: t.finite, "steps", kind="flag"),
-)  # fmt: skip
+]  # fmt: skip
 """Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
 
-METRIC: Mapping[str, Metric] = {metric.name: metric for metric in METRICS}
-"""By name."""
 
-_NAMED = {f"{metric.name}.{index}": part for metric in METRICS for index, part in enumerate(metric.parts)}
+_SHIPPED = len(METRICS)
+
+
+def add_metric(metric: Metric) -> None:
+    """Adds a metric from outside of the package, or puts it in the place of one of its name that was added before.
+
+    Every run from now on has it, and every table. Workers import the calling script: there the call stands outside of
+    `if __name__ == "__main__":`.
+
+    Raises:
+        ConfigurationError: Its name, or a column of it, means something already.
+    """
+    others = [each for each in METRICS[_SHIPPED:] if each.name != metric.name]
+    kept = METRICS[:_SHIPPED] + others
+    taken = {each.name for each in kept} | {column.name for each in kept for column in each.columns()}
+    taken |= {column.name for column in OUTCOME}
+    for name in (metric.name, *metric.parts):
+        if name in taken:
+            raise ConfigurationError("metric", name, "a name that no metric or column has")
+    METRICS[_SHIPPED:] = [*others, metric]
 
 
 def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,7 +231,8 @@ def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:
             if metric.parts
             else {metric.name: value}
         )
-    return {**row, NOT_FINITE: {_NAMED.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
+    named = {f"{metric.name}.{index}": part for metric in METRICS for index, part in enumerate(metric.parts)}
+    return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
 STATUS = Column(

@@ -50,6 +50,7 @@ class Tally:
         weights: (2,) sum of omega_q and omega_r; None without them.
         log_ratio: Sum of the logarithm of their ratio.
         finite: Whether all numbers are.
+        gathered: By metrics with a `gather` of their own, see `metric_table.Metric`.
     """
 
     scenario: Scenario
@@ -68,6 +69,7 @@ class Tally:
     weights: np.ndarray | None
     log_ratio: float
     finite: bool
+    gathered: dict[str, Any]
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -93,6 +95,7 @@ class Tally:
         self._integral: list[float] | None = None
         self._last_time = -np.inf
         self.finite = True
+        self.gathered = {}
         self._inside = dict.fromkeys(_BOUNDED, False)
         self._left: dict[str, dict[str, Any] | None] = dict.fromkeys(_BOUNDED)
         self._interventions = 0
@@ -118,6 +121,9 @@ class Tally:
             self._add_bounded(signals, time, in_charge)
             self._add_motion(signals["reference"], signals["pose"], tick & late & in_charge)
             self._add_weights(signals, tick)
+            for metric in METRICS:
+                if metric.gather is not None:
+                    self.gathered[metric.name] = metric.gather(self.gathered.get(metric.name), signals)
         self._add_interventions(signals, time)
         by_then = np.flatnonzero(tick & (time <= INTEGRAL_TIME + 1e-9))
         if len(by_then):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from functools import lru_cache
-from typing import Any, NamedTuple
+import math
+from collections.abc import Callable, Iterable
+from functools import lru_cache, wraps
+from typing import Any, NamedTuple, TypeVar, cast
 
 import array_api_compat.numpy as compat_numpy
 import numpy as np
 from array_api_compat import array_namespace, device, is_array_api_obj
 
+from stewart_drake.errors import StewartDrakeError
 from stewart_drake.robot import RobotParameters
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_BLOCK = 1024  # poses at a time: vectors of six legs take 150 kB
 
 Array = Any
 """Of any namespace of the Array API; float64."""
@@ -53,6 +58,8 @@ class Robot(NamedTuple):
     platform_moment: Array
     platform_inertia: Array
 
+
+AnyRobot = RobotParameters | Robot
 
 _RANKS = Robot(2, 2, 2, 2, 1, 1, 1, 1, 0, 0, 0, 0, 1, 2)
 
@@ -118,12 +125,16 @@ def stack(xp: Any, parts: Iterable[Array]) -> Array:
 
 def first(xp: Any, array: Array, count: int) -> Array:
     """The last axes of an array moved to the front, in reverse: (..., 6, 3) to (3, 6, ...)."""
+    if array.ndim == count:
+        return array if count == 1 else array.T
     axes = range(array.ndim)
     return xp.permute_dims(array, (*reversed(axes[-count:]), *axes[:-count]))
 
 
 def last(xp: Any, array: Array, count: int) -> Array:
     """Undoes `first`."""
+    if array.ndim == count:
+        return array if count == 1 else array.T
     axes = range(array.ndim)
     return xp.permute_dims(array, (*axes[count:], *reversed(axes[:count])))
 
@@ -159,12 +170,39 @@ def as_array(values: Any) -> Array:
     return values
 
 
+def in_blocks(function: _F) -> _F:
+    """Runs a function of a robot and arrays (..., 6) of numpy over blocks whose temporaries stay in the cache.
+
+    What it raises for a block it raises for all, so that an error names the worst of all.
+    """
+
+    @wraps(function)
+    def run(robot: AnyRobot, *args: Any, **keywords: Any) -> Any:
+        arrays = [arg for arg in args if isinstance(arg, np.ndarray)]
+        shape = arrays[0].shape[:-1] if arrays else ()
+        count = math.prod(shape)
+        alike = all(type(array) is np.ndarray and array.shape == (*shape, 6) for array in arrays)
+        if count <= _BLOCK or not alike or (isinstance(robot, Robot) and robot.cranks.ndim > 1):
+            return function(robot, *args, **keywords)
+        rows = [arg.reshape(-1, 6) if isinstance(arg, np.ndarray) else arg for arg in args]
+        result: np.ndarray | None = None
+        for start in range(0, count, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            try:
+                part = function(robot, *(x[block] if isinstance(x, np.ndarray) else x for x in rows), **keywords)
+            except StewartDrakeError:
+                return function(robot, *args, **keywords)
+            if result is None:
+                result = np.empty((count, *part.shape[1:]))
+            result[block] = part
+        return np.reshape(np.asarray(result), (*shape, *part.shape[1:]))
+
+    return cast(_F, run)
+
+
 def to_numpy(array: Array) -> np.ndarray:
     """Values without gradients, on the CPU."""
     return np.asarray(array.detach().cpu() if hasattr(array, "detach") else array)
-
-
-AnyRobot = RobotParameters | Robot
 
 
 def arrays_of(robot: AnyRobot, like: Array) -> Robot:

@@ -12,13 +12,14 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics import dynamics_core as core
 from stewart_drake.mechanics import kinematics_core
-from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, as_array, first, last, namespace
+from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, as_array, first, in_blocks, last, namespace
 from stewart_drake.mechanics.kinematics import LegGeometry, legs_within_reach
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] the value of the reference computations and of Drake's default field."""
 
 
+@in_blocks
 def static_torque(robot: AnyRobot, pose: Array, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques that hold platform, rods and cranks at rest against gravity.
 
@@ -43,6 +44,7 @@ def static_torque_of_legs(robot: AnyRobot, legs: LegGeometry, gravity: float) ->
     return core.static_torque(arrays_of(robot, legs.e_l), legs.components(), gravity, masked=False)
 
 
+@in_blocks
 def inverse_dynamics(
     robot: AnyRobot,
     pose: Array,
@@ -71,6 +73,7 @@ def inverse_dynamics(
     return core.inverse_dynamics(own, legs, pose, pose_rate, pose_acceleration, gravity, masked=False)
 
 
+@in_blocks
 def forward_dynamics(
     robot: AnyRobot,
     pose: Array,
@@ -102,6 +105,7 @@ def forward_dynamics(
     return core.forward_dynamics(own, legs, pose, pose_rate, torque, gravity, masked=False)
 
 
+@in_blocks
 def task_bias(robot: AnyRobot, pose: Array, twist: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """h(pose, twist): Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates.
 
@@ -121,6 +125,7 @@ def task_bias(robot: AnyRobot, pose: Array, twist: np.ndarray, gravity: float = 
     return core.task_bias(*legs_within_reach(robot, pose), as_array(twist), gravity, masked=False)
 
 
+@in_blocks
 def task_inertia(robot: AnyRobot, pose: Array) -> np.ndarray:
     """M(pose): inertia of the closed chain as the platform feels it.
 
@@ -138,6 +143,7 @@ def task_inertia(robot: AnyRobot, pose: Array) -> np.ndarray:
     return core.task_inertia(*legs_within_reach(robot, pose), masked=False)
 
 
+@in_blocks
 def pose_acceleration_map(robot: AnyRobot, pose: Array) -> np.ndarray:
     """Second derivative of the pose per unit of motor torque, E^-1 M^-1 J'; the exact counterpart of M^-1 tau in (10).
 

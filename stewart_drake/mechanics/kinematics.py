@@ -13,7 +13,18 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
 from stewart_drake.mechanics import kinematics_core as core
-from stewart_drake.mechanics.arrays import AnyRobot, Array, Robot, arrays_of, as_array, first, last, namespace, to_numpy
+from stewart_drake.mechanics.arrays import (
+    AnyRobot,
+    Array,
+    Robot,
+    arrays_of,
+    as_array,
+    first,
+    in_blocks,
+    last,
+    namespace,
+    to_numpy,
+)
 from stewart_drake.mechanics.arrays import cross as cross_of_components
 from stewart_drake.robot import RobotParameters
 
@@ -160,6 +171,7 @@ class LegGeometry:
         return core.Legs(rotation, arm, crank, e_n, e_l, first(xp, self.transmission, 1))
 
 
+@in_blocks
 def reach_margin(robot: AnyRobot, pose: Array) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
@@ -174,6 +186,7 @@ def reach_margin(robot: AnyRobot, pose: Array) -> np.ndarray:
     return last(namespace(pose), core.reach_margin(arrays_of(robot, pose), pose), 1)
 
 
+@in_blocks
 def inverse_kinematics(robot: AnyRobot, pose: Array, branch: int | None = None) -> np.ndarray:
     """Crank angles that put the platform at `pose`; closed form of (1)-(6), see `kinematics_core.cranks_at`.
 
@@ -269,6 +282,7 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
     return last(namespace(legs.e_l), core.rod_lines(legs.components()), 2)
 
 
+@in_blocks
 def twist_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     """d(theta)/d(twist): crank rates from the twist of P.
 
@@ -286,6 +300,7 @@ def twist_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     return last(namespace(pose), core.twist_jacobian(*legs_within_reach(robot, pose), masked=False), 2)
 
 
+@in_blocks
 def pose_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     """d(theta)/d(pose): crank rates from the pose's rate (Euler rates).
 

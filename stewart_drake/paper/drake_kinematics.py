@@ -10,9 +10,10 @@ from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import SnoptSolver, SolverOptions
 
 from stewart_drake.errors import drake_guard
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.robot import RobotParameters
 
 Given = Literal["pose", "cranks"]
 GIVEN: tuple[Given, ...] = get_args(Given)

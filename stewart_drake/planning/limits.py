@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import (
     LegGeometry,
@@ -25,7 +26,7 @@ from stewart_drake.mechanics.kinematics import (
     rod_lines,
     rotation_matrix,
 )
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Positive, Section
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
@@ -66,6 +67,7 @@ RULES = {
     "transmission": ("-", "|e_l . e_N| >= {:g}"),
     "joint_swing": ("rad", "swing of the rod from home <= {:.4g} rad"),
     "clearance": ("m", "distance of the links' surfaces >= {:g} m"),
+    "crank_range": ("rad", "distance of the crank angle from its stops >= {:g} rad"),
     "crank_speed": ("rad/s", "|crank speed| <= {:g} rad/s"),
     "torque": ("N m", "|motor torque| <= {:g} N m"),
 }
@@ -115,7 +117,16 @@ def limit_bounds(robot: RobotParameters, limits: Limits) -> dict[str, float]:
     given = {name: getattr(limits, name, None) for name in RULES}
     given["reach"] = 1.0 if limits.reach is None else limits.reach
     given["torque"] = None if limits.torque_fraction is None else limits.torque_fraction * robot.effort_limit
+    given["crank_range"] = 0.0 if np.isfinite(robot.crank_angle_ranges).any() else None
     return {name: value for name, value in given.items() if value is not None}
+
+
+def crank_strokes(robot: RobotParameters, crank_angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far cranks (..., 6) [rad] are from the middle of their range, and half of it (6,); a leg without has 2 pi."""
+    stops = np.isfinite(robot.crank_angle_ranges)
+    low, high = np.where(stops, robot.crank_angle_ranges, [-2.0 * math.pi, 2.0 * math.pi]).T
+    off = crank_angles - 0.5 * (low + high)
+    return np.abs(np.arctan2(np.sin(off), np.cos(off))), 0.5 * (high - low)
 
 
 def limit_margins(
@@ -176,6 +187,9 @@ def _leg_margins(
         margins["joint_swing"] = bounds["joint_swing"] - _joint_swing(robot, legs, pose)
     if "clearance" in bounds:
         margins["clearance"] = _link_distance(robot, legs, pose) - bounds["clearance"]
+    if "crank_range" in bounds:
+        stroke, half = crank_strokes(robot, legs.crank_angles)
+        margins["crank_range"] = half - stroke
     # Exactly at a singularity rates or forces are infinite and the model cannot be asked.
     regular = (determinant != 0.0) & (legs.transmission != 0.0).all(axis=-1)
     if "crank_speed" in bounds:

@@ -20,11 +20,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics import kinematics_core as core
 from stewart_drake.mechanics.arrays import Robot, cross, dot, fitted, namespace, numpy_robot
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_core import weight
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.planning.limits import crank_strokes
+from stewart_drake.robot import RobotParameters
 
 _BLOCK = 1024  # poses at a time: 15 pairs of legs each, arrays of 120 kB, a dozen of them alive
 _REACH_BLOCK = 8192
@@ -43,6 +45,7 @@ class PoseMeasures:
             has not the sign that it has at home; zero at a parallel singularity.
         ball_swing: [rad] largest swing of a rod from home, seen in the platform.
         universal_swing: [rad] largest swing of a rod from home, seen in its crank.
+        stroke: [-] largest distance of a crank from the middle of its range, as a part of half of it; 0 without stops.
         clearance: [m] smallest distance of the surfaces of links of different legs; negative where they overlap.
         holding_torque: [N m] largest |motor torque| at rest; infinite exactly at a parallel singularity.
         force: [N] largest force, without moment about P, that can be exerted in any direction whatever.
@@ -54,6 +57,7 @@ class PoseMeasures:
     conditioning: np.ndarray
     ball_swing: np.ndarray
     universal_swing: np.ndarray
+    stroke: np.ndarray
     clearance: np.ndarray
     holding_torque: np.ndarray
     force: np.ndarray
@@ -151,7 +155,7 @@ def _in_crank(robot: Robot, legs: core.Legs) -> np.ndarray:
 def _measure(
     robot: RobotParameters, home: _HomeRods, pose: np.ndarray, gravity: float, torque_limit: float
 ) -> np.ndarray:
-    """All fields of `PoseMeasures` but the first, (8, n), of poses within reach."""
+    """All fields of `PoseMeasures` but the first, (9, n), of poses within reach."""
     own = fitted(numpy_robot(robot), 1)
     legs = core.legs_at(own, pose)
     conditioning, inverse = _invert(robot, home, core.rod_lines(legs))
@@ -161,6 +165,7 @@ def _measure(
             conditioning,
             _largest_swing(legs.e_l, np.einsum("ckn,kl->cln", legs.rotation, home.in_platform)),
             _largest_swing(_in_crank(own, legs), home.in_crank[:, :, None]),
+            _largest_stroke(robot, legs.cranks),
             _smallest_distance(own, legs) - 2.0 * robot.link_radius,
             *_strength(core.levers(own, legs), weight(own, legs, gravity), inverse, torque_limit),
         ]
@@ -220,6 +225,14 @@ def _largest_swing(now: np.ndarray | tuple[np.ndarray, ...], then: np.ndarray) -
     """Largest angle (n,) [rad] over the legs between unit vectors, from the chord between their ends."""
     chord = sum((one - other) ** 2 for one, other in zip(now, then, strict=True))
     return 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(chord, axis=0)), 1.0))
+
+
+def _largest_stroke(robot: RobotParameters, cranks: core.Cranks) -> np.ndarray:
+    """`PoseMeasures.stroke` (n,); angles are formed for robots with stops alone."""
+    if not np.isfinite(robot.crank_angle_ranges).any():
+        return np.zeros(cranks.sine.shape[1:])
+    stroke, half = crank_strokes(robot, core.crank_angles(cranks))
+    return np.asarray((stroke / half).max(axis=-1))
 
 
 def _smallest_distance(robot: Robot, legs: core.Legs) -> np.ndarray:

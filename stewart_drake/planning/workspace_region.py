@@ -39,6 +39,7 @@ LIMIT_NAMES = (
     "clearance",
     "torque",
     "euler_pitch",
+    "crank_range",
 )
 """Limits that a pose at rest can break; those of `limits.RULES`, the swings of the two joints apart."""
 ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
@@ -79,6 +80,7 @@ def utilisation(
         "clearance": lambda: least("clearance", measures.clearance),
         "torque": lambda: measures.holding_torque / allowed["torque"],
         "euler_pitch": lambda: np.abs(pose[:, 1]) / allowed["euler_pitch"],
+        "crank_range": lambda: measures.stroke,
     }
     return {name: uses[name]() for name in LIMIT_NAMES if name in allowed}
 

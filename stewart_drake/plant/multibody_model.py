@@ -3,7 +3,7 @@
 Drake's mass matrix, bias and forces are those of the open tree; loops are closed here by eliminating the joints. With
 J v = 0 the velocity of the rods' ends against their seats on the platform, columns split [joints | platform]:
 v = N V, N = [-J_joints^-1 J_platform; 1], and M = N' M_tree N, h = N' (C v - forces + M_tree dN/dt V), B = N' B_tree.
-Nothing is shared with the closed form over the legs in `rigid_body_model`, so that each can check the other.
+Nothing is shared with the closed form over the legs in `dynamics`, so that each can check the other.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import Context
 
 from stewart_drake.errors import drake_guard
+from stewart_drake.leg import LEGS
 from stewart_drake.plant.multibody_plant import StewartPlant
-from stewart_drake.robot import LEGS
 
 _KV = JacobianWrtVariable.kV
 
@@ -45,7 +45,7 @@ def task_dynamics(stewart: StewartPlant, context: Context) -> TaskDynamics:
     """Dynamics of the closed chain at the state in a Context.
 
     All bodies act, a rod's spin about its own axis included. Universal joints determine that spin; the closed form of
-    `rigid_body_model` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it
+    `dynamics` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it
     has. Contact and dry friction of the motors are not in it: `T` is what reaches the cranks.
 
     Args:

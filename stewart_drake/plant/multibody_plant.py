@@ -28,11 +28,12 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
 
 from stewart_drake.errors import ConfigurationError, drake_guard
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
 from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
 from stewart_drake.section import Leg, check_value, is_finite
 

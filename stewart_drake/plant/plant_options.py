@@ -6,8 +6,9 @@ from typing import Annotated
 
 from pydantic import Field
 
+from stewart_drake.leg import LARGEST
 from stewart_drake.plant.sdf_model import RodJoint
-from stewart_drake.robot import LARGEST, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Flag, Leg, NotNegative, Real, Section
 
 STICTION_SPEED = 1e-4

@@ -17,8 +17,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
-from stewart_drake.robot import LEGS, RobotParameters
+from stewart_drake.robot import RobotParameters
 from stewart_drake.section import check_value
 
 RodJoint = Literal["universal", "ball"]

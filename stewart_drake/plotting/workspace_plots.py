@@ -36,6 +36,7 @@ COLORS = {
     "clearance": "#CC79A7",
     "torque": "#7B6A3A",
     "euler_pitch": "#8C8C8C",
+    "crank_range": "#56B4E9",
 }
 WORDS = {
     "reach": "reach (serial)",
@@ -46,6 +47,7 @@ WORDS = {
     "clearance": "clearance of links",
     "torque": "holding torque",
     "euler_pitch": "pitch of the Euler angles",
+    "crank_range": "stops of the cranks",
 }
 _OUT_OF_REACH, _TEXT, _QUIET = "#E9E9E6", "#222222", "#8C8C8C"
 _USE = LinearSegmentedColormap.from_list("use", ["#FFFDE9", "#F3E2A9", "#C9C08A", "#86977C", "#49706F", "#1F4A5C"])

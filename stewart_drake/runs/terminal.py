@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -110,19 +110,38 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     console().print(table)
 
 
-def print_margins(title: str, report: FeasibilityReport) -> None:
-    """The smallest margin of a motion to each of its limits, with its time and place, on standard output."""
+def print_columns(
+    title: str, header: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[int] | None = None
+) -> None:
+    """A table with a header on standard output.
+
+    Args:
+        title: One line.
+        header: Names of the columns.
+        rows: As many texts each.
+        numbers: Columns that stand to the right; None for all but the first.
+    """
     from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=escape(title), title_justify="left")
-    for name in ("limit", "allowed", "smallest margin", "at", "where"):
-        table.add_column(name, justify="left" if name in ("limit", "where") else "right")
+    right = range(1, len(header)) if numbers is None else numbers
+    for place, name in enumerate(header):
+        side: Any = "right" if place in right else "left"
+        table.add_column(escape(name), justify=side, overflow="fold", no_wrap=place == 0 and numbers is not None)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console().print(table)
+
+
+def print_margins(title: str, report: FeasibilityReport) -> None:
+    """The smallest margin of a motion to each of its limits, with its time and place, on standard output."""
+    rows = []
     for name, worst in report.smallest.items():
         allowed = f"{'>=' if '>=' in worst.allowed else '<='} {worst.bound:.4g} {worst.unit}"
         margin = f"{'broken ' if worst.margin < 0.0 else ''}{worst.margin:.4g}"
-        table.add_row(*map(escape, (name, allowed, margin, f"{worst.time:.3f} s", worst.where)))
-    console().print(table)
+        rows.append((name, allowed, margin, f"{worst.time:.3f} s", worst.where))
+    print_columns(title, ("limit", "allowed", "smallest margin", "at", "where"), rows, numbers=(1, 2, 3))
 
 
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:

@@ -6,9 +6,10 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from stewart_drake.campaigns import engine, executors
 from stewart_drake.campaigns import fault_rows as rows_module
 from stewart_drake.campaigns import fault_table as table_module
-from stewart_drake.campaigns.executors import Given, SerialExecutor
+from stewart_drake.campaigns.executors import Given, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, base
 from stewart_drake.campaigns.fault_catalogue import FAULTS
 from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, fault_row, measured_row, named_row
@@ -189,7 +190,8 @@ def made_row(fault, motion):
 def instant(monkeypatch):
     """Rows without runs, in this process."""
 
-    monkeypatch.setattr(table_module, "LocalProcesses", lambda _: Given(SerialExecutor()))
+    for module in (engine, executors):
+        monkeypatch.setattr(module, "LocalProcesses", lambda *_: Given(SerialExecutor()))
     monkeypatch.setattr(table_module, "named_row", made_row)
 
 
@@ -313,5 +315,5 @@ def test_what_five_motors_hold_is_told_in_words():
 def test_workers_give_what_this_process_gives(tmp_path, monkeypatch):
     names = [("dropped_15", "hold"), ("encoder_nan", "hold")]
     monkeypatch.setattr(table_module, "all_rows", lambda: names)
-    table = make_table(tmp_path, workers=2)
+    table = make_table(tmp_path, where=LocalProcesses(2))
     assert list(table.rows) == [named_row(*pair) for pair in names]

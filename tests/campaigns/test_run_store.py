@@ -188,6 +188,7 @@ CHANGES = {
     "link.drop_probability": 0.1,
     "safety": {},
     "bounds.position": 0.02,
+    "compiled": True,
 }
 
 

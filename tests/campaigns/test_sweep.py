@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 from sweep_functions import deadly, faulty, killed_once, number, slow
 
-from stewart_drake.campaigns import engine, identity
+from stewart_drake.campaigns import engine
+from stewart_drake.campaigns.comparison_table import table_columns
 from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor, Workplace
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.sweep import run_sweep
@@ -25,7 +26,8 @@ from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.campaigns.sweep_table import INCIDENTAL, summary
 from stewart_drake.campaigns.tables import to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.logs import versions
+from stewart_drake.logs import metric_table, versions
+from stewart_drake.logs.metric_table import Metric, add_metric
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
 
@@ -128,6 +130,40 @@ def test_the_summary_counts_and_ranks(reference):
     assert float(shown[0]) == pytest.approx((values[2] + values[3]) / 2, rel=1e-3)
     assert float(shown[3]) == pytest.approx(values[-1], rel=1e-3)
     assert summary([{**reference.rows[0], "rmse_norm_deg": None, "rmse_norm_mm": None}])[-1] == ("completed", "1")
+
+
+@pytest.fixture
+def _metrics_as_they_were():
+    before = list(metric_table.METRICS)
+    yield
+    metric_table.METRICS[:] = before
+
+
+@pytest.mark.usefixtures("_metrics_as_they_were")
+def test_a_metric_from_outside_is_in_every_table(tmp_path):
+    def way(done, signals):
+        """[m] so far, and where it ended."""
+        before, last = done or (0.0, signals["pose"][:1, 3:])
+        path = np.concatenate([last, signals["pose"][:, 3:]])
+        return before + float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), path[-1:]
+
+    mine = Metric("way_mm", "mm", "way of the platform", lambda t: 1e3 * t.gathered["way_mm"][0], "steps", gather=way)
+    add_metric(mine)
+    add_metric(mine)  # as a cell of a notebook does
+    result = run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
+    log = run(sweep().scenario(0).replace({"log_period": 0.001}))
+    expected = 1e3 * np.linalg.norm(np.diff(log["pose"][:, 3:], axis=0), axis=1).sum()
+    assert run_metrics(log)["way_mm"] == pytest.approx(expected)
+    assert result.table.column("way_mm").to_pylist() == [pytest.approx(expected)]
+    assert result.table.schema.field("way_mm").metadata[b"unit"] == b"mm"
+    assert "way_mm" in [column.name for column in table_columns()]
+    for taken in ("rmse_mm", "rmse_x_mm", "status"):
+        with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
+            add_metric(dataclasses.replace(mine, name=taken))
+    # Rows without it are of another version.
+    del metric_table.METRICS[-1]
+    with pytest.raises(ConfigurationError, match=r"another version \(columns\)"):
+        run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
 
 
 # --- the same table from any executor ------------------------------------------------------------------------------
@@ -419,7 +455,7 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
         patch.setattr(versions, "source_digest", lambda: "changed")
         refused("made by another version (versions.source)")
     with monkeypatch.context() as patch:
-        patch.setattr(identity, "VERSION", 1)  # of the columns
+        patch.setattr(metric_table, "METRICS", metric_table.METRICS[1:])
         refused("made by another version (columns)")
     header = (tmp_path / "sweep.json").read_bytes()
     for broken in (b"{", header.replace(b'"seed": 5', b'"seed": 6'), None):

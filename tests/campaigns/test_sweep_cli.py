@@ -144,7 +144,7 @@ BAD = [
     (["initial_ofset"], ["sweep file", "'initial_ofset'", "initial_offset"]),
     (["tiny.yaml", "--workers", 0], ["--workers", "0"]),
     (["tiny.yaml", "--runs", 0], ["--runs", "0"]),
-    (["tiny.yaml", "--runs", 10**9], ["runs", "at most"]),
+    (["tiny.yaml", "--runs", 10**9], ["runs", "1000000000", "to 1000000"]),
     (["tiny.yaml", "--out", "tiny.yaml"], ["--out", "this is a file"]),
     (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2], ["--workers", "--scheduler"]),
     (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1"], ["--scheduler", "tcp://127.0.0.1:1", "answers"]),

@@ -1,13 +1,11 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from robots import PAPER, ROBOTS, offsets, robots
 from strategies import vectors
 
 from stewart_drake.compiled import mechanism
 from stewart_drake.errors import ForwardKinematicsError, UnreachablePoseError
-from stewart_drake.mechanics import dynamics as rigid_body_model
 from stewart_drake.mechanics import kinematics
 
 many = settings(max_examples=60)
@@ -108,35 +106,6 @@ def test_forward_kinematics(robot, offset, away):
 def test_forward_kinematics_says_when_it_has_not_converged(theta):
     pose = PAPER.home_pose.copy()
     assert not mechanism.forward_kinematics(mechanism.pack(PAPER), theta, pose, 1e-12, 12) <= 1e-12
-
-
-@many
-@given(robots, offsets())
-def test_task_inertia(robot, offset):
-    pose = robot.home_pose + offset
-    reachable(robot, pose)
-    legs, out = legs_of(robot, pose)[1], np.empty((6, 6))
-    mechanism.task_inertia(mechanism.pack(robot), legs, lines_of(legs), turn_of(pose), out)
-    expected = rigid_body_model.task_inertia(robot, pose)
-    np.testing.assert_allclose(out, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
-
-
-@many
-@given(robots, offsets(), vectors(6, 2.0), vectors(6, 20.0), st.sampled_from([0.0, 9.81]))
-def test_inverse_dynamics(robot, offset, rate, acceleration, gravity):
-    pose = robot.home_pose + offset
-    legs = reachable(robot, pose)
-    assume(float(kinematics.line_conditioning(robot, legs)) > 0.005)
-    twist = kinematics.pose_rate_to_twist(pose, rate)
-    drift = kinematics.euler_rate_matrix_dot(pose[:3], rate[:3]) @ rate[:3]
-    twist_rate = kinematics.pose_rate_to_twist(pose, acceleration)
-    twist_rate[:3] += drift
-    own, torque = legs_of(robot, pose)[1], np.empty(6)
-    assert mechanism.inverse_dynamics(
-        mechanism.pack(robot), own, lines_of(own), turn_of(pose), twist, twist_rate, gravity, torque
-    )
-    expected = rigid_body_model.inverse_dynamics(robot, pose, rate, acceleration, gravity)
-    np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9 * (1.0 + np.abs(expected).max()))
 
 
 def test_inverse_dynamics_says_so_of_lines_without_rank():

@@ -1,4 +1,4 @@
-"""One source for numpy and torch: equal values, gradients that are our Jacobians, batches of robots, nothing raised."""
+"""Numpy, torch and machine code: equal values, gradients that are our Jacobians, batches of robots, nothing raised."""
 
 # ruff: noqa: ARG005 - one signature for all functions of the table
 import numpy as np
@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, ROBOTS, robots_and_poses, vectors
 
+from stewart_drake.compiled import control as compiled_control
+from stewart_drake.compiled import mechanism
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.mechanics import dynamics, dynamics_core, force_map, kinematics, kinematics_core
 from stewart_drake.mechanics.arrays import Robot, numpy_robot, robot_like
@@ -17,6 +19,8 @@ FUNCTIONS = {
     "reach_margin": lambda r, q, v, a: kinematics.reach_margin(r, q),
     "inverse_kinematics": lambda r, q, v, a: kinematics.inverse_kinematics(r, q),
     "e_l": lambda r, q, v, a: kinematics.leg_geometry(r, q).e_l,
+    "e_n": lambda r, q, v, a: kinematics.leg_geometry(r, q).e_n,
+    "transmission": lambda r, q, v, a: kinematics.leg_geometry(r, q).transmission,
     "rotation": lambda r, q, v, a: kinematics.leg_geometry(r, q).rotation,
     "rod_lines": lambda r, q, v, a: kinematics.rod_lines(kinematics.leg_geometry(r, q)),
     "twist_jacobian": lambda r, q, v, a: kinematics.twist_jacobian(r, q),
@@ -40,6 +44,65 @@ FUNCTIONS = {
 """Every function of the robot, the pose, and two more vectors of six."""
 
 
+def compiled(robot, pose):
+    """What the compiled functions share: packed robot, legs, lines, rotation."""
+    packed, legs, lines, turn = mechanism.pack(robot), np.empty((6, 14)), np.empty((6, 6)), np.empty((3, 3))
+    assert mechanism.leg_vectors(packed, pose, legs) == -1
+    mechanism.rod_lines(legs, lines)
+    mechanism.rotation(pose[:3], turn)
+    return packed, legs, lines, turn
+
+
+def filled(shape, function, *arguments):
+    """What a compiled function writes into its last argument."""
+    out = np.empty(shape)
+    assert function(*arguments, out) in (None, True)
+    return out
+
+
+def compiled_forward_kinematics(robot, pose):
+    found = pose + 0.01
+    theta = kinematics.inverse_kinematics(robot, pose)
+    assert mechanism.forward_kinematics(mechanism.pack(robot), theta, found, 1e-12, 12) <= 1e-12
+    return found
+
+
+def compiled_inverse_dynamics(robot, pose, rate, acceleration):
+    twist, twist_rate = kinematics.pose_rate_to_twist(pose, rate), kinematics.pose_rate_to_twist(pose, acceleration)
+    twist_rate[:3] += filled(3, mechanism.euler_drift, pose[:3], rate[:3])
+    return filled(6, mechanism.inverse_dynamics, *compiled(robot, pose), twist, twist_rate, GRAVITY)
+
+
+def compiled_twist_to_pose_rate(pose, twist):
+    rate = twist.copy()
+    mechanism.euler_rates(pose[:3], rate[:3])
+    return rate
+
+
+COMPILED = {
+    "reach_margin": lambda r, q, v, a: compiled(r, q)[1][:, 13],
+    "e_l": lambda r, q, v, a: compiled(r, q)[1][:, 9:12],
+    "e_n": lambda r, q, v, a: compiled(r, q)[1][:, 6:9],
+    "transmission": lambda r, q, v, a: compiled(r, q)[1][:, 12],
+    "rotation": lambda r, q, v, a: compiled(r, q)[3],
+    "rod_lines": lambda r, q, v, a: compiled(r, q)[2],
+    "pose_rate_to_twist": lambda r, q, v, a: np.concatenate(
+        [filled(3, mechanism.angular_velocity, q[:3], v[:3]), v[3:]]
+    ),
+    "twist_to_pose_rate": lambda r, q, v, a: compiled_twist_to_pose_rate(q, v),
+    "forward_kinematics": lambda r, q, v, a: compiled_forward_kinematics(r, q),
+    "inverse_dynamics": lambda r, q, v, a: compiled_inverse_dynamics(r, q, v, a),
+    "task_inertia": lambda r, q, v, a: filled((6, 6), mechanism.task_inertia, *compiled(r, q)),
+    "pose_acceleration_map": lambda r, q, v, a: acceleration_map(r, q).T,
+}
+"""Those of them that are compiled as well, for one pose."""
+
+
+def acceleration_map(robot, pose):
+    packed, *legs = compiled(robot, pose)
+    return filled((6, 6), compiled_control.acceleration_map, packed, True, False, pose, *legs)
+
+
 def tensors(*arrays):
     return [torch.tensor(np.array(array), dtype=torch.float64) for array in arrays]
 
@@ -52,7 +115,7 @@ def some_poses(robot, shape, seed=0):
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
-def test_torch_gives_numpys_values_over_any_leading_axes(robot, name):
+def test_numpy_torch_and_numba_give_the_same_over_any_leading_axes(robot, name):
     for shape in ((), (3,), (2, 3)):
         arrays = some_poses(robot, shape)
         expected, found = FUNCTIONS[name](robot, *arrays), FUNCTIONS[name](robot, *tensors(*arrays))
@@ -64,6 +127,9 @@ def test_torch_gives_numpys_values_over_any_leading_axes(robot, name):
         for index in np.ndindex(shape):
             one = FUNCTIONS[name](robot, *(array[index] for array in arrays))
             np.testing.assert_allclose(expected[index], one, rtol=0.0, atol=1e-11 * scale)
+            if name in COMPILED:
+                fast = COMPILED[name](robot, *(array[index].copy() for array in arrays))
+                np.testing.assert_allclose(fast, one, rtol=0.0, atol=1e-11 * scale)
 
 
 @settings(max_examples=20, deadline=None)

@@ -6,7 +6,6 @@ import pyarrow.parquet as pq
 import pytest
 from made_logs import made_log
 
-from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.paper import dataset_section as section_module
 from stewart_drake.paper.dataset_section import (
@@ -51,28 +50,19 @@ def made_up(ratio_only=True, runs=9, rows=20, seed=0):
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def asked(monkeypatch, runs_by):
     """In place of searches, fixed amplitudes; in place of simulations, logs that depend on the ratio alone."""
-    scenarios = []
 
-    def run_all(_, wanted, progress=None, check=True):
-        assert check
-        scenarios.append(wanted)
-        progress(1.0)
-        logs = []
-        for scenario in wanted:
-            rows = round(scenario.duration / scenario.controller.period) + 1
-            rng = np.random.default_rng(round(1000 + 10 * np.log10(scenario.tuner.omega_q / scenario.tuner.omega_r)))
-            signals = {name: rng.normal(size=(rows, 6)) for name in ("error", "torque")}
-            weights = np.tile([scenario.tuner.omega_q, scenario.tuner.omega_r], (rows, 1))
-            log = made_log(rows=rows, step=scenario.controller.period, weights=weights, **signals)
-            logs.append(dataclasses.replace(log, scenario=scenario))
-        return logs
+    def rule(scenario):
+        rows = round(scenario.duration / scenario.controller.period) + 1
+        rng = np.random.default_rng(round(1000 + 10 * np.log10(scenario.tuner.omega_q / scenario.tuner.omega_r)))
+        signals = {name: rng.normal(size=(rows, 6)) for name in ("error", "torque")}
+        weights = np.tile([scenario.tuner.omega_q, scenario.tuner.omega_r], (rows, 1))
+        return made_log(rows=rows, step=scenario.controller.period, weights=weights, **signals)
 
-    monkeypatch.setattr(RunStore, "run_all", run_all)
     monkeypatch.setattr(collect, "feasible_amplitudes", lambda *_: (LARGEST, LARGEST))
     monkeypatch.setattr(section_module, "feasible_amplitudes", lambda *_: (LARGEST, LARGEST))
-    return scenarios
+    return runs_by(rule)
 
 
 def test_the_whole_study_has_the_paper_s_number_of_samples_and_all_five_bursts(tmp_path, asked):

@@ -21,7 +21,6 @@ from stewart_drake.paper.accelerations import (
     wrench_map,
 )
 from stewart_drake.paper.force_map_section import CONFIRMED, attitude_errors
-from stewart_drake.paper.plots.force_map_plots import RatioSlice, plot_measured, plot_models, plot_ratio, plot_tilt
 from stewart_drake.paper.region import NEAR, sample_poses
 from stewart_drake.paper.rendering import render
 from stewart_drake.references import paper_reference
@@ -195,25 +194,4 @@ def test_the_verdict_follows_the_numbers():
     ):
         said = verdict(numbers | {"rod_force": {"printed_error": printed, "statics_error": statics}})
         assert said.startswith(words)
-        assert "with all of it mended by 25.00% and 25%" in said
-
-
-def test_figures_have_labelled_axes():
-    grid = np.linspace(0.1, 1.0, 9).reshape(3, 3)
-    slices = [
-        RatioSlice("a", np.arange(3.0), np.arange(3.0), grid, "roll [deg]", "Z [mm]", np.eye(2)) for _ in range(3)
-    ]
-    ratio = plot_ratio({"near": grid.ravel()}, slices)
-    assert ratio.axes[0].get_ylabel() == "legs [%]"
-    assert {p.get_xlabel() for p in ratio.axes[1:4]} == {"roll [deg]"}
-    x = np.array([1.0, 0.1])
-    curves = plot_measured(x, 1.0 / x, x, {"Drake": x}, x, {"Table I": x})
-    assert [p.get_xlabel() for p in curves.axes] == [
-        r"$e_l \cdot e_N$ [-]", "factor on the legs' masses [-]", "time step [s]",
-    ]  # fmt: skip
-    assert all("[-]" in p.get_ylabel() for p in curves.axes)
-    models = plot_models({"massless legs": {"statics": [0.1, 0.2, 0.3]}, "Table I": {"statics": [0.1, 0.2, 0.3]}})
-    assert {p.get_xlabel() for p in models.axes} == {"relative error of the acceleration [%]"}
-    tilt = plot_tilt(np.array([0.0, 0.5]), {"a": np.array([0.0, 0.3])}, 0.3)
-    assert tilt.axes[0].get_xlabel() == "roll = pitch = yaw [deg]"
-    assert tilt.axes[0].get_ylabel() == "error [%]"
+        assert "with everything corrected by 25.00% and 25%" in said

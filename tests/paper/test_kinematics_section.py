@@ -13,7 +13,6 @@ from stewart_drake.paper.kinematics_checks import (
     turn_between,
 )
 from stewart_drake.paper.kinematics_section import findings
-from stewart_drake.paper.plots.kinematics_plots import plot_forward, plot_misprints
 from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, Region, sample_poses
 from stewart_drake.paper.rendering import render
 from stewart_drake.robot import RobotParameters
@@ -237,15 +236,3 @@ def test_the_verdict_follows_the_numbers(rod, shift, words, same):
     assert said.startswith(words)
     assert f"returns from home to {same / 4:.1%} of the near poses" in said
     assert "2% of the legs there and 50% in the announced box" in said
-
-
-def test_figures_have_labelled_axes():
-    error, conditioning = np.array([1e-14, 0.3, np.nan]), np.array([0.3, 0.1, 0.2])
-    forward = plot_forward({"near": (2, 1, 0)}, conditioning, error, np.array([False, True, True]))
-    assert [p.get_xlabel() for p in forward.axes] == ["share of poses [%]", "conditioning of the rods' lines [-]"]
-    assert forward.axes[1].get_ylabel() == "error in the pose [m]"
-    shift = np.arange(9.0).reshape(3, 3)
-    misprints = plot_misprints(np.array([-0.1, 0.0, 0.1]), shift, shift, shift < 5.0)
-    assert misprints.axes[0].get_ylabel() == "pitch [deg]"
-    assert {p.get_xlabel() for p in misprints.axes[:2]} == {"roll [deg]"}
-    assert {p.get_ylabel() for p in misprints.axes[2:]} == {"joint misplaced by [mm]"}

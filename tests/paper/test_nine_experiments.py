@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_logs import made_log
 
-from stewart_drake.campaigns.run_store import RunStore, run_key
+from stewart_drake.campaigns.run_store import run_key
+from stewart_drake.logs.versions import collect_versions
 from stewart_drake.paper.experiments import PAIRS, RATIOS, growth, outcome, pair_of, paper_scenario
 from stewart_drake.paper.nine_experiments_section import (
     EQUAL_GAINS,
@@ -235,30 +236,21 @@ def test_the_pair_that_section_iv_starts_from_decides_on_the_integral_states(at_
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """In place of simulations, logs by a rule: with gravity and no feedforward a run ends after its ratio in s."""
-    scenarios = []
+def asked(runs_by):
+    """Logs by a rule: with gravity and no feedforward a run ends after its ratio in s."""
 
-    def run_all(_, wanted, progress=None, check=True):
-        assert check
-        scenarios.append(list(wanted))
-        progress(1.0)
-        logs = []
-        for scenario in wanted:
-            ratio = scenario.tuner.omega_q / scenario.tuner.omega_r
-            bare = scenario.gravity > 0.0 and scenario.controller.feedforward == "none"
-            end = min(scenario.duration, ratio if bare else scenario.duration)
-            rows = int(end / 0.01 + 1e-9) + 1
-            pose = np.zeros((rows, 6))
-            pose[:, 0] = ratio
-            pose[:, 5] = -0.001 * np.arange(rows)
-            outcome = {} if end == scenario.duration else {"status": "failed", "reason": "crank_dead_centre", "leg": 1}
-            made = made_log(rows=rows, step=0.01, pose=pose, end_time=end, **outcome)
-            logs.append(dataclasses.replace(made, scenario=scenario))
-        return logs
+    def rule(scenario):
+        ratio = scenario.tuner.omega_q / scenario.tuner.omega_r
+        bare = scenario.gravity > 0.0 and scenario.controller.feedforward == "none"
+        end = min(scenario.duration, ratio if bare else scenario.duration)
+        rows = int(end / 0.01 + 1e-9) + 1
+        pose = np.zeros((rows, 6))
+        pose[:, 0] = ratio
+        pose[:, 5] = -0.001 * np.arange(rows)
+        outcome = {} if end == scenario.duration else {"status": "failed", "reason": "crank_dead_centre", "leg": 1}
+        return made_log(rows=rows, step=0.01, pose=pose, end_time=end, **outcome)
 
-    monkeypatch.setattr(RunStore, "run_all", run_all)
-    return scenarios
+    return runs_by(rule)
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -278,10 +270,8 @@ def test_the_section_covers_every_pair_gravity_and_feedforward(tmp_path, asked, 
     assert all(s.duration >= 5.0 for s in asked[0] if s.gravity == 0.0 and s.controller.feedforward == "none")
     assert all(s.duration >= np.pi for group in asked for s in group)
     # Without gravity its feedforward is the run that is there already.
-    keys = [
-        [run_key(s, dict.fromkeys(("stewart-drake", "drake", "numpy", "source"))) for s in group] for group in asked
-    ]
-    assert len(set(keys[0])) < len(keys[0])
+    versions = collect_versions()
+    assert len({run_key(scenario, versions) for scenario in asked[0]}) < len(asked[0])
 
 
 def test_the_section_shows_what_its_runs_gave(tmp_path, asked):

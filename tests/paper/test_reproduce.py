@@ -1,4 +1,5 @@
 import functools
+import itertools
 import json
 import os
 import re
@@ -429,6 +430,8 @@ def test_the_quick_report_tests_every_claim(report):
         # Quick, every claim comes out as it does whole.
         assert re.match(r"(Holds|Holds in part|Does not hold|Neither)\b", section.verdict), section.verdict
         assert not re.search(r"\b(nan|None(?! of)|inf|undefined)\b|\{[{%]", section.verdict + section.body), key
+        for before, block in itertools.pairwise(section.body.split("\n\n")):
+            assert not block.startswith("| ") or re.fullmatch(r"\*.+\*", before), f"{key}: a table without its caption"
         # Every picture that a section made is shown in it, and the other way round.
         own = {name.removeprefix("figures/") for name in section.files if name.startswith("figures/")}
         assert own == set(re.findall(r"\(<figures/([^>]+)>\)", section.body))

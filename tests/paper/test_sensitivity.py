@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.force_map import force_map
@@ -211,25 +210,19 @@ def test_every_label_lies_within_its_panel():
 
 
 @pytest.fixture
-def made_runs(monkeypatch):
+def made_runs(runs_by):
     """Runs by formula: Z off by 4 mm, in proportion to the sample time; lost where the robot is a fifth too heavy."""
-    asked = []
 
-    def run_all(_store, scenarios, *_options, **_more):
-        asked.extend(scenarios)
-        logs = []
-        for scenario in scenarios:
-            rows = round(scenario.duration / 0.01) + 1
-            pose = np.zeros((rows, 6))
-            pose[:, 5] = 4e-3 * scenario.controller.period / 0.005
-            log = made_log(rows=rows, step=0.01, pose=pose, torque_applied=np.ones((rows, 6)))
-            if scenario.robot.platform_mass > 1.1:
-                log = dataclasses.replace(log, status="failed", reason="crank_dead_centre", leg=4, end_time=0.5)
-            logs.append(dataclasses.replace(log, scenario=scenario))
-        return logs
+    def rule(scenario):
+        rows = round(scenario.duration / 0.01) + 1
+        pose = np.zeros((rows, 6))
+        pose[:, 5] = 4e-3 * scenario.controller.period / 0.005
+        log = made_log(rows=rows, step=0.01, pose=pose, torque_applied=np.ones((rows, 6)))
+        if scenario.robot.platform_mass > 1.1:
+            log = dataclasses.replace(log, status="failed", reason="crank_dead_centre", leg=4, end_time=0.5)
+        return log
 
-    monkeypatch.setattr(RunStore, "run_all", run_all)
-    return asked
+    return runs_by(rule)
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -247,7 +240,7 @@ def test_the_section_holds_every_change_of_every_controller(tmp_path, made_runs,
         # Nominal values change nothing; the window acts on the network alone.
         assert not {("sample time", "5 ms"), ("motor friction", "0 N m"), ("window m", "49")} & by.keys()
         assert (("window m", "10") in by) == (name == "tuner" and not quick)
-    assert len(made_runs) == sum(1 + len(of["effects"]) for of in numbers.values())
+    assert len(made_runs[0]) == sum(1 + len(of["effects"]) for of in numbers.values())
     head, *rows = [line.strip("| ").split(" | ") for line in section.body.split("\n") if line.startswith("| ")]
     rows = {tuple(row[:2]): dict(zip(head, row, strict=True)) for row in rows[1:]}
     assert rows["sample time", "10 ms"]["ratio 1: pose [mm]"] == "8 (+100.0 %)"
@@ -268,7 +261,7 @@ def test_a_robot_that_cannot_follow_the_reference_is_a_row_with_its_reason(tmp_p
     assert [e["score"] for e in effects] == [None, None]
     assert effects[0]["ended"].startswith("not run: robot.home_height")
     assert effects[1]["ended"].startswith("not run: reference: breaks the limit reach")
-    assert len(made_runs) == 3
+    assert len(made_runs[0]) == 3
 
 
 @pytest.mark.usefixtures("made_runs", "no_pictures")

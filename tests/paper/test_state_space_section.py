@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, output_matrix, state_matrix
+from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, state_matrix
 from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines
 from stewart_drake.paper.as_printed import matrices_21_22_24
 from stewart_drake.paper.lqi_poles import (
@@ -18,7 +18,6 @@ from stewart_drake.paper.lqi_poles import (
     same_gain,
     slowest_decay,
 )
-from stewart_drake.paper.plots.state_space_plots import plot_decay, plot_discretisation, plot_matrices, plot_singular
 from stewart_drake.paper.rendering import render
 from stewart_drake.paper.singularities import (
     first_singularity,
@@ -243,18 +242,3 @@ def test_the_verdict_follows_the_numbers():
     )
     for words in ("gives an unstable loop at ratio 1 (at 5 ms)", "as printed cannot be", "undiscretised is zero"):
         assert words in said
-
-
-def test_figures_have_labelled_axes():
-    matrices = plot_matrices(state_matrix(), input_matrix(AT_HOME), output_matrix())
-    assert matrices.axes[1].get_xticklabels()[0].get_text() == "$T_0$"
-    assert len(matrices.axes[0].get_yticklabels()) == 18
-    x = np.array([1.0, 0.1])
-    singular = plot_singular({"Serial|mm": (x, {"conditioning": x}), "Parallel|deg": (x, {"conditioning": x})})
-    assert [p.get_xlabel()[-5:] for p in singular.axes] == [" [mm]", "[deg]"]
-    assert "[SI]" in singular.axes[0].get_ylabel()
-    decay = plot_decay(x, {"equal": x}, (0.87,), {"1": x}, {"1": x})
-    assert "rad/s" in decay.axes[0].get_ylabel()
-    periods = plot_discretisation(x, {"1": x}, {"1": x})
-    assert {p.get_xlabel() for p in periods.axes} == {"control period [ms]"}
-    assert all("[%]" in p.get_ylabel() for p in periods.axes)

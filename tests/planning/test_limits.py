@@ -20,6 +20,7 @@ from stewart_drake.mechanics.kinematics import (
 )
 from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins, segment_distance
 
+STOPS = ROBOT.replace(legs=[{"crank_angle_range": (-0.8, 1.8)}] * 6)
 ALL = Limits()
 NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
 GRAVITY = 9.81
@@ -112,8 +113,21 @@ def test_pydantic_reads_limits_null_included_and_refuses_unknown_keys():
         adapter.validate_python({"clearence": 0.01})
 
 
+def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
+    theta = inverse_kinematics(ROBOT, ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02])
+    free = ROBOT.replace(legs=[{"crank_angle_range": (-0.5, 0.6)}] + [{}] * 5)
+    pose = np.array([ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02]])
+    found = limit_margins(free, NONE, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["crank_range"][0]
+    assert found[0] == pytest.approx(min(theta[0] + 0.5, 0.6 - theta[0]))
+    assert (found[1:] >= np.pi).all()
+    turned = ROBOT.replace(legs=[{"crank_angle_range": (-0.5 - 2.0 * np.pi, 0.6 - 2.0 * np.pi)}] + [{}] * 5)
+    assert limit_margins(turned, NONE, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["crank_range"][0, 0] == pytest.approx(
+        found[0]
+    )
+
+
 def test_every_limit_has_a_margin_of_its_own_with_a_place_for_each_column():
-    margins = limit_margins(ROBOT, ALL, *np.zeros((3, 2, 6)) + [ROBOT.home_pose], GRAVITY)
+    margins = limit_margins(STOPS, ALL, *np.zeros((3, 2, 6)) + [ROBOT.home_pose], GRAVITY)
     assert list(margins) == list(RULES) == list(PLACES)
     for limit, values in margins.items():
         assert values.shape == (2, len(PLACES[limit]))
@@ -125,7 +139,7 @@ def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot
     for field in dataclasses.fields(Limits):
         left = margins_at(ROBOT.home_pose, limits=dataclasses.replace(ALL, **{field.name: None}))
         gone = {"reach": set(), "torque_fraction": {"torque"}}.get(field.name, {field.name})
-        assert set(RULES) - set(left) == gone
+        assert set(RULES) - set(left) == gone | {"crank_range"}
 
 
 def test_the_torque_limit_is_a_part_of_the_motors_effort():

@@ -175,11 +175,12 @@ def test_no_poses_give_no_measures():
 
 def test_utilisation_is_above_one_exactly_where_a_margin_is_negative():
     pose = wide_poses(4000, 4)
-    use = utilisation(ROBOT, LIMITS, pose, measure_poses(ROBOT, pose))
+    robot = ROBOT.replace(legs=[{"crank_angle_range": (-0.8, 1.8)}] * 6)
+    use = utilisation(robot, LIMITS, pose, measure_poses(robot, pose))
     assert tuple(use) == LIMIT_NAMES
     # At rest, and seen from home: margins count a changed side of the parallel singularity from the first sample.
     seen = np.concatenate([HOME[None], pose])
-    margins = limit_margins(ROBOT, LIMITS, seen, np.zeros_like(seen), np.zeros_like(seen), 9.81)
+    margins = limit_margins(robot, LIMITS, seen, np.zeros_like(seen), np.zeros_like(seen), 9.81)
     margins["ball_swing"], margins["universal_swing"] = np.hsplit(margins["joint_swing"], 2)
     for name in LIMIT_NAMES:
         broken = (margins[name][1:] < 0.0).any(axis=1)

@@ -399,6 +399,14 @@ def test_static_torque_holds_the_robot():
     np.testing.assert_allclose(run.pose, pose, atol=1e-6)
 
 
+def test_a_crank_comes_to_rest_at_its_stop():
+    robot = ROBOT.replace(legs=[{"crank_angle_range": (0.3, 0.5)}] * 6)
+    run = Run(robot=robot, torque=(2.0,) * 6)
+    run.to(0.5)
+    theta = run.stewart.crank_angles(run.state)
+    np.testing.assert_allclose(theta, 0.5, atol=5e-3)
+
+
 def test_torques_saturate_at_the_effort_limit():
     asked = np.array([100.0, -100.0, 1.0, 1.0, -1.0, 1.0])
     states = [Run(torque=torque).to(0.02).state for torque in (asked, np.clip(asked, -5.0, 5.0), np.clip(asked, -4, 4))]

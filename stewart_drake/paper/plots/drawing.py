@@ -35,17 +35,10 @@ def logarithmic(panel: Axes, which: str) -> None:
 
 
 def contoured(
-    figure: Figure,
-    panel: Axes,
-    x: np.ndarray,
-    y: np.ndarray,
-    values: np.ndarray,
-    unit: str,
-    levels: Any,
-    **options: Any,
+    figure: Figure, panel: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, unit: str, levels: Any, **kept: Any
 ) -> None:
     """Values (len(y), len(x)) as colours with named contours; grey where they are NaN."""
-    heatmap(figure, panel, x, y, values, unit, cmap="cividis", vmin=0.0, **options)
+    heatmap(figure, panel, x, y, values, unit, cmap="cividis", vmin=0.0, **kept)
     lines = panel.contour(x, y, values, levels=levels, colors="black", linewidths=0.7)
     panel.clabel(lines, fmt="%g", fontsize=8)
 

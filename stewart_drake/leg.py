@@ -1,0 +1,62 @@
+"""One leg of a robot: what it has of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.section import Count, Real, Section, plain
+
+LEGS = 6
+SMALLEST, LARGEST = 1e-12, 1e6
+"""Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
+PARALLEL = 1e-6
+"""How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
+Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
+Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+Size3 = tuple[Size, Size, Size]
+Signed3 = tuple[Signed, Signed, Signed]
+
+
+class LegParameters(Section, key="robot.legs"):
+    """What one leg has of its own; null is that of the symmetric robot."""
+
+    shaft_position: Signed3 | None = None
+    """[m] centre of the motor shaft in B."""
+    crank_zero_direction: Signed3 | None = None
+    """[-] unit vector in B along which the crank points at theta = 0."""
+    crank_quarter_direction: Signed3 | None = None
+    """[-] unit vector in B along which it points at theta = pi/2: up, if null. The motor axis is zero x quarter."""
+    platform_joint: Signed3 | None = None
+    """[m] joint centre in P."""
+    crank_length: Size | None = None
+    """[m] shaft to crank tip."""
+    rod_length: Size | None = None
+    """[m] crank tip to platform joint."""
+    branch: Count | None = None
+    """Sign of the acos in the inverse kinematics: -1 or +1."""
+    crank_angle_range: tuple[Signed, Signed] | None = None
+    """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        if self.branch not in (None, -1, 1):
+            raise ConfigurationError("branch", self.branch, "-1 or 1")
+        low, high = self.crank_angle_range or (-math.pi, math.pi)
+        if not low < high <= low + 2.0 * math.pi:
+            allowed = "two angles, rising, within one turn"
+            raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
+
+
+def _leg(given: Any) -> Any:
+    """Null, or a mapping with arrays, as a section is written."""
+    given = {} if given is None else given
+    return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
+
+
+Leg = Annotated[LegParameters, BeforeValidator(_leg)]
+Legs = tuple[Leg, Leg, Leg, Leg, Leg, Leg]
