@@ -1,4 +1,61 @@
-"""Numbers that the compiled functions share with their references in pure numpy; here once, and free of numba."""
+"""What the compiled functions share with their references in pure numpy, free of numba: numbers, and names of fields.
+
+A flat vector is passed because an array of structures costs a call three microseconds more; its fields have names here.
+"""
+
+import itertools
+from collections import namedtuple
+from typing import Any
+
+import numpy as np
+
+_MAKE: Any = namedtuple  # mypy takes literal names alone
+
+
+def _fields(name: str, **sizes: int) -> Any:
+    """Where each field of a flat vector begins, by name; `size` is the length of all."""
+    return _MAKE(name, [*sizes, "size"])(0, *itertools.accumulate(sizes.values()))
+
+
+def filled(fields: Any, **values: Any) -> np.ndarray:
+    """A flat vector of named values; each name once, or it is an error of ours."""
+    if set(values) != set(fields._fields) - {"size"}:
+        raise TypeError(f"fields {sorted(values)} are not those of {fields}")
+    return np.concatenate([np.atleast_1d(np.asarray(values[name], dtype=float)) for name in fields._fields[:-1]])
+
+
+LQI_MEMORY = _fields("LqiMemory", torque=6, error=6, integral=6, gain=108, feedforward=6, weights=4, held=1)
+"""See `lqi.LqiMemory`."""
+LQI_NUMBERS = _fields(
+    "LqiNumbers",
+    period=1, gravity=1, length=1, min_transmission=1, min_conditioning=1, integral_angle=1, integral_position=1,
+    reset_time=1,
+)  # fmt: skip
+"""[s], [m/s^2], [m], [-], [-], [rad s], [m s], [s]."""
+LQI_CHOICES = _fields(
+    "LqiChoices",
+    exact_model=1, printed_map=1, feedforward=1, at_reference=1, exact_hold=1, saturation=1, bumpless=1,
+)  # fmt: skip
+"""Feedforward 0 to 3 for none, gravity, platform, full; saturation 0 to 2 for none, clamp, back_calculation."""
+ESTIMATOR_MEMORY = _fields("EstimatorMemory", pose=6, rate=6, angles=6, crank_rates=6, held=1, side=1, started=1)
+"""See `estimator.MEMORY_SIZE`."""
+ESTIMATOR_NUMBERS = _fields(
+    "EstimatorNumbers", period=1, smoothing=1, max_speed=1, max_turn=1, max_shift=1, tolerance=1, iterations=1
+)
+"""[s], share of a new difference, [rad/s], [rad], [m], [m], Newton steps."""
+SAFETY_MEMORY = _fields(
+    "SafetyMemory",
+    torque=6, level=1, monitor=1, leg=1, good=6, weight=6, held=1, at_limit=1, too_fast=1, since=1, side=1, ticks=1,
+    first=5, worst=1, command=6,
+)  # fmt: skip
+"""See `safety.SafetyMemory`."""
+SAFETY_NUMBERS = _fields(
+    "SafetyNumbers",
+    horizon=1, workspace_angle=1, workspace_position=1, transmission=1, conditioning=1, crank_speed=1,
+    following_angle=1, following_position=1, torque_limit=1, torque_change=1, gravity=1, home=3, refill=1,
+    usable_transmission=1, usable_conditioning=1,
+)  # fmt: skip
+"""[s], [rad], [m], [-], [-], [rad/s], [rad], [m], [N m], [N m] in a tick, [m/s^2], [m], ticks given back, [-], [-]."""
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
+from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, SMALLEST_SINGULAR_VALUE
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.compiled.mechanism import (
@@ -106,6 +106,9 @@ def split_gain(
     return True
 
 
+_M, _N, _C = LQI_MEMORY, LQI_NUMBERS, LQI_CHOICES
+
+
 @njit(cache=True, error_model="numpy")
 def lqi_tick(
     robot: np.ndarray,
@@ -121,21 +124,19 @@ def lqi_tick(
 
     Args:
         robot: From `mechanism.pack`.
-        numbers: (8,) period [s], gravity [m/s^2], length [m], min_transmission, min_conditioning, integral limits
-            [rad s, m s], reset time [s].
-        choices: (7,) of int: exact model, printed map, feedforward 0..3 for none, gravity, platform, full; at the
-            reference, exact hold, saturation 0..2 for none, clamp, back_calculation; bumpless.
+        numbers: `LQI_NUMBERS`.
+        choices: `LQI_CHOICES`, of int.
         measurement: (12,).
         reference: (18,).
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
-        memory: (137,) `lqi.LqiMemory` of the tick before, flat.
-        result: (137,) out, that of this tick.
+        memory: `LQI_MEMORY` of the tick before.
+        result: Out, that of this tick.
 
     Returns:
         Status as in `mechanism`; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    period, gravity, length = numbers[0], numbers[1], numbers[2]
-    exact_model, feedforward, saturation = choices[0] == 1, choices[2], choices[5]
+    period, gravity, length = numbers[_N.period], numbers[_N.gravity], numbers[_N.length]
+    exact_model, feedforward, saturation = choices[_C.exact_model] == 1, choices[_C.feedforward], choices[_C.saturation]
     for k in range(6, 12):
         if not np.isfinite(measurement[k]):
             return NOT_FINITE, 1, 0.0
@@ -154,11 +155,11 @@ def lqi_tick(
     for i in range(6):
         if not abs(legs[i, 12]) >= worst:
             worst, leg = abs(legs[i, 12]), i
-    if worst < numbers[3]:
+    if worst < numbers[_N.min_transmission]:
         return SERIAL, leg, worst
     rod_lines(legs, lines)
     ratio = line_conditioning(robot, lines)
-    if not ratio >= numbers[4]:
+    if not ratio >= numbers[_N.min_conditioning]:
         return PARALLEL, -1, ratio
     rotation(pose[:3], turn)
     blocks = np.empty(4)
@@ -169,24 +170,23 @@ def lqi_tick(
         if not 0.0 < blocks[k] < np.inf:
             return NO_GAIN, -1, 0.0
 
-    # memory: torque 0, error 6, integral 12, gain 18, feedforward 126, weights 132, held 136
     own, work, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 18))
-    if not acceleration_map(robot, exact_model, choices[1] == 1, pose, legs, lines, turn, own):
+    if not acceleration_map(robot, exact_model, choices[_C.printed_map] == 1, pose, legs, lines, turn, own):
         return PARALLEL, -1, ratio
     work[:] = own
-    if not split_gain(work, length, period, blocks, choices[4] == 1, gain):
+    if not split_gain(work, length, period, blocks, choices[_C.exact_hold] == 1, gain):
         return NO_GAIN, -1, 0.0
 
     integral = np.empty((6, 1))
     for k in range(6):
-        integral[k, 0] = memory[12 + k]
+        integral[k, 0] = memory[_M.integral + k]
     changed = False
     for k in range(4):
-        changed = changed or (memory[132 + k] != blocks[k] and memory[132] > 0.0)
+        changed = changed or (memory[_M.weights + k] != blocks[k] and memory[_M.weights] > 0.0)
     before, column = np.empty((6, 18)), np.empty((6, 1))
-    if choices[6] == 1 and changed:
+    if choices[_C.bumpless] == 1 and changed:
         work[:] = own
-        if not split_gain(work, length, period, memory[132:136], choices[4] == 1, before):
+        if not split_gain(work, length, period, memory[_M.weights : _M.held], choices[_C.exact_hold] == 1, before):
             return NO_GAIN, -1, 0.0
         for i in range(6):
             column[i, 0] = 0.0
@@ -200,28 +200,28 @@ def lqi_tick(
     force = np.zeros(6)
     if feedforward == 3:
         twist, twist_rate = np.empty(6), np.empty(6)
-        at = reference[:12] if choices[3] == 1 else measurement
+        at = reference[:12] if choices[_C.at_reference] == 1 else measurement
         angular_velocity(at[:3], at[6:9], twist[:3])
         angular_velocity(at[:3], reference[12:15], twist_rate[:3])
         euler_drift(at[:3], at[6:9], column[:3, 0])
         for k in range(3):
             twist[3 + k], twist_rate[3 + k] = at[9 + k], reference[15 + k]
             twist_rate[k] += column[k, 0]
-        if choices[3] == 1:
+        if choices[_C.at_reference] == 1:
             bad = leg_vectors(robot, at[:6], legs)
             if bad >= 0:
                 return AT_REFERENCE + UNREACHABLE, bad, legs[bad, 13]
             rod_lines(legs, lines)
             rotation(at[:3], turn)
         if not inverse_dynamics(robot, legs, lines, turn, twist, twist_rate, gravity, force):
-            return PARALLEL + (AT_REFERENCE if choices[3] == 1 else 0), -1, 0.0
+            return PARALLEL + (AT_REFERENCE if choices[_C.at_reference] == 1 else 0), -1, 0.0
     elif feedforward > 0:
         if gravity != 0.0:
             still = np.zeros(6)
             if not inverse_dynamics(robot, legs, lines, turn, still, still, gravity, force):
                 return PARALLEL, -1, ratio
         if feedforward == 2:
-            acceleration_map(robot, False, choices[1] == 1, pose, legs, lines, turn, own)
+            acceleration_map(robot, False, choices[_C.printed_map] == 1, pose, legs, lines, turn, own)
             for i in range(6):
                 column[i, 0] = reference[12 + i]
                 for k in range(6):
@@ -240,12 +240,12 @@ def lqi_tick(
             value -= gain[i, 12 + k] * integral[k, 0]
         if not np.isfinite(value):
             return NOT_FINITE, 3, value
-        result[i] = value
+        result[_M.torque + i] = value
         column[i, 0] = 0.0
         if saturation > 0 and abs(value) > limit:
             saturated = True
-            result[i] = limit if value > 0.0 else -limit
-            column[i, 0] = value - result[i]
+            result[_M.torque + i] = limit if value > 0.0 else -limit
+            column[i, 0] = value - result[_M.torque + i]
     if saturated and saturation == 2:
         for i in range(6):
             for k in range(6):
@@ -253,19 +253,19 @@ def lqi_tick(
         if solve(work, column) == 0.0:
             return NO_GAIN, -1, 0.0
         for k in range(6):
-            integral[k, 0] += min(1.0, period / numbers[7]) * column[k, 0]
+            integral[k, 0] += min(1.0, period / numbers[_N.reset_time]) * column[k, 0]
     for k in range(6):
         error = measurement[k] - reference[k]
-        result[6 + k] = error
+        result[_M.error + k] = error
         if not (saturated and saturation == 1):
             integral[k, 0] += period * error
-        bound = numbers[5] if k < 3 else numbers[6]
-        result[12 + k] = min(max(integral[k, 0], -bound), bound)
+        bound = numbers[_N.integral_angle] if k < 3 else numbers[_N.integral_position]
+        result[_M.integral + k] = min(max(integral[k, 0], -bound), bound)
     for i in range(6):
         for k in range(18):
-            result[18 + 18 * i + k] = gain[i, k]
-        result[126 + i] = force[i]
+            result[_M.gain + 18 * i + k] = gain[i, k]
+        result[_M.feedforward + i] = force[i]
     for k in range(4):
-        result[132 + k] = blocks[k]
-    result[136] = 0.0
+        result[_M.weights + k] = blocks[k]
+    result[_M.held] = 0.0
     return OK, -1, ratio

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import SAME_BRANCH
+from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
 from stewart_drake.compiled.mechanism import (
@@ -19,6 +19,8 @@ from stewart_drake.compiled.mechanism import (
     rod_lines,
 )
 
+_M, _N = ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS
+
 
 @njit(cache=True, error_model="numpy")
 def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory: np.ndarray, result: np.ndarray) -> int:
@@ -26,29 +28,33 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
 
     Args:
         robot: From `mechanism.pack`.
-        numbers: (7,) period [s], share of a new difference, max_speed [rad/s], max_step [rad, m], tolerance [m],
-            iterations.
+        numbers: `ESTIMATOR_NUMBERS`.
         angles: (6,) [rad].
-        memory: (27,) of the tick before.
-        result: (27,) out, that of this tick.
+        memory: `ESTIMATOR_MEMORY` of the tick before.
+        result: Out, that of this tick.
 
     Returns:
         OK, or anything else where the reference raises.
     """
-    started, elapsed = memory[26] > 0.0, numbers[0] * (1.0 + memory[24])
+    started, elapsed = memory[_M.started] > 0.0, numbers[_N.period] * (1.0 + memory[_M.held])
     for k in range(6):
-        if not np.isfinite(angles[k]) or (started and abs(angles[k] - memory[12 + k]) > numbers[2] * elapsed):
+        if not np.isfinite(angles[k]) or (
+            started and abs(angles[k] - memory[_M.angles + k]) > numbers[_N.max_speed] * elapsed
+        ):
             return NO_CONVERGENCE
-        result[k], result[12 + k] = memory[k], angles[k]
-    pose = result[:6]
-    if not forward_kinematics(robot, angles, pose, numbers[5], int(numbers[6])) <= numbers[5]:
+        result[_M.pose + k], result[_M.angles + k] = memory[_M.pose + k], angles[k]
+    pose = result[: _M.rate]
+    if (
+        not forward_kinematics(robot, angles, pose, numbers[_N.tolerance], int(numbers[_N.iterations]))
+        <= numbers[_N.tolerance]
+    ):
         return NO_CONVERGENCE
     legs, lines, twist = np.empty((6, 14)), np.empty((6, 6)), np.empty((6, 1))
     if leg_vectors(robot, pose, legs) >= 0:
         return NO_CONVERGENCE
     rod_lines(legs, lines)
     for k in range(6):
-        if not abs(pose[k] - memory[k]) <= numbers[3 if k < 3 else 4]:
+        if not abs(pose[k] - memory[_M.pose + k]) <= numbers[_N.max_turn if k < 3 else _N.max_shift]:
             return NO_CONVERGENCE
         along, up = 0.0, 0.0
         for m in range(3):
@@ -56,18 +62,20 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
             up += legs[k, 3 + m] * robot[k, QUARTER + m]
         if not along * np.cos(angles[k]) + up * np.sin(angles[k]) >= SAME_BRANCH:
             return NO_CONVERGENCE
-        result[18 + k] = memory[18 + k]
+        result[_M.crank_rates + k] = memory[_M.crank_rates + k]
         if started:
-            difference = (angles[k] - memory[12 + k]) / elapsed
-            result[18 + k] = memory[18 + k] + numbers[1] * (difference - memory[18 + k])
-        twist[k, 0] = robot[k, CRANK_LENGTH] * legs[k, 12] * result[18 + k]
+            difference = (angles[k] - memory[_M.angles + k]) / elapsed
+            result[_M.crank_rates + k] = memory[_M.crank_rates + k] + numbers[_N.smoothing] * (
+                difference - memory[_M.crank_rates + k]
+            )
+        twist[k, 0] = robot[k, CRANK_LENGTH] * legs[k, 12] * result[_M.crank_rates + k]
     sign = solve(lines, twist)
-    if sign == 0.0 or (started and sign != memory[25]):
+    if sign == 0.0 or (started and sign != memory[_M.side]):
         return NO_CONVERGENCE
     for k in range(6):
-        result[6 + k] = twist[k, 0]
-    euler_rates(pose[:3], result[6:9])
-    result[24], result[25], result[26] = 0.0, sign, 1.0
+        result[_M.rate + k] = twist[k, 0]
+    euler_rates(pose[:3], result[_M.rate : _M.rate + 3])
+    result[_M.held], result[_M.side], result[_M.started] = 0.0, sign, 1.0
     return OK
 
 

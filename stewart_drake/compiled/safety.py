@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import SAFETY_MEMORY, SAFETY_NUMBERS
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
 from stewart_drake.compiled.mechanism import (
@@ -20,6 +21,8 @@ from stewart_drake.compiled.mechanism import (
     scalar,
 )
 
+_M, _N = SAFETY_MEMORY, SAFETY_NUMBERS
+
 
 @njit(cache=True, error_model="numpy")
 def quiet_tick(
@@ -35,48 +38,48 @@ def quiet_tick(
 
     Args:
         robot: From `mechanism.pack`.
-        numbers: (17,) horizon [s], workspace [rad, m], transmission, conditioning, crank speed [rad/s], following error
-            [rad, m], torque limit [N m], change of torque in a tick [N m], gravity [m/s^2], home position [m] (3),
-            budget given back, usable transmission, usable conditioning.
+        numbers: `SAFETY_NUMBERS`.
         command: (6,) [N m].
         measured: (12,).
         reference: (18,).
-        memory: (39,) of the tick before, `safety.SafetyMemory`.
-        result: (39,) out, that of this tick; worthless where the answer is False.
+        memory: `SAFETY_MEMORY` of the tick before.
+        result: Out, that of this tick; worthless where the answer is False.
 
     Returns:
         Whether nothing was wrong; if not, ask the reference.
     """
-    if memory[6] != 0.0:
+    if memory[_M.level] != 0.0:
         return False
     result[:] = memory
     ahead, legs, lines = np.empty(6), np.empty((6, 14)), np.empty((6, 6))
     turn, wanted = np.empty((3, 3)), np.empty((3, 3))
     for k in range(6):
-        if not (np.isfinite(measured[k]) and np.isfinite(measured[6 + k]) and abs(command[k]) < numbers[8]):
+        if not (
+            np.isfinite(measured[k]) and np.isfinite(measured[6 + k]) and abs(command[k]) < numbers[_N.torque_limit]
+        ):
             return False
-        change = max(abs(command[k] - memory[k]), abs(command[k] - memory[33 + k]))
-        if memory[26] > 0.0 and not change <= numbers[9]:
+        change = max(abs(command[k] - memory[_M.torque + k]), abs(command[k] - memory[_M.command + k]))
+        if memory[_M.ticks] > 0.0 and not change <= numbers[_N.torque_change]:
             return False
-        ahead[k] = measured[k] + numbers[0] * measured[6 + k]
+        ahead[k] = measured[k] + numbers[_N.horizon] * measured[6 + k]
     rotation(ahead[:3], turn)
-    if not _angle(turn[0, 0] + turn[1, 1] + turn[2, 2]) <= numbers[1]:
+    if not _angle(turn[0, 0] + turn[1, 1] + turn[2, 2]) <= numbers[_N.workspace_angle]:
         return False
-    if not np.sqrt(((ahead[3:] - numbers[11:14]) ** 2).sum()) <= numbers[2]:
+    if not np.sqrt(((ahead[3:] - numbers[_N.home : _N.refill]) ** 2).sum()) <= numbers[_N.workspace_position]:
         return False
     rotation(measured[:3], turn)
     rotation(reference[:3], wanted)
-    if not _angle((turn * wanted).sum()) <= numbers[6]:
+    if not _angle((turn * wanted).sum()) <= numbers[_N.following_angle]:
         return False
-    if not np.sqrt(((measured[3:6] - reference[3:6]) ** 2).sum()) <= numbers[7]:
+    if not np.sqrt(((measured[3:6] - reference[3:6]) ** 2).sum()) <= numbers[_N.following_position]:
         return False
     if leg_vectors(robot, ahead, legs) >= 0:
         return False
     rod_lines(legs, lines)
     conditioning, smallest = line_conditioning(robot, lines), np.abs(legs[:, 12]).min()
-    if not (conditioning >= numbers[4] and smallest >= numbers[3]):
+    if not (conditioning >= numbers[_N.conditioning] and smallest >= numbers[_N.transmission]):
         return False
-    if not (conditioning > numbers[16] and smallest > numbers[15]):
+    if not (conditioning > numbers[_N.usable_conditioning] and smallest > numbers[_N.usable_transmission]):
         return False
     omega = np.empty(3)
     angular_velocity(measured[:3], measured[6:9], omega)
@@ -84,9 +87,9 @@ def quiet_tick(
         along = 0.0
         for k in range(3):
             along += lines[i, k] * omega[k] + lines[i, 3 + k] * measured[9 + k]
-        if not abs(along / (robot[i, CRANK_LENGTH] * legs[i, 12])) <= numbers[5]:
+        if not abs(along / (robot[i, CRANK_LENGTH] * legs[i, 12])) <= numbers[_N.crank_speed]:
             return False
-    half = 0.5 * scalar(robot, ROD_MASS) * numbers[10]
+    half = 0.5 * scalar(robot, ROD_MASS) * numbers[_N.gravity]
     transposed, forces = np.empty((6, 6)), np.zeros((6, 1))
     for i in range(6):
         forces[0, 0] += half * legs[i, 1]
@@ -95,22 +98,22 @@ def quiet_tick(
             transposed[k, i] = lines[i, k]
     rotation(ahead[:3], turn)
     c0, c1, _ = platform_moment(robot, turn)
-    forces[0, 0] += numbers[10] * c1
-    forces[1, 0] -= numbers[10] * c0
-    forces[5, 0] = scalar(robot, PLATFORM_MASS) * numbers[10] + 6.0 * half
+    forces[0, 0] += numbers[_N.gravity] * c1
+    forces[1, 0] -= numbers[_N.gravity] * c0
+    forces[5, 0] = scalar(robot, PLATFORM_MASS) * numbers[_N.gravity] + 6.0 * half
     side = solve(transposed, forces)
-    if side == 0.0 or (memory[25] != 0.0 and side != memory[25]):
+    if side == 0.0 or (memory[_M.side] != 0.0 and side != memory[_M.side]):
         return False
-    own = half + 0.5 * scalar(robot, CRANK_MASS) * numbers[10]
+    own = half + 0.5 * scalar(robot, CRANK_MASS) * numbers[_N.gravity]
     for i in range(6):
         a = robot[i, CRANK_LENGTH]
-        result[i] = result[9 + i] = result[33 + i] = command[i]
-        result[15 + i] = a * legs[i, 12] * forces[i, 0] + a * own * legs[i, 8]
-    result[7], result[8] = 0.0, -1.0
-    result[21] = max(0.0, memory[21] - numbers[14])
-    result[22] = max(0.0, memory[22] - 1.0)
-    result[23] = max(0.0, memory[23] - 1.0)
-    result[25], result[26] = side, memory[26] + 1.0
+        result[_M.torque + i] = result[_M.good + i] = result[_M.command + i] = command[i]
+        result[_M.weight + i] = a * legs[i, 12] * forces[i, 0] + a * own * legs[i, 8]
+    result[_M.monitor], result[_M.leg] = 0.0, -1.0
+    result[_M.held] = max(0.0, memory[_M.held] - numbers[_N.refill])
+    result[_M.at_limit] = max(0.0, memory[_M.at_limit] - 1.0)
+    result[_M.too_fast] = max(0.0, memory[_M.too_fast] - 1.0)
+    result[_M.side], result[_M.ticks] = side, memory[_M.ticks] + 1.0
     return True
 
 

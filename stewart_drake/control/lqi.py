@@ -8,6 +8,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
+from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, filled
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs, out_of_reach
 from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
 from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
@@ -62,18 +63,19 @@ class LqiMemory(NamedTuple):
     @classmethod
     def from_flat(cls, values: np.ndarray) -> LqiMemory:
         """Inverse of `flat`."""
+        at = LQI_MEMORY
         return cls(
-            values[:6],
-            values[6:12],
-            values[12:18],
-            values[18:126].reshape(6, 18),
-            values[126:132],
-            values[132:136],
-            values[136],
+            values[: at.error],
+            values[at.error : at.integral],
+            values[at.integral : at.gain],
+            values[at.gain : at.feedforward].reshape(6, 18),
+            values[at.feedforward : at.weights],
+            values[at.weights : at.held],
+            values[at.held],
         )
 
 
-MEMORY_SIZE = 137
+MEMORY_SIZE: int = LQI_MEMORY.size
 FlatTick = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -279,30 +281,27 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
 
     packed = mechanism.pack(robot)
     limits: Sequence[float] = (np.inf, np.inf) if options.integral_limit is None else options.integral_limit
-    numbers = np.array(
-        [
-            options.period,
-            gravity,
-            options.weight_length,
-            options.min_transmission,
-            options.min_conditioning,
-            *limits,
-            options.reset_time,
-        ],
-        dtype=float,
+    numbers = filled(
+        LQI_NUMBERS,
+        period=options.period,
+        gravity=gravity,
+        length=options.weight_length,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        integral_angle=limits[0],
+        integral_position=limits[1],
+        reset_time=options.reset_time,
     )
-    choices = np.array(
-        [
-            options.model == "exact",
-            options.force_map == "printed",
-            get_args(Feedforward).index(options.feedforward),
-            options.feedforward_at == "reference",
-            options.discretization == "exact",
-            get_args(Saturation).index(options.saturation),
-            options.bumpless,
-        ],
-        dtype=np.int64,
-    )
+    choices = filled(
+        LQI_CHOICES,
+        exact_model=options.model == "exact",
+        printed_map=options.force_map == "printed",
+        feedforward=get_args(Feedforward).index(options.feedforward),
+        at_reference=options.feedforward_at == "reference",
+        exact_hold=options.discretization == "exact",
+        saturation=get_args(Saturation).index(options.saturation),
+        bumpless=options.bumpless,
+    ).astype(np.int64)
 
     def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
         result = np.empty(MEMORY_SIZE)

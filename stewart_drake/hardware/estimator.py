@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.compiled.constants import SAME_BRANCH
+from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH, filled
 from stewart_drake.errors import (
     AssemblyModeError,
     EncoderError,
@@ -25,7 +25,8 @@ from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry,
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
-MEMORY_SIZE = 27
+_M = ESTIMATOR_MEMORY
+MEMORY_SIZE: int = _M.size
 """Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
 
 _STREAM = 1
@@ -102,8 +103,8 @@ def initial_memory(pose: np.ndarray, crank_rates: np.ndarray | None = None) -> n
         crank_rates: (6,) [rad/s] of a robot that is in motion at the start; None for one at rest.
     """
     memory = np.zeros(MEMORY_SIZE)
-    memory[:6] = pose
-    memory[18:24] = 0.0 if crank_rates is None else crank_rates
+    memory[: _M.rate] = pose
+    memory[_M.crank_rates : _M.held] = 0.0 if crank_rates is None else crank_rates
     return memory
 
 
@@ -134,12 +135,14 @@ def estimate(
         AssemblyModeError: The pose found is not near the last one (at first: the start), or in another assembly mode.
         SingularPoseError: A crank at its dead centre or beyond, or rods at a parallel singularity.
     """
-    started = memory[26] > 0.0
+    started = memory[_M.started] > 0.0
     if not np.isfinite(angles).all():
         raise EncoderError("not finite", angles)
-    if started and np.abs(angles - memory[12:18]).max() > options.max_speed * period * (1.0 + memory[24]):
+    if started and np.abs(angles - memory[_M.angles : _M.crank_rates]).max() > options.max_speed * period * (
+        1.0 + memory[_M.held]
+    ):
         raise EncoderError(f"changed faster than {options.max_speed:g} rad/s", angles)
-    guess = memory[:6]
+    guess = memory[: _M.rate]
     pose = forward_kinematics(robot, angles, guess, TOLERANCE, ITERATIONS)
     try:
         legs = leg_geometry(robot, pose)
@@ -153,11 +156,11 @@ def estimate(
     lines = rod_lines(legs)
     sign = math.copysign(1.0, np.linalg.det(lines))
     step = np.abs(pose - guess) / np.repeat(options.max_step, 3)
-    if (started and sign != memory[25]) or step.max() > 1.0:
+    if (started and sign != memory[_M.side]) or step.max() > 1.0:
         raise AssemblyModeError(pose, guess)
-    rate = memory[18:24]
+    rate = memory[_M.crank_rates : _M.held]
     if started:
-        difference = (angles - memory[12:18]) / (period * (1.0 + memory[24]))
+        difference = (angles - memory[_M.angles : _M.crank_rates]) / (period * (1.0 + memory[_M.held]))
         rate = rate + options.smoothing(period) * (difference - rate)
     try:
         twist = np.linalg.solve(lines, robot.crank_lengths * legs.transmission * rate)
@@ -177,10 +180,10 @@ def held_estimate(
     try:
         return estimate(robot, options, period, angles, memory)
     except RunFailure:
-        if memory[26] == 0.0 or memory[24] >= options.hold_ticks:
+        if memory[_M.started] == 0.0 or memory[_M.held] >= options.hold_ticks:
             raise
     held = memory.copy()
-    held[24] += 1.0
+    held[_M.held] += 1.0
     return held
 
 
@@ -192,7 +195,16 @@ def flat_estimate(robot: RobotParameters, options: EncoderOptions, period: float
     from stewart_drake.compiled import estimator, mechanism
 
     packed = mechanism.pack(robot)
-    numbers = np.array([period, options.smoothing(period), options.max_speed, *options.max_step, TOLERANCE, ITERATIONS])
+    numbers = filled(
+        ESTIMATOR_NUMBERS,
+        period=period,
+        smoothing=options.smoothing(period),
+        max_speed=options.max_speed,
+        max_turn=options.max_step[0],
+        max_shift=options.max_step[1],
+        tolerance=TOLERANCE,
+        iterations=ITERATIONS,
+    )
 
     def tick(angles: np.ndarray, memory: np.ndarray) -> np.ndarray:
         result = np.empty(MEMORY_SIZE)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.compiled.constants import SAFETY_MEMORY
 from stewart_drake.errors import FAILURES
 
 Level = Literal["none", "hold", "ramp", "safe_hold", "end"]
@@ -30,7 +32,7 @@ MONITORS = (
 )
 """Stable names, by their number in the log. The first five after `none`, and a torque far beyond all limits, are held;
 the others ramp at once."""
-MEMORY_SIZE = 39
+MEMORY_SIZE: int = SAFETY_MEMORY.size
 
 
 class Trip(NamedTuple):
@@ -108,25 +110,9 @@ class SafetyMemory(NamedTuple):
     @classmethod
     def from_flat(cls, values: np.ndarray) -> SafetyMemory:
         """Inverse of `flat`."""
-        level, monitor, leg = (float(x) for x in values[6:9])
-        held, at_limit, too_fast, since, side, ticks = (float(x) for x in values[21:27])
-        return cls(
-            values[:6],
-            level,
-            monitor,
-            leg,
-            values[9:15],
-            values[15:21],
-            held,
-            at_limit,
-            too_fast,
-            since,
-            side,
-            ticks,
-            values[27:32],
-            float(values[32]),
-            values[33:],
-        )
+        parts = [values[start:end] for start, end in itertools.pairwise(SAFETY_MEMORY)]
+        fields: Any = (part if part.size > 1 else float(part[0]) for part in parts)
+        return cls(*fields)
 
 
 def initial_memory(torque: np.ndarray) -> SafetyMemory:

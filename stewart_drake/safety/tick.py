@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from stewart_drake.compiled.constants import SAFETY_NUMBERS, filled
 from stewart_drake.errors import SafetyStop
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import (
@@ -138,22 +139,23 @@ def flat_tick(
 
     packed = pack(robot)
     pairs = [(math.inf, math.inf) if p is None else p for p in (options.workspace, options.following_error)]
-    numbers = np.array(
-        [
-            options.horizon,
-            *pairs[0],
-            bound(options.transmission, 0.0),
-            bound(options.conditioning, 0.0),
-            bound(options.crank_speed, math.inf),
-            *pairs[1],
-            bound(options.torque_limit, math.inf) * robot.effort_limit * (1.0 - 1e-9),
-            bound(options.torque_rate, math.inf) * period,
-            gravity,
-            *robot.home_pose[3:],
-            _REFILL,
-            USABLE_TRANSMISSION,
-            USABLE_CONDITIONING,
-        ]
+    numbers = filled(
+        SAFETY_NUMBERS,
+        horizon=options.horizon,
+        workspace_angle=pairs[0][0],
+        workspace_position=pairs[0][1],
+        transmission=bound(options.transmission, 0.0),
+        conditioning=bound(options.conditioning, 0.0),
+        crank_speed=bound(options.crank_speed, math.inf),
+        following_angle=pairs[1][0],
+        following_position=pairs[1][1],
+        torque_limit=bound(options.torque_limit, math.inf) * robot.effort_limit * (1.0 - 1e-9),
+        torque_change=bound(options.torque_rate, math.inf) * period,
+        gravity=gravity,
+        home=robot.home_pose[3:],
+        refill=_REFILL,
+        usable_transmission=USABLE_TRANSMISSION,
+        usable_conditioning=USABLE_CONDITIONING,
     )
     oldest = bound(options.deadline, math.inf)
 
