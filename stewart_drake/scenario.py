@@ -34,7 +34,18 @@ from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_a
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
-from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, NotNegative, Positive, Section, Text, Vector6
+from stewart_drake.section import (
+    NAME,
+    NAME_WORDS,
+    Count,
+    Flag,
+    NotNegative,
+    Positive,
+    Section,
+    Text,
+    Vector6,
+    by_default,
+)
 from stewart_drake.wording import keys_of, shown
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
@@ -60,38 +71,38 @@ class Scenario(Section):
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
-    robot: RobotParameters = Field(default_factory=RobotParameters)
+    robot: RobotParameters = by_default(RobotParameters())
     """Geometry, masses and limits of the simulated robot."""
     model_robot: RobotParameters | None = None
     """The robot as the controller believes it to be; null for the truth."""
-    plant: PlantOptions = Field(default_factory=PlantOptions)
+    plant: PlantOptions = by_default(PlantOptions())
     """The simulated robot."""
-    motors: MotorOptions = Field(default_factory=MotorOptions)
+    motors: MotorOptions = by_default(MotorOptions())
     """What its motors make of a torque."""
     disturbances: tuple[AnyDisturbance, ...] = ()
     """Wrenches from outside on the platform; they add up."""
-    reference: AnyReference = Field(default_factory=SineReference)
+    reference: AnyReference = by_default(SineReference())
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
-    controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
+    controller: Annotated[ControllerOptions, CONTROLLERS] = by_default(LqiOptions())
     """What answers to errors with torques; without `kind`, the LQI."""
-    tuner: Annotated[Tuner, TUNERS] = Field(default_factory=AnnTuner)
+    tuner: Annotated[Tuner, TUNERS] = by_default(AnnTuner())
     """Where the weights come from; without effect for controllers that take none."""
-    sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
+    sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
     """What the controller sees of the robot."""
     compiled: Flag = False
     """Ticks compiled by numba: of the LQI (with `controller.solver: split`), the pose estimator, the tuner and the
     safety layer; seventy times faster. The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
-    link: LinkOptions = Field(default_factory=LinkOptions)
+    link: LinkOptions = by_default(LinkOptions())
     """The way of the commands: what is dropped, late or spoilt. It comes after the delay."""
     safety: SafetyOptions | None = None
     """What stands between the commands and the motors; null for nothing."""
-    bounds: Bounds = Field(default_factory=Bounds)
+    bounds: Bounds = by_default(Bounds())
     """What the run itself must keep to for its motion to count as followed; it decides on the outcome."""
-    limits: Limits = Field(default_factory=Limits)
+    limits: Limits = by_default(Limits())
     """What the reference must keep to; checked before the run."""
     log_period: Positive | None = None
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""

@@ -154,6 +154,11 @@ class Section:
         return made
 
 
+def by_default(section: Section) -> Any:
+    """A field whose default is this very section: it is frozen, so that all may share it."""
+    return Field(default_factory=lambda: section)
+
+
 def plain(value: Any) -> Any:
     """Numpy's numbers as Python's, and lists and arrays of one axis as tuples; anything else as it is."""
     if isinstance(value, (np.floating, np.integer)):

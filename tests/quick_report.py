@@ -12,6 +12,7 @@ from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.reproduce import SECTIONS, reproduce
 from stewart_drake.paper.study import Study
+from stewart_drake.scenario import load_scenario
 
 
 class Report(NamedTuple):
@@ -41,7 +42,8 @@ def report(tmp_path_factory):
         calls = folder / "progress.json"
         if not calls.exists():
             shares = []
-            reproduce(folder / "out", quick=True, progress=lambda key, share: shares.append((key, share)))
+            base = load_scenario("paper_fig7")
+            reproduce(folder / "out", True, base, lambda key, share: shares.append((key, share)))
             calls.write_text(json.dumps(shares))
     parts = {path.name.rpartition("-")[0]: path for path in (folder / "out" / "parts").glob("*.json")}
     found = {key: Section.from_json(json.dumps(json.loads(parts[key].read_text())["section"])) for key in SECTIONS}

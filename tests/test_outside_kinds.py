@@ -5,8 +5,10 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
+from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.sensor_faults import SensorOptions
@@ -135,6 +137,10 @@ def test_a_file_beside_the_scenario_is_run_by_its_path_and_no_other_is(tmp_path)
     text = "duration: 0.1\ntuner: {{kind: fixed}}\nreference: {{kind: '{}:Rise', arguments: {{height: 0.002}}}}\n"
     file.write_text(text.format("deep/mine.py"))
     scenario = load_scenario(file)
+    # What would be run is named, and not run.
+    shown = CliRunner().invoke(cli, ["check", str(file)])
+    assert (shown.exit_code, f"runs code: {tmp_path / 'deep' / 'mine.py'}" in shown.output) == (0, True)
+    assert "made" not in vars(scenario.reference)
     assert scenario.reference.kind == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
     checked_logged_and_plotted(scenario, tmp_path)
     file.write_text(text.format(tmp_path.parent / "mine.py"))

@@ -1,6 +1,7 @@
 import dataclasses
 import math
 import pickle
+import re
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -143,6 +144,109 @@ def test_no_field_takes_junk_unless_it_says_so():
     assert taken["list"] <= {"dwell", "dropped", "late", "faults", "disturbances", "premature_beats", "monitors"}
     booleans = {name for section, name in FIELDS if section.__pydantic_fields__[name].annotation is bool}
     assert taken["true"] == booleans - {"compiled"}  # which needs another solver
+
+
+# What the fields take, stated a second time: a bound that is lost or moved shows here.
+SIGNED = {
+    *("BreathingReference.phase", "CommandFault.size", "EncoderFault.size", "LegParameters.branch"),
+    *("RobotParameters.branch", "RobotParameters.crank_plane_angle", "SineWrench.phase"),
+}
+ZERO = set(
+    re.findall(
+        r"\S+",
+        """
+        AdjustedReference.fade_in AdjustedReference.scale BreathingReference.phase BrokenRod.leg BrokenRod.time
+        CommandFault.leg CommandFault.size CommandFault.time ComputedTorqueOptions.integral_frequency
+        DeadMotor.leg DeadMotor.time EncoderFault.leg EncoderFault.size EncoderFault.time
+        EncoderOptions.hold_ticks EncoderOptions.noise EncoderOptions.noise_seed EncoderOptions.resolution_bits
+        HeartbeatReference.prematurity HeartbeatReference.respiratory_variation HeartbeatReference.seed
+        HeartbeatReference.slow_variation ImpulseWrench.time LinkOptions.drop_probability
+        LinkOptions.late_probability LinkOptions.seed LinkOptions.stop_time LqiOptions.hold_ticks MotorFault.leg
+        MotorFault.time MotorOptions.resolution MotorOptions.ripple NoiseWrench.low NoiseWrench.seed
+        PidOptions.kd PidOptions.ki PidOptions.kp PlantOptions.motor_damping PlantOptions.motor_friction
+        PlantOptions.payload_mass PlantOptions.platform_joint_damping PlantOptions.universal_damping
+        PoseFault.time RobotParameters.crank_plane_angle RobotParameters.rotor_inertia
+        RobotParameters.shaft_height SafetyOptions.damping SafetyOptions.deadline SafetyOptions.hold_ticks
+        SafetyOptions.hold_time SafetyOptions.horizon SafetyOptions.torque_limit_time
+        SafetyOptions.torque_rate_time Scenario.command_delay Scenario.gravity SineWrench.phase StepWrench.time
+        TremorReference.seed
+        """,
+    )
+)
+LARGEST = {
+    **dict.fromkeys(
+        ("LinkOptions.drop_probability", "LinkOptions.late_probability", "SafetyOptions.torque_limit"), 1.0
+    ),
+    **dict.fromkeys(
+        ("Limits.reach", "Limits.conditioning", "Limits.transmission", "HeartbeatReference.slow_variation"), 1.0
+    ),
+    **dict.fromkeys((f"{kind}Options.hold_ticks" for kind in ("Lqi", "Encoder")), 1000),
+    **dict.fromkeys((f"{kind}.window" for kind in ("FixedTuner", "AnnTuner", "BlockTuner")), 100_000),
+    **dict.fromkeys((f"PlantOptions.{name}" for name in ("motor_damping", "motor_friction", "payload_mass")), 1e6),
+    **dict.fromkeys((f"AdjustedReference.{name}" for name in ("scale", "slowdown", "fade_in")), 1e6),
+    **dict.fromkeys((f"{fault}.leg" for fault in ("DeadMotor", "MotorFault", "EncoderFault", "CommandFault")), 5),
+    **{"Scenario.duration": 1e6, "Scenario.gravity": 1e6, "Scenario.command_delay": 100, "PlantOptions.time_step": 0.1},
+    **{"MotorOptions.ripple_periods": 10_000, "LinkOptions.late_steps": 100_000, "SafetyOptions.deadline": 1000},
+    **{"SafetyOptions.hold_ticks": 20, "SafetyOptions.hold_time": 0.03, "Limits.euler_pitch": math.pi / 2.0},
+    **{"Limits.joint_swing": math.pi, "BreathingReference.order": 3, "HeartbeatReference.prematurity": 0.7},
+    **{"RecordedReference.settle": 1e6, "LqiOptions.weight_length": 1e6, "EncoderOptions.resolution_bits": 40},
+    **{"EncoderOptions.noise": 1e6, "TremorReference.seed": MAX_SEED, "BrokenRod.leg": 5},
+}
+BELOW_ONE = {
+    *(
+        f"{kind}Options.{name}"
+        for kind in ("Lqi", "Pid", "ComputedTorque")
+        for name in ("min_transmission", "min_conditioning")
+    ),
+    *("SafetyOptions.transmission", "SafetyOptions.conditioning"),
+}
+
+
+def takes(section, name, value):
+    try:
+        dataclasses.replace(valid(section), **{name: value})
+    except ConfigurationError as error:
+        # A rule between fields names another field, or says so.
+        return field_of(error) != ".".join(filter(None, (section.section_key, name))) or "together" in error.allowed
+    return True
+
+
+def test_every_bound_is_where_it_was():
+    taken = {label: {f"{s.__name__}.{n}" for s, n in FIELDS if takes(s, n, x)} for label, x in (("-1", -1), ("0", 0))}
+    # Options whose rules name another field are let through by `takes`.
+    assert {each for each in taken["-1"] if each not in SIGNED} <= {"RobotParameters.shaft_height"}
+    assert taken["-1"] >= SIGNED
+    assert taken["0"] == ZERO
+    names = {f"{section.__name__}.{name}": (section, name) for section, name in FIELDS}
+    for label, most in LARGEST.items():
+        more = most + 1 if isinstance(most, int) else most * (1.0 + 1e-9)
+        assert not takes(*names[label], more), label
+        if label not in ("Scenario.duration", "SafetyOptions.deadline", "PlantOptions.time_step"):
+            assert takes(*names[label], most), label
+    for label in BELOW_ONE:
+        assert takes(*names[label], 0.999), label
+        assert not takes(*names[label], 1.0), label
+        assert not takes(*names[label], 0.0), label
+
+
+@pytest.mark.parametrize(("section", "name"), FIELDS, ids=lambda x: x if isinstance(x, str) else x.__name__)
+def test_a_bad_entry_of_a_vector_is_named_with_its_place(section, name):
+    good = valid(section)
+    value = getattr(good, name)
+    if not (isinstance(value, tuple) and len(value) > 1 and all(isinstance(x, float) for x in value)):
+        return
+    key = ".".join(filter(None, (section.section_key, name)))
+    for junk in (math.nan, math.inf, "a", None, True, (1.0,)):
+        with pytest.raises(ConfigurationError) as caught:
+            dataclasses.replace(good, **{name: (*value[:-1], junk)})
+        assert caught.value.key == f"{key}.{len(value) - 1}"
+    if Ellipsis not in get_args(section.__pydantic_fields__[name].annotation):
+        for bad in (value[:-1], (*value, 0.0), 0.3, None, "six"):
+            if bad is None and type(None) in get_args(section.__pydantic_fields__[name].annotation):
+                continue
+            with pytest.raises(ConfigurationError) as caught:
+                dataclasses.replace(good, **{name: bad})
+            assert field_of(caught.value) == key
 
 
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)

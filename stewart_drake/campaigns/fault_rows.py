@@ -15,8 +15,9 @@ from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column, Kind
+from stewart_drake.logs.tally import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix, twist_jacobian
+from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario
 
@@ -98,12 +99,12 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
     # Rows at which a log stands are those of the safety layer's ticks.
     after = log.time >= fault.since - 1e-9
     taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
-    turned, moved = _distance(log["pose"], log["reference"])
+    turned, moved = pose_distance(log["pose"], log["reference"])
     charge = after & ~taken
     travel: tuple[float | None, float | None] = None, None
     if taken.any():
         first = int(taken.argmax())
-        angle, way = _distance(log["pose"][first:], log["pose"][first : first + 1])
+        angle, way = pose_distance(log["pose"][first:], log["pose"][first : first + 1])
         travel = float(np.degrees(angle.max())), float(1e3 * way.max())
     if trip is not None:
         reaction: str = _WORST[trip["worst"]]
@@ -146,12 +147,6 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
 def all_rows() -> list[tuple[str, str]]:
     """Fault and motion of each row, in the order of the table."""
     return [(fault.name, motion) for fault in FAULTS for motion in MOTIONS]
-
-
-def _distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angle (n,) [rad] and distance (n,) [m] between poses (n, 6)."""
-    relative = rotation_matrix(pose[:, :3]) @ np.swapaxes(rotation_matrix(other[:, :3]), -1, -2)
-    return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
 
 
 def _holdable(scenario: Scenario, log: SimulationLog) -> HoldableLoad | None:

@@ -105,5 +105,5 @@ def _kept(path: Path) -> SimulationLog | None:
     """The log at `path`; None where there is none that can be read."""
     try:
         return load_log(path)
-    except (ConfigurationError, ValueError, KeyError, TypeError):
+    except ConfigurationError:
         return None

@@ -44,6 +44,12 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
         click.echo(f"runs code: {source.code}")
         if source.file is not None:
             read_checked(source.file, f"controller file {source.file}", MAX_BYTES)
+    if user_sources((loaded.reference, loaded.safety)):
+        if scale or retime:
+            allowed = "a motion and monitors of the package, for --scale and --retime: nobody's code is run here"
+            raise ConfigurationError("SCENARIO", scenario, allowed)
+        click.echo("this code says what the motion is or whether it will do, so it is checked when it is run")
+        return
     report = motion_report(loaded)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
     changes: dict[str, Any] = {}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from stewart_drake.control.inputs import SingularityLimits
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Fraction, Positive, Section
 
@@ -22,6 +23,14 @@ class ControllerOptions(Section, key="controller"):
     """Of controller."""
     period: Positive
     """[s] control period, > 0, a whole multiple of the plant's time step."""
+
+    @classmethod
+    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """See `Section.from_older`."""
+        if "compiled" in data:
+            allowed = "no such key: it is the scenario's now, such as Scenario(compiled=True)"
+            raise ConfigurationError("controller.compiled", data["compiled"], allowed)
+        return data
 
     @property
     def label(self) -> str:

@@ -235,17 +235,16 @@ def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
-STATUS = Column(
-    "status",
-    "",
-    "completed: the controller was in charge to the end and the motion was followed; stopped: the safety layer held "
-    "the robot at the end; lost: the motion was not followed; failed: broke midway, and what was measured until then "
-    "is there; rejected: refused before the run; raised: an exception that is no verdict on the run; crashed: took its "
-    "worker process with it",
-    "text",
-)
 OUTCOME: tuple[Column, ...] = (
-    STATUS,
+    Column(
+        "status",
+        "",
+        "completed: the controller was in charge to the end and the motion was followed; stopped: the safety layer "
+        "held the robot at the end; lost: the motion was not followed; failed: broke midway, and what was measured "
+        "until then is there; rejected: refused before the run; raised: an exception that is no verdict on the run; "
+        "crashed: took its worker process with it",
+        "text",
+    ),
     Column("reason", "", "stable name of what happened, null for completed", "text"),
     Column("message", "", "one line on it", "text"),
     Column("outcome_time", "s", "when that was decided, null for completed"),

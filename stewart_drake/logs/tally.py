@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,56 +25,56 @@ LEAST_MOTION = 2e-5
 _BOUNDED = ("rotation", "position", "loop_gap")
 
 
+def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle (n,) [rad] and distance (n,) [m] between poses (n, 6)."""
+    relative = rotation_matrix(pose[:, :3]) @ np.swapaxes(rotation_matrix(other[:, :3]), -1, -2)
+    return rotation_angle(relative), np.linalg.norm(pose[:, 3:] - other[:, 3:], axis=1)
+
+
+@dataclass(eq=False)
 class Tally:
     """Sums over a run, gathered from its signals part by part; the parts may be of any length.
 
-    Errors are true pose minus reference. *Late* is the second half of the planned duration. What the metrics of
-    `metric_table` are made of is public:
-
-    Args:
-        scenario: As run.
-
-    Attributes:
-        scenario: As run.
-        steps: Rows; one for each step of the plant where `run` feeds it.
-        ticks: Those of them at a tick of the controller; the sums below are over these.
-        late_steps: Rows of the second half.
-        late_ticks: Ticks of the second half.
-        squares: (2, 6) [rad^2, m^2] squared errors of the first and of the second half.
-        late_peaks: (6,) [rad, m] largest errors of the second half, of all its rows.
-        late_norms: (2,) [rad, m] largest length of the rotational and of the translational error likewise.
-        largest: Largest angle and distance from the reference while the controller was in charge [rad, m], and largest
-            loop gap [m], of all rows.
-        torque_squares: (2,) [(N m)^2] of all motors within their limits, by halves.
-        torque_peak: [N m] of all rows.
-        torque_change: Squared change of the torque asked for from one late tick to the next [(N m)^2], and how many.
-        at_limit: Torques at the limit, of ticks and motors.
-        weights: (2,) sum of omega_q and omega_r; None without them.
-        log_ratio: Sum of the logarithm of their ratio.
-        finite: Whether all numbers are.
-        gathered: By metrics with a `gather` of their own, see `metric_table.Metric`.
+    Errors are true pose minus reference; *late* is the second half of the planned duration. What is public here is what
+    the metrics of `metric_table` are made of.
     """
 
     scenario: Scenario
-    steps: int
-    ticks: int
-    late_steps: int
-    late_ticks: int
-    squares: np.ndarray
-    late_peaks: np.ndarray
-    late_norms: np.ndarray
-    largest: dict[str, float]
-    torque_squares: np.ndarray
-    torque_peak: float
-    torque_change: np.ndarray
-    at_limit: int
-    weights: np.ndarray | None
-    log_ratio: float
-    finite: bool
-    gathered: dict[str, Any]
+    """As run."""
+    steps: int = 0
+    """Rows; one for each step of the plant where `run` feeds it."""
+    ticks: int = 0
+    """Those of them at a tick of the controller; sums are over these."""
+    late_steps: int = 0
+    late_ticks: int = 0
+    squares: np.ndarray = field(default_factory=partial(np.zeros, (2, 6)))
+    """(2, 6) [rad^2, m^2] squared errors of the first and of the second half."""
+    late_peaks: np.ndarray = field(default_factory=partial(np.zeros, 6))
+    """(6,) [rad, m] largest errors of the second half, of all its rows."""
+    late_norms: np.ndarray = field(default_factory=partial(np.zeros, 2))
+    """(2,) [rad, m] largest length of the rotational and of the translational error likewise."""
+    largest: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_BOUNDED, 0.0))
+    """Largest angle and distance from the reference while the controller was in charge [rad, m], and largest loop gap
+    [m], of all rows."""
+    torque_squares: np.ndarray = field(default_factory=partial(np.zeros, 2))
+    """(2,) [(N m)^2] of all motors within their limits, by halves."""
+    torque_peak: float = 0.0
+    """[N m] of all rows."""
+    torque_change: np.ndarray = field(default_factory=partial(np.zeros, 2))
+    """Squared change of the torque asked for from one late tick to the next [(N m)^2], and how many."""
+    at_limit: int = 0
+    """Torques at the limit, of ticks and motors."""
+    weights: np.ndarray | None = None
+    """(2,) sum of omega_q and omega_r; None without them."""
+    log_ratio: float = 0.0
+    """Sum of the logarithm of their ratio."""
+    finite: bool = True
+    """Whether all numbers are."""
+    gathered: dict[str, Any] = field(default_factory=dict)
+    """By metrics with a `gather` of their own, see `metric_table.Metric`."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+    def __post_init__(self) -> None:
+        scenario = self.scenario
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self._monitors = MONITORS if scenario.safety is None else scenario.safety.monitor_names
         self._limit = scenario.controller.limit(scenario.robot)
@@ -80,22 +82,11 @@ class Tally:
         self._asks_for_more = scenario.controller.asks_for_more
         length = scenario.robot.characteristic_length
         self._scale = np.array([length] * 3 + [1.0] * 3)
-        self.steps = self.ticks = self.late_ticks = self.late_steps = 0
-        self.squares, self.late_peaks = np.zeros((2, 6)), np.zeros(6)
-        self.late_norms = np.zeros(2)
-        self.largest = dict.fromkeys(_BOUNDED, 0.0)
-        self.torque_squares, self.torque_peak = np.zeros(2), 0.0
-        self.torque_change = np.zeros(2)
         self._last_late: tuple[int, np.ndarray] | None = None
-        self.at_limit = 0
         self._saturated_at: float | None = None
         self._gap_at: float | None = None
-        self.weights: np.ndarray | None = None
-        self.log_ratio = 0.0
         self._integral: list[float] | None = None
         self._last_time = -np.inf
-        self.finite = True
-        self.gathered = {}
         self._inside = dict.fromkeys(_BOUNDED, False)
         self._left: dict[str, dict[str, Any] | None] = dict.fromkeys(_BOUNDED)
         self._interventions = 0
@@ -218,13 +209,10 @@ class Tally:
         self.torque_change += np.sum(change**2), change.size
 
     def _add_bounded(self, signals: Mapping[str, np.ndarray], time: np.ndarray, in_charge: np.ndarray) -> None:
-        pose, reference, gap = signals["pose"], signals["reference"], signals["loop_gap"]
-        off = rotation_matrix(pose[:, :3]) @ np.swapaxes(rotation_matrix(reference[:, :3]), -1, -2)
-        sizes = {
-            "rotation": rotation_angle(off),
-            "position": np.linalg.norm(pose[:, 3:] - reference[:, 3:], axis=1),
-            "loop_gap": gap.max(axis=1),
-        }
+        gap = signals["loop_gap"]
+        sizes = dict(
+            zip(_BOUNDED, (*pose_distance(signals["pose"], signals["reference"]), gap.max(axis=1)), strict=True)
+        )
         if not sizes["loop_gap"].max() <= self.largest["loop_gap"]:
             self._gap_at = float(time[int(sizes["loop_gap"].argmax())])
         for name, size in sizes.items():

@@ -118,7 +118,6 @@ def make(study: Study) -> Section:
         "dataset",
         numbers,
         {"densities": plot_densities(data)},
-        base=base,
         file=file,
         runs=len(scenarios),
         feasible=int(feasible.sum()),

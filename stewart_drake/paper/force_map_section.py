@@ -79,7 +79,7 @@ def make(study: Study) -> Section:
     }
     figures["force_map_tilt"] = _tilt_figure(robot, study.pick(91, 46))
     return study.section(
-        "force_map", numbers, figures, robot=robot, poses=len(poses), few=len(few), held=held, models=MODELS,
+        "force_map", numbers, figures, poses=len(poses), few=len(few), held=held, models=MODELS,
         massless=MASSLESS, hold_time=HOLD_TIME, confirmed=CONFIRMED,
     )  # fmt: skip
 

@@ -126,7 +126,6 @@ def make(study: Study) -> Section:
         numbers,
         figures,
         **values,
-        base=study.base,
         condition=_condition(study),
         fig7=fig7,
         span=span,

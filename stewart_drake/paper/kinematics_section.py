@@ -64,7 +64,7 @@ def make(study: Study) -> Section:
         "kinematics_misprints": _misprint_figure(robot, study.pick(121, 41)),
     }
     regions = [sample.region for sample in samples]
-    return study.section("kinematics", numbers, figures, **findings(numbers), robot=robot, regions=regions)
+    return study.section("kinematics", numbers, figures, **findings(numbers), regions=regions)
 
 
 def findings(numbers: Mapping[str, Any]) -> dict[str, Any]:

@@ -105,19 +105,8 @@ def slice_surveys(study: Study, poses: PoseStudy, kind: Kind) -> list[Survey]:
     levels[np.abs(levels - middle[2]).argmin()] = middle[2]
     pixels = study.pick(220, 90)
     planes = [(2, level) for level in levels] + [(1 if kind == "position" else 0, None)]
-    return [
-        _slice(
-            study.base,
-            COORDINATES[kind],
-            poses.center,
-            low,
-            high,
-            axis,
-            middle[axis] if level is None else level,
-            pixels,
-        )
-        for axis, level in planes
-    ]
+    place = (COORDINATES[kind], poses.center, np.stack([low, high]))
+    return [_slice(study.base, place, axis, middle[axis] if at is None else at, pixels) for axis, at in planes]
 
 
 def motion_slice(study: Study, poses: PoseStudy, reference: np.ndarray) -> Survey:
@@ -130,29 +119,25 @@ def motion_slice(study: Study, poses: PoseStudy, reference: np.ndarray) -> Surve
     third = next(i for i in range(6) if i not in two)
     first, second, third_ = sorted([*two.tolist(), third])
     coordinates = (first, second, third_)
-    low, high = 1.3 * (poses.ranges - poses.center)[:, coordinates] + poses.center[list(coordinates)]
-    axis = coordinates.index(third)
-    return _slice(
-        study.base, coordinates, poses.center, low, high, axis, float(poses.center[third]), study.pick(260, 90)
-    )
+    box = 1.3 * (poses.ranges - poses.center)[:, coordinates] + poses.center[list(coordinates)]
+    place, axis = (coordinates, poses.center, box), coordinates.index(third)
+    return _slice(study.base, place, axis, float(poses.center[third]), study.pick(260, 90))
 
 
-def _slice(
-    base: Scenario,
-    coordinates: tuple[int, int, int],
-    center: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    axis: int,
-    level: float,
-    pixels: int,
-) -> Survey:
-    low, high = low.copy(), high.copy()
+Place = tuple[tuple[int, int, int], np.ndarray, np.ndarray]
+"""Three coordinates, the centre (6,) and the box (2, 3) around it [rad, m]."""
+
+
+def _slice(base: Scenario, place: Place, axis: int, level: float, pixels: int) -> Survey:
+    """The survey of a box at one level of its axis, `pixels` along its longest side."""
+    coordinates, center, box = place
+    low, high = box.copy()
     low[axis] = high[axis] = level
     size = (high - low) * np.where(np.array(coordinates) < 3, base.robot.characteristic_length, 1.0)
-    x, y, z = np.maximum(2, np.round(pixels * size / size.max())).astype(int).tolist()
-    counts = (x if axis != 0 else 1, y if axis != 1 else 1, z if axis != 2 else 1)
-    return survey(base.robot, base.limits, Grid(coordinates, center, low, high, counts), base.gravity)
+    counts = np.maximum(2, np.round(pixels * size / size.max())).astype(int)
+    counts[axis] = 1
+    x, y, z = counts.tolist()
+    return survey(base.robot, base.limits, Grid(coordinates, center, low, high, (x, y, z)), base.gravity)
 
 
 def part_of(study: Study, start: float, size: float) -> Callable[[float], None]:

@@ -92,10 +92,12 @@ class Study:
             key: Name of the section and of its template.
             numbers: For the report's JSON; `n` in the template.
             figures: Pictures by the names under which the template shows them.
-            values: What else the template speaks of.
+            values: What else the template speaks of, beside the scenario `base`.
         """
         files = {name: self.save_figure(figure, name) for name, figure in (figures or {}).items()}
-        blocks = {b: render(key, b, files, n=numbers, **values) for b in ("title", "claim", "verdict", "body")}
+        blocks = {
+            b: render(key, b, files, n=numbers, base=self.base, **values) for b in ("title", "claim", "verdict", "body")
+        }
         return Section(key, **blocks, numbers=numbers, files=[f"figures/{file}" for file in files.values()])
 
     def save_figure(self, figure: Figure, name: str) -> str:

@@ -118,7 +118,7 @@ def make(study: Study) -> Section:
         "learning_curves": plot_learning_curves(results),
         "predictions": plot_predictions(network, data[own]),
     }
-    section = study.section("training", numbers, figures, base=study.base, bounds=bounds, epochs=options.epochs)
+    section = study.section("training", numbers, figures, bounds=bounds, epochs=options.epochs)
     section.files.append(file)
     study.progress(1.0)
     return section

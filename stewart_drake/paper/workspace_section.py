@@ -101,7 +101,6 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
         sizes=sizes,
         span=_span,
         capabilities={label: _capability_cells(poses, name, scale) for name, label, scale in CAPABILITIES},
-        effort_limit=study.base.robot.effort_limit,
     )
     study.progress(1.0)
     return section

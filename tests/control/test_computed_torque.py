@@ -2,7 +2,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from conftest import field_of
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
@@ -11,7 +10,7 @@ from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
-from stewart_drake.errors import ConfigurationError, NotFiniteError
+from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 
 GRAVITY = 9.81
@@ -65,16 +64,3 @@ def test_a_rate_that_is_not_finite_ends_the_run():
         computed_torque_tick(
             ROBOT, ComputedTorqueOptions(), GRAVITY, Measurement(HOME, np.full(6, np.inf)), setpoint, START
         )
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("period", -1.0), ("natural_frequency", 0.0), ("damping", 0.0), ("integral_frequency", -1.0),
-        ("saturation", "back_calculation"), ("min_transmission", 0.0), ("min_conditioning", float("nan")),
-    ],
-)  # fmt: skip
-def test_bad_options_name_the_key(key, value):
-    with pytest.raises(ConfigurationError) as caught:
-        dataclasses.replace(ComputedTorqueOptions(), **{key: value})
-    assert field_of(caught.value) == f"controller.{key}"

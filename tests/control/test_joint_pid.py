@@ -1,8 +1,5 @@
-import dataclasses
-
 import numpy as np
 import pytest
-from conftest import field_of
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
 
@@ -11,7 +8,7 @@ from stewart_drake.control.joint_pid import PidMemory, PidOptions, pid_tick
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
-from stewart_drake.errors import ConfigurationError, NotFiniteError, SingularPoseError, UnreachablePoseError
+from stewart_drake.errors import NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 
@@ -106,16 +103,3 @@ def test_measurements_that_cannot_be_end_the_run(pose, rate, error):
 def test_near_a_dead_centre_the_limit_of_the_options_counts():
     with pytest.raises(SingularPoseError):
         pid_tick(ROBOT, PidOptions(min_transmission=0.999), GRAVITY, Measurement(HOME, np.zeros(6)), setpoint(), START)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("period", 0.0), ("kp", -1.0), ("ki", float("nan")), ("kd", True), ("torque_limit", 0.0), ("reset_time", -1.0),
-        ("saturation", "yes"), ("feedforward", "full"), ("min_transmission", 1.0), ("min_conditioning", 0.0),
-    ],
-)  # fmt: skip
-def test_bad_options_name_the_key(key, value):
-    with pytest.raises(ConfigurationError) as caught:
-        dataclasses.replace(PidOptions(), **{key: value})
-    assert field_of(caught.value) == f"controller.{key}"

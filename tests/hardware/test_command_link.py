@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
-from conftest import field_of
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.command_link import MEMORY_SIZE, CommandFault, LinkOptions, link_step
 
 STEPS = 4
@@ -88,25 +86,3 @@ def test_a_spoilt_command_leaves_the_controllers_own_alone():
     command = np.ones(6)
     link_step(LinkOptions(faults=(CommandFault(kind="nan"),)), 1, 0, 0.0, command, np.zeros(MEMORY_SIZE))
     np.testing.assert_array_equal(command, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: LinkOptions(drop_probability=1.1), "link.drop_probability"),
-        (lambda: LinkOptions(late_probability=np.nan), "link.late_probability"),
-        (lambda: LinkOptions(dropped=(-1,)), "link.dropped"),
-        (lambda: LinkOptions(late=(1.5,)), "link.late"),
-        (lambda: LinkOptions(late_steps=0), "link.late_steps"),
-        (lambda: LinkOptions(stop_time=-1.0), "link.stop_time"),
-        (lambda: LinkOptions(seed=-1), "link.seed"),
-        (lambda: CommandFault(kind="x"), "link.faults.kind"),
-        (lambda: CommandFault(kind="nan", leg=7), "link.faults.leg"),
-        (lambda: CommandFault(kind="nan", duration=0.0), "link.faults.duration"),
-        (lambda: CommandFault(kind="offset", size=np.inf), "link.faults.size"),
-    ],
-)
-def test_a_bad_value_is_named(make, key):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    assert field_of(caught.value) == key

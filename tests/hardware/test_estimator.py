@@ -6,7 +6,6 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import (
     AssemblyModeError,
-    ConfigurationError,
     EncoderError,
     ForwardKinematicsError,
     SingularPoseError,
@@ -325,22 +324,6 @@ def test_compiled_refuses_what_numpy_refuses_by_the_same_name(angles):
 
 
 # --- options -------------------------------------------------------------------------------------------------------
-
-BAD_OPTIONS = {
-    "resolution_bits": 41,
-    "offset": [0.0] * 5,
-    "rate_cutoff": 0.0,
-    "max_speed": -1.0,
-    "max_step": [0.1, 0.0],
-    "hold_ticks": 1001,
-}
-
-
-@pytest.mark.parametrize(("name", "value"), BAD_OPTIONS.items(), ids=BAD_OPTIONS.keys())
-def test_bad_options_are_named_by_key(name, value):
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario.from_dict({"sensors": {"kind": "encoders", name: value}})
-    assert caught.value.key.startswith(f"sensors.{name}")
 
 
 def test_another_kind_of_sensors_drops_the_keys_of_the_old_one():

@@ -4,14 +4,12 @@ import math
 import numpy as np
 import pydantic
 import pytest
-from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from scipy.optimize import minimize_scalar
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import (
     conditioning,
@@ -106,20 +104,6 @@ def test_segment_distance_is_vectorised_over_leading_axes():
     assert distance.shape == (2, 5)
     for index in np.ndindex(2, 5):
         assert distance[index] == pytest.approx(segment_distance(*points[(slice(None), *index)]), rel=1e-14)
-
-
-@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits)])
-@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
-def test_a_limit_is_a_positive_number(name, bad):
-    with pytest.raises(ConfigurationError) as caught:
-        Limits(**{name: bad})
-    assert field_of(caught.value) == f"limits.{name}"
-
-
-@pytest.mark.parametrize("name", ["reach", "euler_pitch", "conditioning", "transmission", "joint_swing"])
-def test_a_limit_that_nothing_could_ever_reach_is_refused(name):
-    with pytest.raises(ConfigurationError, match=f"limits.{name}"):
-        Limits(**{name: 3.2})
 
 
 def test_pydantic_reads_limits_null_included_and_refuses_unknown_keys():

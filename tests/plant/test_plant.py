@@ -599,24 +599,6 @@ def test_building_prints_nothing(rod_joint, capfd, caplog):
     assert caplog.records == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *(("time_step", value) for value in (0.0, -0.001, float("nan"), float("inf"), 1e-9, 1.0, "fast", None, True)),
-        *(("rod_joint", value) for value in ("x", None, 3)),
-        *(("collision", value) for value in ("yes", 1, None)),
-        *itertools.product(
-            ("motor_damping", "universal_damping", "platform_joint_damping", "motor_friction"),
-            (-0.1, float("nan"), float("inf"), "some", None),
-        ),
-    ],
-)
-def test_bad_option_is_refused_by_name(key, value):
-    with pytest.raises(ConfigurationError, match=rf"plant\.{key}: got ") as caught:
-        PlantOptions(**{key: value})
-    assert caught.value.key == f"plant.{key}"
-
-
 @pytest.mark.parametrize("gravity", [-9.81, float("nan"), float("inf"), "earth", None])
 def test_bad_gravity_is_refused_by_name(gravity):
     with pytest.raises(ConfigurationError, match="gravity: got "):

@@ -125,40 +125,6 @@ def test_a_hold_stays():
 
 
 BURSTS = {"frequency": (1.0, 2.0), "amplitude": (CENTER, CENTER)}
-BAD_VECTORS = [
-    (),
-    CENTER[:5],
-    (*CENTER, 0.0),
-    (*CENTER[:5], math.nan),
-    (*CENTER[:5], math.inf),
-    (*CENTER[:5], "a"),
-    (*CENTER[:5], None),
-    (*CENTER[:5], (1.0,)),
-    (CENTER, CENTER),
-    0.3,
-    None,
-    "six",
-]
-VECTORS = [
-    (HoldReference, {}, "pose"),
-    *[(SineReference, {}, name) for name in ("center", "amplitude", "angular_frequency", "phase")],
-    *[(SineBurstsReference, BURSTS, name) for name in ("center", "phase")],
-]
-
-
-@pytest.mark.parametrize("bad", BAD_VECTORS, ids=repr)
-@pytest.mark.parametrize(("kind", "rest", "name"), VECTORS)
-def test_a_vector_that_is_not_six_finite_numbers_is_refused_by_name(kind, rest, name, bad):
-    with pytest.raises(ConfigurationError) as caught:
-        kind(**{**rest, name: bad})
-    assert field_of(caught.value) == f"reference.{name}"
-
-
-@pytest.mark.parametrize("bad", BAD_VECTORS, ids=repr)
-def test_every_bursts_amplitude_is_checked(bad):
-    with pytest.raises(ConfigurationError) as caught:
-        SineBurstsReference(frequency=(1.0, 2.0), amplitude=(CENTER, bad))
-    assert field_of(caught.value) == "reference.amplitude"
 
 
 @pytest.mark.parametrize(

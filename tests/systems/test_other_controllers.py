@@ -110,7 +110,7 @@ def test_what_needs_the_lqi_says_so():
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
-        ({"kind": "pdi"}, ["controller.kind", "'pdi'", "lqi, pid, computed_torque or python"]),
+        ({"kind": "pdi"}, ["controller.kind", "'pdi'", "lqi, pid, computed_torque, python or module:Class"]),
         ({"kind": "pid", "kpp": 1.0}, ["controller.kpp", "did you mean kp?"]),
         ({"kind": "pid", "kp": "a"}, ["controller.kp", "a number"]),
         ({"kind": "computed_torque", "damping": -1.0}, ["controller.damping", "a positive number"]),
