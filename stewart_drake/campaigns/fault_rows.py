@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.fault import MOTIONS, Fault, Reaction
-from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault import FAULTS, MOTIONS, Fault, Reaction
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
@@ -30,7 +29,7 @@ def _column(unit: str, text: str, kind: Kind = "number", **default: Any) -> Any:
 class FaultRow:
     """A row; see `COLUMNS` for what each column says."""
 
-    fault: str = _column("", "name in fault_catalogue.FAULTS", "text", default=MISSING)
+    fault: str = _column("", "name in fault.FAULTS", "text", default=MISSING)
     motion: str = _column("", "name in fault.MOTIONS", "text", default=MISSING)
     reaction: str = _column(
         "", "see fault.Reaction; broke where the run ended without the safety layer", "text", default=MISSING
@@ -78,7 +77,7 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
     """Runs a fault during a motion.
 
     Args:
-        fault: Of `catalogue.FAULTS`, or one of the caller's.
+        fault: Of `fault.FAULTS`, or one of the caller's.
         motion: Of `fault.MOTIONS`.
     """
     try:

@@ -11,8 +11,7 @@ from typing import Any
 
 from stewart_drake.campaigns.engine import Work, fill
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
-from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
 from stewart_drake.campaigns.identity import identity
 from stewart_drake.campaigns.row_store import Row, RowStore
@@ -30,7 +29,7 @@ class FaultTable:
     """The rows and where they are kept.
 
     Attributes:
-        rows: In the order of `catalogue.FAULTS`, motion by motion.
+        rows: In the order of `fault.FAULTS`, motion by motion.
         parquet: File with all columns of `FaultRow`.
         markdown: File with the short form and an explanation.
     """

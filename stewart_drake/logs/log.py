@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -171,6 +171,10 @@ class SimulationLog:
         """(n,) [s] simulated time of each row."""
         return self.signals["time"]
 
+    def outcome(self) -> dict[str, Any]:
+        """What the log says besides its signals, in values that JSON has."""
+        return {name: _plain(getattr(self, name)) for name in _OUTCOME}
+
     def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
         """Column name -> (values (n,), unit, frame, explanation)."""
         columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
@@ -249,20 +253,7 @@ class SimulationLog:
         write_atomically(Path(path), formats[ending]())
 
 
-_OUTCOME = (
-    "status",
-    "reason",
-    "message",
-    "outcome_time",
-    "end_time",
-    "leg",
-    "warnings",
-    "safety",
-    "wall_time",
-    "versions",
-    "files",
-    "figures",
-)
+_OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))
 """What a log says besides its signals."""
 
 
@@ -280,7 +271,7 @@ def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) 
         "version": _VERSION,
         "scenario": log.scenario.to_dict(),
         "state_names": list(log.state_names),
-        "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
+        "outcome": log.outcome(),
     }
     waiting = iter(tables)
     held = [next(waiting)]

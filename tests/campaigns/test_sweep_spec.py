@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from stewart_drake.campaigns.distributions import parse_distribution
-from stewart_drake.campaigns.sweep_file import Sweep, load_sweep, sweep_folder, vary
+from stewart_drake.campaigns.plan import vary
+from stewart_drake.campaigns.sweep_file import Sweep, load_sweep, sweep_folder
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file
 from stewart_drake.scenario import Scenario, load_scenario
@@ -195,12 +196,12 @@ BAD = [
     ({"name": "../x"}, ["name", "letters"]),
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
     ({"scenario": 3}, ["scenario", "3", "a text"]),
-    ({"set": [1]}, ["set", "[1]", "a mapping"]),
-    ({"set": {1: 2}}, ["set", "a mapping"]),
+    ({"set": [1]}, ["set", "[1]", "a section"]),
+    ({"set": {1: 2}}, ["set", "keys that are texts"]),
     ({"set": {"durration": 3}}, ["durration", "did you mean duration?"]),
     ({"set": {"duration": float("nan")}}, ["duration", "nan", "finite"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
-    ({"distributions": None}, ["distributions", "None", "a mapping"]),
+    ({"distributions": None}, ["distributions", "None", "a section"]),
     ({"distributions": {}}, ["distributions", "at least one"]),
     ({"distributions": {"gravity": 3}}, ["distributions.gravity", "3", "kind: uniform"]),
     (only("gravity"), ["distributions.gravity.kind", "None", "loguniform"]),
