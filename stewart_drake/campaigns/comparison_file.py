@@ -17,7 +17,7 @@ from pydantic import Field
 
 from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
 from stewart_drake.campaigns.one_run import Measure
-from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, anchored, vary
+from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
 from stewart_drake.planning.feasibility import largest_amplitude
@@ -147,12 +147,10 @@ class Comparison(Plan):
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        if not isinstance(data, Mapping):
-            raise ConfigurationError("comparison", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        file = CompareFile.from_dict(dict(data))
+        file = CompareFile.read("comparison", data, folder)
         base = file.base(folder)
-        parts = {kind: {name: anchored(keys, folder) for name, keys in getattr(file, kind).items()} for kind in _KINDS}
+        parts = {kind: getattr(file, kind) for kind in _KINDS}
         _check_names(file, parts)
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
@@ -263,7 +261,7 @@ def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) 
             **parts["controllers"][controller],
             **parts["conditions"][condition],
         }
-        for seed in file.seeds if _has_seed(changes) else file.seeds[:1]:
+        for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
             seeded = {key: _with_seed(value, seed) for key, value in changes.items()}
             scenario = _checked(base, seeded, f"{controller}, {reference}, {condition}")
             if quick:
@@ -310,13 +308,7 @@ def _checked(base: Scenario, changes: Mapping[str, Any], what: str) -> Scenario:
     try:
         return vary(base, changes)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{what}: {error.key}", error.value, error.allowed) from None
-
-
-def _has_seed(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_has_seed, value.values()))
-    return any(map(_has_seed, value)) if isinstance(value, list) else value == SEED
+        raise error.within(f"{what}: ") from None
 
 
 def _with_seed(value: Any, seed: int) -> Any:

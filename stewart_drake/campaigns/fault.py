@@ -94,3 +94,4 @@ def base() -> Scenario:
 
 FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())
 """In the order of the table."""
+BY_NAME = {fault.name: fault for fault in FAULTS}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.fault import FAULTS, MOTIONS, Fault, Reaction
+from stewart_drake.campaigns.fault import BY_NAME, FAULTS, MOTIONS, Fault, Reaction
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
@@ -89,7 +89,7 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
 
 def named_row(name: str, motion: str) -> FaultRow:
     """`fault_row` by the fault's name; for workers."""
-    return fault_row(next(fault for fault in FAULTS if fault.name == name), motion)
+    return fault_row(BY_NAME[name], motion)
 
 
 def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:

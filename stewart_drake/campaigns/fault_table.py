@@ -11,7 +11,7 @@ from typing import Any
 
 from stewart_drake.campaigns.engine import Work, fill
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, Fault
+from stewart_drake.campaigns.fault import BY_NAME, DURATION, FAULTS, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
 from stewart_drake.campaigns.identity import identity
 from stewart_drake.campaigns.row_store import Row, RowStore
@@ -150,7 +150,6 @@ def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
 
 def markdown_table(rows: Sequence[FaultRow]) -> str:
     """The table as a Markdown page."""
-    faults = {fault.name: fault for fault in FAULTS}
     page = [
         "# Fault table",
         "",
@@ -168,7 +167,7 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "",
         "What the faults are:",
         "",
-        *(_told(faults[name]) for name in dict.fromkeys(row.fault for row in rows)),
+        *(_told(BY_NAME[name]) for name in dict.fromkeys(row.fault for row in rows)),
         "",
         "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
         "",
@@ -193,7 +192,7 @@ def _end(row: FaultRow) -> str:
 
 
 def _begins(name: str) -> bool:
-    return next(fault for fault in FAULTS if fault.name == name).since > 0.0
+    return BY_NAME[name].since > 0.0
 
 
 def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:

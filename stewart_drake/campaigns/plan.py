@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field
 
@@ -26,7 +26,7 @@ _KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
 
 class PlanFile(Section):
-    """Keys that the files of both have."""
+    """Keys that the files of both have; paths among them are absolute."""
 
     name: PlanName
     """Used for the output folder and titles."""
@@ -34,6 +34,24 @@ class PlanFile(Section):
     """What is changed: a file, relative to this one, or the name of a shipped scenario."""
     set: dict[Text, Any] = Field(default_factory=dict)
     """Scenario key -> value, in every run."""
+
+    @classmethod
+    def read(cls, what: str, data: Any, folder: Path) -> Self:
+        """The keys from plain values, as YAML gives them.
+
+        Args:
+            what: What it is a file of, for messages.
+            data: Keys and values.
+            folder: Paths in `data` are relative to it.
+
+        Raises:
+            ConfigurationError: Names the key, the value and what is allowed.
+        """
+        if not isinstance(data, Mapping):
+            raise ConfigurationError(what, data, "a mapping of keys to values")
+        keys = copy.deepcopy(dict(data))
+        anchor_files(keys, folder)
+        return cls.from_dict(keys)
 
     def base(self, folder: Path) -> Scenario:
         """The scenario, with `set` in it.
@@ -52,8 +70,8 @@ class PlanFile(Section):
         try:
             loaded = load_scenario(relative if found else self.scenario)
         except ConfigurationError as error:
-            raise ConfigurationError(f"scenario: {error.key}", error.value, error.allowed) from None
-        return vary(loaded, anchored(self.set, folder), "set.")
+            raise error.within("scenario: ") from None
+        return vary(loaded, self.set, "set.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,13 +186,3 @@ def value_at(data: dict[str, Any], key: str, section: str) -> Any:
         here = here[part]
         where.append(str(part))
     return here
-
-
-def anchored(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Scenario key -> value, with the paths of files among the values made absolute, from `folder`."""
-    found: dict[str, Any] = {}
-    for key, value in keys.items():
-        holder = {key: copy.deepcopy(value)}
-        anchor_files(holder, folder)
-        found |= holder
-    return found

@@ -32,7 +32,7 @@ class SweepResult:
     """What a sweep leaves.
 
     Attributes:
-        table: One row a run, sorted by index; see `table`.
+        table: One row a run, sorted by index; see `sweep_table`.
         rows: The same as plain values.
         path: The Parquet file.
     """

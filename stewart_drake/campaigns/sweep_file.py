@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.campaigns.distributions import Choice, Distribution, Grid, column_of, parse_distribution
-from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, anchored, split_key, value_at, vary
+from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
+from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, split_key, value_at, vary
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
 from stewart_drake.section import Count, Flag, Seed, Text
@@ -39,7 +39,7 @@ class SweepFile(PlanFile):
     mismatch: Flag = False
     """The controller keeps believing in the robot of the scenario while `robot.*` varies: `model_robot` becomes that
     robot, where the scenario has none of its own."""
-    distributions: dict[Text, Any]
+    distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
 
@@ -93,29 +93,20 @@ class Sweep(Plan):
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        if not isinstance(data, Mapping):
-            raise ConfigurationError("sweep", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        given = SweepFile.from_dict(dict(data))
+        given = SweepFile.read("sweep", data, folder)
         base = given.base(folder)
         if given.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
-        distributions: dict[str, Distribution] = {}
-        for key, section in given.distributions.items():
-            distribution = parse_distribution(f"distributions.{shown(key)}", section)
-            if isinstance(distribution, Choice):
-                values = [anchored({key: value}, folder)[key] for value in distribution.values]
-                distribution = type(distribution).from_dict({**distribution.to_dict(), "values": values})
-            distributions[key] = distribution
         runs = given.runs
         if runs is None:
-            grids = [d for d in distributions.values() if isinstance(d, Grid)]
+            grids = [d for d in given.distributions.values() if isinstance(d, Grid)]
             if not grids:
                 raise ConfigurationError("runs", None, "a number of runs; it may be left out where a key has a grid")
             runs = math.prod(len(grid.values) for grid in grids)
             if runs > MAX_RUNS:
                 raise ConfigurationError("distributions", f"{runs} combinations", f"grids of at most {MAX_RUNS}")
-        return cls(base, distributions, given.seed, given.sampler, runs=runs, name=given.name)
+        return cls(base, given.distributions, given.seed, given.sampler, runs=runs, name=given.name)
 
     def run_seed(self, index: int) -> int:
         """Seed of run `index`, below 2^63."""
@@ -191,7 +182,7 @@ class Sweep(Plan):
                 self._check_value(key, current, value)
         elif isinstance(current, list):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
-        elif current is not None and (isinstance(current, bool) or not isinstance(current, (int, float))):
+        elif current is not None and not is_number(current):
             raise ConfigurationError(where, current, "a key that holds a number; kinds for others are choice and grid")
         elif isinstance(current, int) and column_of(distribution) != "whole":
             raise ConfigurationError(where, distribution.kind, "whole numbers, by the kinds integers, choice or grid")
@@ -239,7 +230,7 @@ def _generator(seed: int, key: str) -> np.random.Generator:
 def _numbers(value: Any) -> bool:
     if isinstance(value, list):
         return bool(value) and all(map(_numbers, value))
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number(value)
 
 
 def _times(value: Any, factor: float) -> Any:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status
 from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
@@ -234,11 +234,7 @@ class SimulationLog:
 
     def to_csv(self) -> bytes:
         """The signals as a CSV file; of scenario and outcome it says nothing, so `load_log` does not read it."""
-        from pyarrow import csv
-
-        stream = io.BytesIO()
-        csv.write_csv(self.table(), stream)
-        return stream.getvalue()
+        return to_csv(self.table())
 
     def save(self, path: str | Path) -> None:
         """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
@@ -327,7 +323,7 @@ def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
     try:
         scenario = Scenario.from_dict(scenario)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+        raise error.within(f"{key}: ") from None
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
         components = state_names if name == "plant_state" else spec.components

@@ -252,9 +252,9 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     top = 1.0 - 0.12 / height
-    headline, color = _outcome(log)
+    ended, color = _outcome(log)
     style: dict[str, Any] = {"x": 0.01, "ha": "left", "va": "top"}
-    figure.suptitle(f"{log.scenario.name}: {headline}", y=top, fontsize=14, fontweight="bold", color=color, **style)
+    figure.suptitle(f"{log.scenario.name}: {ended}", y=top, fontsize=14, fontweight="bold", color=color, **style)
     figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=TEXT, **style)
     return figure, axes
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.distributions import parse_distribution
 from stewart_drake.campaigns.plan import vary
-from stewart_drake.campaigns.sweep_file import Sweep, load_sweep, sweep_folder
+from stewart_drake.campaigns.sweep_file import Sweep, SweepFile, load_sweep, sweep_folder
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file
 from stewart_drake.scenario import Scenario, load_scenario
@@ -17,8 +16,12 @@ def sweep(**changes):
     return Sweep.from_dict({**PLAIN, **changes})
 
 
+def parsed(**data):
+    return SweepFile.from_dict({**PLAIN, "distributions": {"here": data}}).distributions["here"]
+
+
 def drawn_from(**data):
-    distribution = parse_distribution("here", data)
+    distribution = parsed(**data)
     return np.array([distribution.at(q) for q in QUANTILES])
 
 
@@ -304,7 +307,7 @@ def test_a_number_out_of_range_is_left_to_its_run():
 
 def test_a_sweep_of_a_scenario_made_in_python():
     base = load_scenario("paper_fig7", ["duration=1"])
-    s = Sweep(base, {"gravity": parse_distribution("gravity", {"kind": "uniform", "low": 1, "high": 2})}, runs=3)
+    s = Sweep(base, {"gravity": parsed(kind="uniform", low=1, high=2)}, runs=3)
     assert 1.0 <= s.scenario(2).gravity <= 2.0
     assert s.scenario(2).duration == 1.0
 
