@@ -13,7 +13,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics import dynamics_core as core
 from stewart_drake.mechanics import kinematics_core
 from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, as_array, first, in_blocks, last, namespace
-from stewart_drake.mechanics.kinematics import LegGeometry, legs_within_reach
+from stewart_drake.mechanics.checks import legs_within_reach
+from stewart_drake.mechanics.kinematics import LegGeometry
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] the value of the reference computations and of Drake's default field."""

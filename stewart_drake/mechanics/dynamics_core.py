@@ -92,7 +92,7 @@ def task_inertia(robot: Robot, legs: Legs, masked: bool = True) -> Array:
         -r, o, p, o, mass, o,
         q, -p, o, o, o, mass,
     ]  # fmt: skip
-    own = xp.reshape(xp.stack(entries, axis=-1), (*p.shape, 6, 6))
+    own = last(xp, xp.reshape(stack(xp, entries), (6, 6, *p.shape)), 2)
     return own + dyads + xp.matrix_transpose(dyads)
 
 

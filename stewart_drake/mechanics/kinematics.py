@@ -11,21 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
+from stewart_drake.errors import ConfigurationError, ForwardKinematicsError
 from stewart_drake.mechanics import kinematics_core as core
 from stewart_drake.mechanics.arrays import (
     AnyRobot,
     Array,
-    Robot,
     arrays_of,
     as_array,
     first,
     in_blocks,
     last,
     namespace,
-    to_numpy,
 )
 from stewart_drake.mechanics.arrays import cross as cross_of_components
+from stewart_drake.mechanics.checks import checked, legs_within_reach, within_reach
 from stewart_drake.robot import RobotParameters
 
 
@@ -224,47 +223,6 @@ def leg_geometry(robot: AnyRobot, pose: Array, branch: int | None = None) -> Leg
     arm, crank, e_n, e_l = (last(xp, vector, 2) for vector in (legs.arm, legs.crank, legs.e_n, legs.e_l))
     rotation = xp.matrix_transpose(last(xp, legs.rotation, 2))
     return LegGeometry(rotation, theta, arm, crank, e_n, e_l, last(xp, legs.transmission, 1))
-
-
-def legs_within_reach(robot: AnyRobot, pose: Array) -> tuple[Robot, core.Legs]:
-    """A robot's arrays and `kinematics_core.legs_at`, checked.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
-    own, pose = checked(robot, pose)
-    legs = core.legs_at(own, pose)
-    within_reach(legs.cranks, pose)
-    return own, legs
-
-
-def checked(robot: AnyRobot, pose: Array, branch: int | None = None) -> tuple[Robot, Array]:
-    """The robot's arrays, with another branch if there is one, and the pose.
-
-    Raises:
-        ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
-    """
-    xp = namespace(pose)
-    if pose.ndim < 1 or pose.shape[-1] != 6 or not bool(xp.all(xp.isfinite(pose))):
-        raise ConfigurationError("pose", pose, "finite numbers of shape (..., 6)")
-    if branch not in (None, -1, 1):
-        raise ConfigurationError("branch", branch, "-1 or 1, or None")
-    own = arrays_of(robot, pose)
-    return (own if branch is None else own._replace(branches=xp.ones_like(own.branches) * branch)), pose
-
-
-def within_reach(cranks: core.Cranks, pose: Array) -> core.Cranks:
-    """The same, if every rod can span.
-
-    Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
-    """
-    if not bool((cranks.reach >= 0.0).all()):
-        reach = np.nan_to_num(to_numpy(last(namespace(cranks.reach), cranks.reach, 1)), nan=-np.inf)
-        worst = np.unravel_index(int(reach.argmin()), reach.shape)
-        at = np.broadcast_to(to_numpy(pose), reach.shape)[worst[:-1]]
-        raise UnreachablePoseError(np.array(at), int(worst[-1]), float(reach[worst]))
-    return cranks
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
