@@ -19,7 +19,7 @@ from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
 from stewart_drake.campaigns.one_run import Measure
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
+from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import NotNegative, Positive, Section, Seed, Text
@@ -205,11 +205,6 @@ def load_comparison(path: str | Path, quick: bool = False) -> Comparison:
     path = find_file("comparison", path)
     data = read_mapping("comparison", path, 80)
     return Comparison.from_dict(data, path.parent, quick)
-
-
-def comparison_folder() -> Path:
-    """Folder of the comparisons that the package carries (in a checkout: diagrams/comparisons)."""
-    return shipped_folder("comparisons")
 
 
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]

@@ -100,11 +100,8 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
     taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
     turned, moved = pose_distance(log["pose"], log["reference"])
     charge = after & ~taken
-    travel: tuple[float | None, float | None] = None, None
-    if taken.any():
-        first = int(taken.argmax())
-        angle, way = pose_distance(log["pose"][first:], log["pose"][first : first + 1])
-        travel = float(np.degrees(angle.max())), float(1e3 * way.max())
+    left = log["pose"][int(taken.argmax()) if taken.any() else len(taken) :]
+    angle, way = pose_distance(left, left[:1])
     if trip is not None:
         reaction: str = _WORST[trip["worst"]]
         if log.status == "failed":
@@ -117,7 +114,6 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         far = allowed and (turned[charge].max() > allowed[0] or moved[charge].max() > allowed[1])
         reaction = "unnoticed" if far else "ridden through"
     load = _holdable(log.scenario, log)
-    torque = np.abs(log["torque_applied"][after])
     return FaultRow(
         fault.name,
         motion,
@@ -129,11 +125,11 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         status=log.status,
         reason=log.reason,
         end_time=log.end_time,
-        peak_error_deg=float(np.degrees(turned[charge].max())) if charge.any() else None,
-        peak_error_mm=float(1e3 * moved[charge].max()) if charge.any() else None,
-        travel_deg=travel[0],
-        travel_mm=travel[1],
-        peak_torque=float(torque.max()) if len(torque) else None,
+        peak_error_deg=_largest(np.degrees(turned[charge])),
+        peak_error_mm=_largest(1e3 * moved[charge]),
+        travel_deg=_largest(np.degrees(angle)),
+        travel_mm=_largest(1e3 * way),
+        peak_torque=_largest(np.abs(log["torque_applied"][after])),
         holds_weight=None if load is None else load.weight,
         support_newton=None if load is None else load.support,
         force_newton=None if load is None else load.force,
@@ -141,6 +137,10 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         message=log.message,
         warnings=", ".join(each["name"] for each in log.warnings) or None,
     )
+
+
+def _largest(values: np.ndarray) -> float | None:
+    return float(values.max()) if values.size else None
 
 
 def all_rows() -> list[tuple[str, str]]:

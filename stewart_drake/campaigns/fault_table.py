@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,10 +124,8 @@ def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
         mine = [row for row in rows if row.fault == name]
         waits = [row.latency_ms for row in mine if row.latency_ms is not None] if _begins(name) else []
         ends = sorted({f"{wait:.0f}" for wait in (min(waits), max(waits))}, key=float) if waits else ["-"]
-        figures = []
-        for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
-            values = [value for row in mine if (value := getattr(row, figure)) is not None]
-            figures.append(f"{max(values):.2f}" if values else "-")
+        most = [_most(mine, figure) for figure in ("peak_error_deg", "peak_error_mm", "peak_torque")]
+        figures = ["-" if value is None else f"{value:.2f}" for value in most]
         words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
         told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
         lines.append((name, *told, "-".join(ends), *figures))
@@ -197,9 +195,9 @@ def _begins(name: str) -> bool:
 
 def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
     units = {"deg": "deg", "mm": "mm", "torque": "N m"}
-    parts = []
-    for name in names:
-        values = [value for row in rows.values() if (value := getattr(row, name)) is not None]
-        if values:
-            parts.append(f"{max(values):.2f} {units[name.rpartition('_')[2]]}")
-    return ", ".join(parts) or "-"
+    most = ((units[name.rpartition("_")[2]], _most(rows.values(), name)) for name in names)
+    return ", ".join(f"{value:.2f} {unit}" for unit, value in most if value is not None) or "-"
+
+
+def _most(rows: Iterable[FaultRow], name: str) -> float | None:
+    return max((value for row in rows if (value := getattr(row, name)) is not None), default=None)

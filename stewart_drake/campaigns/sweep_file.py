@@ -17,7 +17,7 @@ from pydantic import Field
 from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, split_key, value_at, vary
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
+from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
@@ -214,11 +214,6 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     if runs is not None:
         data["runs"] = runs
     return Sweep.from_dict(data, path.parent)
-
-
-def sweep_folder() -> Path:
-    """Folder of the sweeps that the package carries (in a checkout: diagrams/sweeps)."""
-    return shipped_folder("sweeps")
 
 
 def _generator(seed: int, key: str) -> np.random.Generator:

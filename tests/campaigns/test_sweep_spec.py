@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from stewart_drake.campaigns.plan import vary
-from stewart_drake.campaigns.sweep_file import Sweep, SweepFile, load_sweep, sweep_folder
+from stewart_drake.campaigns.sweep_file import Sweep, SweepFile, load_sweep
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file
+from stewart_drake.files.yaml_files import find_file, shipped_folder
 from stewart_drake.scenario import Scenario, load_scenario
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
@@ -170,11 +170,11 @@ def test_paths_are_relative_to_the_sweep_file(tmp_path):
 
 
 def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
-    names = [path.stem for path in sweep_folder().glob("*.yaml")]
+    names = [path.stem for path in shipped_folder("sweeps").glob("*.yaml")]
     assert "initial_offset" in names
     for name in names:
         s = load_sweep(name)
-        assert find_file("sweep", name) == sweep_folder() / f"{name}.yaml"
+        assert find_file("sweep", name) == shipped_folder("sweeps") / f"{name}.yaml"
         assert all(s.scenario(index).name == f"{name} {index}" for index in range(s.runs))
 
 
