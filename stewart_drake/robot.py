@@ -112,7 +112,7 @@ class RobotParameters(Section, key="robot"):
         along, up, constant = crank_equation(span, *directions, self.crank_lengths, self.rod_lengths)
         size = np.hypot(along, up)
         margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
-        low, high = np.clip(self.crank_angle_ranges, -1e3, 1e3).T
+        low, high = np.clip(self.crank_angle_ranges, -LARGEST, LARGEST).T
         if margin.min() > 0.0:
             theta = np.arctan2(up, along) + self.branches * np.arccos(constant / size)
             off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi

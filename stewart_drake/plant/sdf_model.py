@@ -16,7 +16,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
-from stewart_drake.leg import LEGS
+from stewart_drake.leg import LARGEST, LEGS
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
 from stewart_drake.plant.sdf_elements import (
     add_axis,
@@ -55,18 +55,26 @@ class HomeFrames:
         crank_rotation: (6, 3, 3) [-] R_BC: x along the crank, z along which its tip moves, so the motor axis is -y.
         crank_tips: (6, 3) [m] origins of the rod frames in B.
         rod_rotation: (6, 3, 3) [-] R_BR: z along the rod, x the motor axis projected square to the rod.
+        stops: (6, 2) [rad] of the motors, from home, in the turn that holds it; infinite where there is none.
     """
 
     crank_angles: np.ndarray
     crank_rotation: np.ndarray
     crank_tips: np.ndarray
     rod_rotation: np.ndarray
+    stops: np.ndarray
 
     @property
     def rod_in_crank(self) -> np.ndarray:
         """(6, 3, 3) [-] R_CF: the rod joint's frame F, fixed in the crank, which is the rod's own frame at home."""
         rotation: np.ndarray = np.swapaxes(self.crank_rotation, -1, -2) @ self.rod_rotation
         return rotation
+
+    def motor_angles(self, crank_angles: np.ndarray) -> np.ndarray:
+        """Motor angles (..., 6) [rad], zero at home, of theta of any turn: within half a turn of the stops' middle."""
+        middle = _middles(self.stops)
+        off = crank_angles - self.crank_angles - middle
+        return middle + np.arctan2(np.sin(off), np.cos(off))
 
 
 def crank_lateral(robot: RobotParameters) -> np.ndarray:
@@ -81,12 +89,19 @@ def home_frames(robot: RobotParameters) -> HomeFrames:
     # The shortest rotation that a universal joint leaves to the rod: its first axis as near to the motor's as can be.
     along_motor = -lateral + np.sum(lateral * legs.e_l, axis=-1, keepdims=True) * legs.e_l
     x = along_motor / np.linalg.norm(along_motor, axis=-1, keepdims=True)
+    turns = np.round((_middles(robot.crank_angle_ranges) - legs.crank_angles) / (2.0 * math.pi))
     return HomeFrames(
         crank_angles=legs.crank_angles,
         crank_rotation=np.stack([legs.crank, lateral, legs.e_n], axis=-1),
         crank_tips=robot.shaft_positions + robot.crank_lengths[:, None] * legs.crank,
         rod_rotation=np.stack([x, cross(legs.e_l, x), legs.e_l], axis=-1),
+        stops=robot.crank_angle_ranges - (legs.crank_angles + 2.0 * math.pi * turns)[:, None],
     )
+
+
+def _middles(ranges: np.ndarray) -> np.ndarray:
+    """Middles (6,) of ranges (6, 2) [rad]; zero where there are no stops."""
+    return np.asarray(np.clip(ranges, -LARGEST, LARGEST).mean(axis=-1))
 
 
 def sdf_text(robot: RobotParameters, *, rod_joint: RodJoint = "universal", collision: bool = True) -> str:
@@ -272,8 +287,7 @@ def _motor(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: i
     if leg == 0:
         note(model, "Motors: the only actuated joints; the effort limit is RobotParameters.effort_limit (assumed).")
     joint = add_joint(model, f"motor_{leg}", "revolute", "base", f"crank_{leg}")
-    stops = robot.crank_angle_ranges[leg] - frames.crank_angles[leg]
-    add_axis(joint, "axis", (0.0, -1.0, 0.0), robot.effort_limit, stops)
+    add_axis(joint, "axis", (0.0, -1.0, 0.0), robot.effort_limit, frames.stops[leg])
     if robot.rotor_inertia > 0.0:
         add_element(joint, "drake:rotor_inertia", exact_text((robot.rotor_inertia,)))
 

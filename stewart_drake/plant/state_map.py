@@ -108,7 +108,7 @@ class StateMap:
 
         index = self.indices
         state = np.zeros((*pose.shape[:-1], index.size))
-        state[..., index.crank] = _wrapped(legs.crank_angles - self._home.crank_angles)
+        state[..., index.crank] = self._home.motor_angles(legs.crank_angles)
         state[..., index.rod] = angles
         state[..., index.quaternion] = _quaternion(pose[..., :3])
         state[..., index.position] = pose[..., 3:]
@@ -196,11 +196,6 @@ class StateMap:
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     product: np.ndarray = (matrix @ vector[..., None])[..., 0]
     return product
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    wrapped: np.ndarray = np.arctan2(np.sin(angle), np.cos(angle))
-    return wrapped
 
 
 def _universal_angles(direction: np.ndarray) -> np.ndarray:

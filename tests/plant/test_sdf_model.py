@@ -156,3 +156,29 @@ def test_thin_links_keep_their_shapes_and_print_nothing(size, capfd, caplog):
     assert capfd.readouterr() == ("", "")
     assert caplog.records == []
     assert f"<radius>{size}</radius>" in text
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 1])
+def test_stops_hold_home_whatever_the_turn_that_their_angles_are_of(turns):
+    """The same range a turn on is the same range; an angle within it stays within it where it leaves (-pi, pi]."""
+    given = np.array([2.0, 8.0]) - 2.0 * np.pi
+    robot, other = (
+        RobotParameters(branch=1, legs=[{"crank_angle_range": tuple(given + shift)}] * 6)
+        for shift in (0.0, 2.0 * np.pi * turns)
+    )
+    frames = home_frames(other)
+    np.testing.assert_allclose(frames.stops, home_frames(robot).stops, atol=1e-14)
+    assert (frames.stops[:, 0] < 0.0).all()
+    assert (frames.stops[:, 1] > 0.0).all()
+    theta = given[0] + np.linspace(0.01, 5.99, 7)[:, None] + np.zeros(6)
+    motor = frames.motor_angles(np.arctan2(np.sin(theta), np.cos(theta)))
+    np.testing.assert_allclose(motor, theta - given[0] + frames.stops[:, 0], atol=1e-14)
+    model = ET.fromstring(sdf_text(other)).find("model")
+    limits = [model.find(f"joint[@name='motor_{leg}']/axis/limit") for leg in range(6)]
+    written = [[float(limit.findtext(end)) for end in ("lower", "upper")] for limit in limits]
+    np.testing.assert_array_equal(written, frames.stops)
+
+
+def test_motors_without_stops_turn_freely():
+    assert np.isinf(home_frames(ROBOT).stops).all()
+    assert "<lower>" not in sdf_text(ROBOT)
