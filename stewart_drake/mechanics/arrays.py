@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache, wraps
+from importlib import import_module
 from typing import Any, NamedTuple, TypeVar, cast
 
-import array_api_compat.numpy as compat_numpy
 import numpy as np
 from array_api_compat import array_namespace, device, is_array_api_obj
 
@@ -16,6 +16,8 @@ from stewart_drake.robot import RobotParameters
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _BLOCK = 1024  # poses at a time: vectors of six legs take 150 kB
+# From 2.0 on numpy is of the Array API itself; the layer for older ones loads all of it, tests and compilers included.
+_NUMPY: Any = np if hasattr(np, "matrix_transpose") else import_module("array_api_compat.numpy")
 
 Array = Any
 """Of any namespace of the Array API; float64."""
@@ -91,12 +93,11 @@ def numpy_robot(robot: RobotParameters) -> Robot:
 
 def robot_like(robots: RobotParameters | list[RobotParameters], like: Array) -> Robot:
     """One robot, or a batch of them along one axis, in the namespace and on the device of an array."""
-    xp = namespace(like)
     if isinstance(robots, list):
         fields = [np.stack(field, axis=-1) for field in zip(*map(numpy_robot, robots), strict=True)]
     else:
         fields = [field.copy() for field in numpy_robot(robots)]
-    return Robot(*(xp.asarray(field, dtype=xp.float64, device=device(like)) for field in fields))
+    return Robot(*(numbers_like(field, like, namespace(like).float64) for field in fields))
 
 
 def fitted(robot: Robot, rank: int) -> Robot:
@@ -115,7 +116,7 @@ def namespace(*arrays: Array) -> Any:
     for array in arrays:
         if type(array) is not np.ndarray:
             return array_namespace(*arrays)
-    return compat_numpy
+    return _NUMPY
 
 
 def stack(xp: Any, parts: Iterable[Array]) -> Array:
@@ -170,32 +171,41 @@ def as_array(values: Any) -> Array:
     return values
 
 
+def numbers_like(values: np.ndarray, like: Array, dtype: Any = None) -> Array:
+    """Numpy's numbers, copied, in the namespace and on the device of an array; of its type, if of no other."""
+    dtype = like.dtype if dtype is None else dtype
+    return namespace(like).asarray(np.array(values), dtype=dtype, device=device(like))
+
+
 def in_blocks(function: _F) -> _F:
     """Runs a function of a robot and arrays (..., 6) of numpy over blocks whose temporaries stay in the cache.
 
-    What it raises for a block it raises for all, so that an error names the worst of all.
+    Cut are the arguments with axes before the last, by place or by name, arrays or lists, where all have one shape;
+    others go to each block whole. What it raises for a block it raises for all, so that an error names the worst of
+    all.
     """
 
     @wraps(function)
     def run(robot: AnyRobot, *args: Any, **keywords: Any) -> Any:
-        arrays = [arg for arg in args if isinstance(arg, np.ndarray)]
-        shape = arrays[0].shape[:-1] if arrays else ()
-        count = math.prod(shape)
-        alike = all(type(array) is np.ndarray and array.shape == (*shape, 6) for array in arrays)
-        if count <= _BLOCK or not alike or (isinstance(robot, Robot) and robot.cranks.ndim > 1):
+        given: dict[Any, Any] = {**dict(enumerate(args)), **keywords}
+        cut = {at: as_array(value) for at, value in given.items() if np.ndim(value) > 1}
+        shape, *others = {array.shape for array in cut.values()} or {(6,)}
+        count = math.prod(shape[:-1])
+        whole = bool(others) or shape[-1] != 6 or not all(isinstance(array, np.ndarray) for array in cut.values())
+        if count <= _BLOCK or whole or (isinstance(robot, Robot) and robot.cranks.ndim > 1):
             return function(robot, *args, **keywords)
-        rows = [arg.reshape(-1, 6) if isinstance(arg, np.ndarray) else arg for arg in args]
+        rows = {at: array.reshape(-1, 6) for at, array in cut.items()}
         result: np.ndarray | None = None
         for start in range(0, count, _BLOCK):
-            block = slice(start, start + _BLOCK)
+            block = {**given, **{at: array[start : start + _BLOCK] for at, array in rows.items()}}
             try:
-                part = function(robot, *(x[block] if isinstance(x, np.ndarray) else x for x in rows), **keywords)
+                part = function(robot, *(block.pop(at) for at in range(len(args))), **block)
             except StewartDrakeError:
                 return function(robot, *args, **keywords)
             if result is None:
                 result = np.empty((count, *part.shape[1:]))
-            result[block] = part
-        return np.reshape(np.asarray(result), (*shape, *part.shape[1:]))
+            result[start : start + _BLOCK] = part
+        return np.reshape(np.asarray(result), (*shape[:-1], *part.shape[1:]))
 
     return cast(_F, run)
 

@@ -8,6 +8,7 @@ takes arrays of numpy or of any other namespace of the Array API; `kinematics_co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from stewart_drake.mechanics.arrays import (
     in_blocks,
     last,
     namespace,
+    numbers_like,
+    to_numpy,
 )
 from stewart_drake.mechanics.arrays import cross as cross_of_components
 from stewart_drake.mechanics.checks import checked, legs_within_reach, within_reach
@@ -44,12 +47,13 @@ def rotation_matrix(rpy: Array) -> np.ndarray:
     return xp.matrix_transpose(last(xp, core.rotation(rpy), 2))
 
 
-def rotation_angle(rotation: np.ndarray) -> np.ndarray:
+def rotation_angle(rotation: Array) -> np.ndarray:
     """Angle (...) [rad] of rotations (..., 3, 3)."""
-    return np.arccos(np.clip(0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0), -1.0, 1.0))
+    xp = namespace(rotation)
+    return xp.acos(xp.clip(0.5 * (xp.linalg.trace(rotation) - 1.0), -1.0, 1.0))
 
 
-def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
+def roll_pitch_yaw(matrix: Array) -> np.ndarray:
     """Roll, pitch, yaw of a rotation matrix; pitch in [-pi/2, pi/2].
 
     Args:
@@ -58,15 +62,11 @@ def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
     Returns:
         (..., 3) [rad].
     """
-    matrix = np.asarray(matrix, dtype=float)
-    return np.stack(
-        [
-            np.arctan2(matrix[..., 2, 1], matrix[..., 2, 2]),
-            np.arcsin(np.clip(-matrix[..., 2, 0], -1.0, 1.0)),
-            np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0]),
-        ],
-        axis=-1,
-    )
+    matrix = as_array(matrix)
+    xp = namespace(matrix)
+    roll = xp.atan2(matrix[..., 2, 1], matrix[..., 2, 2])
+    pitch = xp.asin(xp.clip(-matrix[..., 2, 0], -1.0, 1.0))
+    return xp.stack([roll, pitch, xp.atan2(matrix[..., 1, 0], matrix[..., 0, 0])], axis=-1)
 
 
 def euler_rate_matrix(rpy: Array) -> np.ndarray:
@@ -78,17 +78,14 @@ def euler_rate_matrix(rpy: Array) -> np.ndarray:
     Returns:
         (..., 3, 3) [-]; singular at pitch = +-pi/2.
     """
-    rpy = np.asarray(rpy, dtype=float)
-    sp, cp = np.sin(rpy[..., 1]), np.cos(rpy[..., 1])
-    sy, cy = np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
-    matrix = np.zeros((*rpy.shape[:-1], 3, 3))
-    matrix[..., 0, 0], matrix[..., 0, 1] = cy * cp, -sy
-    matrix[..., 1, 0], matrix[..., 1, 1] = sy * cp, cy
-    matrix[..., 2, 0], matrix[..., 2, 2] = -sp, 1.0
-    return matrix
+    rpy = as_array(rpy)
+    xp = namespace(rpy)
+    sp, cp, sy, cy = xp.sin(rpy[..., 1]), xp.cos(rpy[..., 1]), xp.sin(rpy[..., 2]), xp.cos(rpy[..., 2])
+    o = xp.zeros_like(sp)
+    return _of_entries(xp, (cy * cp, -sy, o, sy * cp, cy, o, -sp, o, o + 1.0))
 
 
-def euler_rate_matrix_dot(rpy: np.ndarray, rpy_rate: np.ndarray) -> np.ndarray:
+def euler_rate_matrix_dot(rpy: Array, rpy_rate: Array) -> np.ndarray:
     """Time derivative of `euler_rate_matrix` along `rpy_rate`.
 
     Args:
@@ -98,14 +95,19 @@ def euler_rate_matrix_dot(rpy: np.ndarray, rpy_rate: np.ndarray) -> np.ndarray:
     Returns:
         (..., 3, 3) [1/s].
     """
-    rpy, rpy_rate = np.asarray(rpy, dtype=float), np.asarray(rpy_rate, dtype=float)
-    sp, cp = np.sin(rpy[..., 1]), np.cos(rpy[..., 1])
-    sy, cy = np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
+    rpy, rpy_rate = as_array(rpy), as_array(rpy_rate)
+    xp = namespace(rpy, rpy_rate)
+    sp, cp, sy, cy = xp.sin(rpy[..., 1]), xp.cos(rpy[..., 1]), xp.sin(rpy[..., 2]), xp.cos(rpy[..., 2])
     pd, yd = rpy_rate[..., 1], rpy_rate[..., 2]
-    matrix = np.zeros((*rpy.shape[:-1], 3, 3))
-    matrix[..., 0, 0], matrix[..., 0, 1] = -sy * cp * yd - cy * sp * pd, -cy * yd
-    matrix[..., 1, 0], matrix[..., 1, 1] = cy * cp * yd - sy * sp * pd, -sy * yd
-    matrix[..., 2, 0] = -cp * pd
+    sink = -cp * pd
+    o = xp.zeros_like(sink)
+    first_row = -sy * cp * yd - cy * sp * pd, -cy * yd, o
+    return _of_entries(xp, (*first_row, cy * cp * yd - sy * sp * pd, -sy * yd, o, sink, o, o))
+
+
+def _of_entries(xp: Any, entries: tuple[Array, ...]) -> np.ndarray:
+    """Matrices (..., 3, 3) of nine entries (...), row by row."""
+    matrix: np.ndarray = xp.reshape(xp.stack(entries, axis=-1), (*entries[0].shape, 3, 3))
     return matrix
 
 
@@ -307,7 +309,8 @@ def forward_kinematics(
     Args:
         robot: Geometry.
         crank_angles: (..., 6) [rad].
-        guess: (..., 6) [rad, m] where to start; None starts at the home pose of a `RobotParameters`.
+        guess: (..., 6) [rad, m] where to start, in the namespace of the angles or numbers of numpy or of lists; None
+            starts at the home pose of a `RobotParameters`.
         tolerance: [m] largest rod-length error accepted.
         max_iterations: Newton steps at most.
 
@@ -322,9 +325,9 @@ def forward_kinematics(
     xp, own = namespace(theta), arrays_of(robot, theta)
     if theta.ndim < 1 or theta.shape[-1] != 6 or not bool(xp.all(xp.isfinite(theta))):
         raise ConfigurationError("crank_angles", theta, "finite numbers of shape (..., 6)")
-    if guess is None and isinstance(robot, RobotParameters):
-        guess = xp.asarray(np.array(robot.home_pose), dtype=theta.dtype)
-    start = as_array(guess)
+    start = as_array(robot.home_pose if guess is None and isinstance(robot, RobotParameters) else guess)
+    if isinstance(start, np.ndarray):
+        start = numbers_like(start, theta)
     if start.shape[-1:] != (6,) or not bool(xp.all(xp.isfinite(start))):
         raise ConfigurationError("guess", start, "finite numbers of shape (..., 6)")
     try:
@@ -335,7 +338,7 @@ def forward_kinematics(
     worst = np.inf
     for iteration in range(max_iterations + 1):
         rows, error = core.rod_errors(own, theta, pose)
-        worst = float(xp.max(xp.abs(error))) if error.shape[0] else 0.0
+        worst = float(to_numpy(xp.max(xp.abs(error)))) if 0 not in error.shape else 0.0
         if worst <= tolerance:
             return pose
         if iteration == max_iterations or not np.isfinite(worst):

@@ -509,7 +509,7 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
 
 # --- what a start loads -------------------------------------------------------------------------------------------
 
-HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy")
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "array_api_compat.numpy")
 
 
 @pytest.mark.parametrize(

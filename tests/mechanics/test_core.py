@@ -10,6 +10,7 @@ from strategies import ROBOT, ROBOTS, robots_and_poses, vectors
 
 from stewart_drake.compiled import control as compiled_control
 from stewart_drake.compiled import mechanism
+from stewart_drake.control import state_space
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.mechanics import dynamics, dynamics_core, force_map, kinematics, kinematics_core
 from stewart_drake.mechanics.arrays import Robot, numpy_robot, robot_like
@@ -31,8 +32,20 @@ FUNCTIONS = {
     "forward_kinematics": lambda r, q, v, a: kinematics.forward_kinematics(
         r, kinematics.inverse_kinematics(r, q), q + 0.01
     ),
+    "forward_kinematics from home": lambda r, q, v, a: kinematics.forward_kinematics(
+        r, kinematics.inverse_kinematics(r, q)
+    ),
+    "forward_kinematics from numbers": lambda r, q, v, a: kinematics.forward_kinematics(
+        r, kinematics.inverse_kinematics(r, q), r.home_pose.tolist()
+    ),
+    "roll_pitch_yaw": lambda r, q, v, a: kinematics.roll_pitch_yaw(kinematics.rotation_matrix(q[..., :3])),
+    "rotation_angle": lambda r, q, v, a: kinematics.rotation_angle(kinematics.rotation_matrix(q[..., :3]))[..., None],
+    "euler_rate_matrix": lambda r, q, v, a: kinematics.euler_rate_matrix(q[..., :3]),
+    "euler_rate_matrix_dot": lambda r, q, v, a: kinematics.euler_rate_matrix_dot(q[..., :3], v[..., :3]),
     "force_map": lambda r, q, v, a: force_map.force_map(r, q),
     "printed force_map": lambda r, q, v, a: force_map.force_map(r, q, "printed"),
+    "acceleration by force_map": lambda r, q, v, a: state_space.acceleration_map(r, q),
+    "input_matrix": lambda r, q, v, a: state_space.input_matrix(dynamics.pose_acceleration_map(r, q)),
     "static_torque": lambda r, q, v, a: dynamics.static_torque(r, q, GRAVITY),
     "inverse_dynamics": lambda r, q, v, a: dynamics.inverse_dynamics(r, q, v, a, GRAVITY),
     "forward_dynamics": lambda r, q, v, a: dynamics.forward_dynamics(r, q, v, a, GRAVITY),
@@ -118,18 +131,50 @@ def some_poses(robot, shape, seed=0):
 def test_numpy_torch_and_numba_give_the_same_over_any_leading_axes(robot, name):
     for shape in ((), (3,), (2, 3)):
         arrays = some_poses(robot, shape)
-        expected, found = FUNCTIONS[name](robot, *arrays), FUNCTIONS[name](robot, *tensors(*arrays))
+        traced = (tensor.requires_grad_() for tensor in tensors(*arrays))
+        expected, found = FUNCTIONS[name](robot, *arrays), FUNCTIONS[name](robot, *traced)
         assert type(expected) is np.ndarray
         assert isinstance(found, torch.Tensor)
         assert found.dtype == torch.float64
+        assert found.requires_grad
         scale = max(1.0, np.abs(expected).max())
-        np.testing.assert_allclose(found.numpy(), expected, rtol=0.0, atol=1e-12 * scale)
+        np.testing.assert_allclose(found.detach().numpy(), expected, rtol=0.0, atol=1e-12 * scale)
         for index in np.ndindex(shape):
             one = FUNCTIONS[name](robot, *(array[index] for array in arrays))
             np.testing.assert_allclose(expected[index], one, rtol=0.0, atol=1e-11 * scale)
             if name in COMPILED:
                 fast = COMPILED[name](robot, *(array[index].copy() for array in arrays))
                 np.testing.assert_allclose(fast, one, rtol=0.0, atol=1e-11 * scale)
+
+
+WAYS = {
+    "by place": lambda f, p, names: f(ROBOT, *p),
+    "by name": lambda f, p, names: f(ROBOT, p[0], **dict(zip(names[1:], p[1:], strict=True))),
+    "all by name": lambda f, p, names: f(robot=ROBOT, **dict(zip(names, p, strict=True))),
+    "as lists": lambda f, p, names: f(ROBOT, *(array.tolist() for array in p)),
+    "list by name": lambda f, p, names: f(ROBOT, *p[:-1], **{names[-1]: p[-1].tolist()}),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("function", "names"),
+    [
+        (dynamics.inverse_dynamics, ("pose", "pose_rate", "pose_acceleration")),
+        (dynamics.forward_dynamics, ("pose", "pose_rate", "torque")),
+        (dynamics.task_bias, ("pose", "twist")),
+        (kinematics.inverse_kinematics, ("pose",)),
+        (kinematics.pose_jacobian, ("pose",)),
+    ],
+)
+def test_many_poses_give_what_each_gives_in_whatever_way_they_are_passed(function, names, way):
+    for shape in ((3000,), (2, 1500)):
+        arrays = some_poses(ROBOT, shape)[: len(names)]
+        found = WAYS[way](function, arrays, names)
+        some = slice(None, None, 300)
+        expected = function(ROBOT, *(array.reshape(-1, 6)[some] for array in arrays))
+        assert found.shape == shape + expected.shape[1:]
+        np.testing.assert_allclose(found.reshape(-1, *expected.shape[1:])[some], expected, rtol=1e-10, atol=1e-10)
 
 
 @settings(max_examples=20, deadline=None)
@@ -161,7 +206,7 @@ def test_a_batch_of_robots_is_each_robot_alone():
     pose, rate, torque = some_poses(ROBOT, (5, len(robots)))
     batch = robot_like(robots, pose)
     for name, function in FUNCTIONS.items():
-        if name == "forward_kinematics" or "force_map" in name:
+        if name.startswith("forward_kinematics") or "force_map" in name:
             continue
         together = function(batch, pose, rate, torque)
         for k, robot in enumerate(robots):

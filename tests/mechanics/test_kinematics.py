@@ -349,3 +349,9 @@ def test_conditioning_is_a_ratio_of_singular_values_free_of_units(pose):
     )
     larger = ROBOT.replace(**{name: scale * getattr(ROBOT, name) for name in lengths})
     assert conditioning(larger, np.concatenate([pose[:3], scale * pose[3:]])) == pytest.approx(ratio, rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(0, 6), (3, 0, 6), (0, 3, 6)])
+def test_no_poses_and_no_angles_give_none(shape):
+    assert inverse_kinematics(ROBOT, np.zeros(shape)).shape == shape
+    assert forward_kinematics(ROBOT, np.zeros(shape)).shape == shape
