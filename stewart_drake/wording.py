@@ -109,7 +109,7 @@ def _problem(root: Any, report: Any, data: Any, section: str) -> tuple[Configura
         value, allowed = None, f"{describe(expected, unit)}; this key is required"
     elif kind == "string_pattern_mismatch":
         allowed = next((each for each in _metadata(expected) if isinstance(each, str)), "another text")
-    elif kind == "invalid_key":
+    elif kind == "invalid_key" or "[key]" in location:
         allowed = "keys that are texts"
     elif kind == "literal_error":
         allowed = chosen(value, [str(choice) for choice in get_args(_one(expected))]) + _or_null(expected)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import itertools
 import math
@@ -18,14 +17,12 @@ from pydantic import Field
 
 from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
 from stewart_drake.campaigns.one_run import Measure
-from stewart_drake.campaigns.sweep_file import _load_base, vary
+from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import anchor_files
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
+from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import NAME, NAME_WORDS, NotNegative, Positive, Section, Seed, Text
-from stewart_drake.wording import shown
+from stewart_drake.section import NotNegative, Positive, Section, Seed, Text
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
@@ -35,27 +32,28 @@ _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
 _NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
 
+Names = Annotated[tuple[Text, ...], Field(min_length=1)]
+
 
 class BestOf(Section):
     """A row for the best of some controllers, picked anew for each reference and condition."""
 
-    of: tuple[Text, ...]
+    of: Names
     """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""
 
 
 class Product(Section):
     """Every one of these controllers with every one of these references under every one of these conditions."""
 
-    controllers: tuple[Text, ...]
-    references: tuple[Text, ...]
-    conditions: tuple[Text, ...]
+    controllers: Names
+    references: Names
+    conditions: Names
 
 
 class Bands(Section):
     """Closed-loop amplitude and phase, one run for each controller, axis and frequency."""
 
     controllers: tuple[Text, ...]
-    """Names of controllers."""
     condition: Text
     """Name of a condition."""
     axes: tuple[Literal["roll", "pitch", "yaw", "X", "Y", "Z"], ...] = ("Z", "roll")
@@ -72,24 +70,19 @@ class Bands(Section):
     """[s] of the fit at least, in whole periods."""
 
 
-class CompareFile(Section):
+class CompareFile(PlanFile):
     """Keys of a comparison file."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS] = "comparison"
-    """Used for the output folder and titles."""
-    scenario: Text
-    """What is changed: a file, relative to the comparison file, or the name of a shipped scenario."""
-    set: Any = Field(default_factory=dict)
-    """Scenario key -> value, in every run."""
-    controllers: Any
+    name: PlanName = "comparison"
+    controllers: dict[Text, dict[Text, Any]]
     """Name -> (scenario key -> value)."""
-    references: Any
+    references: dict[Text, dict[Text, Any]]
     """Name -> (scenario key -> value); `duration` and `initial_offset` go well here."""
-    conditions: Any = Field(default_factory=lambda: {"nominal": {}})
+    conditions: dict[Text, dict[Text, Any]] = Field(default_factory=lambda: {"nominal": dict[str, Any]()})
     """Name -> (scenario key -> value), changed last."""
     best_of: dict[Text, BestOf] = Field(default_factory=dict)
     """Name -> the controllers that it is the best of."""
-    runs: tuple[Product, ...] | None = None
+    runs: Annotated[tuple[Product, ...], Field(min_length=1)] | None = None
     """What is run, at least one; null for all controllers on all references under all conditions."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
     """A run with the text {seed} among its values is done once with each, any other once with the first."""
@@ -131,17 +124,15 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """What is compared; a `runner.Plan` of the sweeps.
+class Comparison(Plan):
+    """What is compared.
 
     Attributes:
         file: Keys of the file.
-        base: The scenario, with `set` in it.
         cells: Runs of the table, then bands.
     """
 
     file: CompareFile
-    base: Scenario
     cells: tuple[Cell, ...]
 
     @classmethod
@@ -156,30 +147,17 @@ class Comparison:
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        if not isinstance(data, Mapping):
-            raise ConfigurationError("comparison", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        file = CompareFile.from_dict(dict(data))
-        fixed = _keys("set", file.set, folder)
-        base = vary(_load_base(file.scenario, folder), fixed, "set.")
-        parts = {kind: _entries(kind, getattr(file, kind), folder) for kind in _KINDS}
+        file = CompareFile.read("comparison", data, folder)
+        base = file.base(folder)
+        parts = {kind: getattr(file, kind) for kind in _KINDS}
         _check_names(file, parts)
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
             cells += _band_cells(file, file.bands, base, parts, quick)
         if len(cells) > MAX_RUNS:
             raise ConfigurationError("runs", f"{len(cells)} runs", f"at most {MAX_RUNS}")
-        return cls(file, base, tuple(cells))
-
-    @property
-    def name(self) -> str:
-        """For folders and titles."""
-        return self.file.name
-
-    @property
-    def runs(self) -> int:
-        """How many."""
-        return len(self.cells)
+        return cls(base, file, tuple(cells), runs=len(cells), name=file.name)
 
     @property
     def traced(self) -> str:
@@ -189,10 +167,6 @@ class Comparison:
     def run_seed(self, index: int) -> int:
         """Seed of run `index`."""
         return self.cells[index].seed
-
-    def run_name(self, index: int) -> str:
-        """Name of the scenario of run `index`."""
-        return f"{self.name} {index}"
 
     def draw(self, index: int) -> dict[str, Any]:
         """Which run it is."""
@@ -208,10 +182,6 @@ class Comparison:
         if cell.frequency is None:
             return partial(measure_run, band=self.file.band)
         return partial(measure_band, frequency=cell.frequency, axis=AXES[cell.reference], window=cell.window)
-
-    def scenario(self, index: int) -> Scenario:
-        """The scenario of run `index`."""
-        return vary(self.base, {"name": self.run_name(index), **self.cells[index].changes})
 
     def to_dict(self) -> dict[str, Any]:
         """All that the rows depend on, in plain types."""
@@ -237,33 +207,7 @@ def load_comparison(path: str | Path, quick: bool = False) -> Comparison:
     return Comparison.from_dict(data, path.parent, quick)
 
 
-def comparison_folder() -> Path:
-    """Folder of the comparisons that the package carries (in a checkout: diagrams/comparisons)."""
-    return shipped_folder("comparisons")
-
-
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
-
-
-def _entries(kind: str, given: Any, folder: Path) -> dict[str, dict[str, Any]]:
-    if not isinstance(given, Mapping) or not given:
-        raise ConfigurationError(kind, given, "a mapping of names to changed scenario keys, at least one")
-    for name in given:
-        if not isinstance(name, str) or _NAME.fullmatch(name) is None:
-            raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
-    return {name: _keys(f"{kind}.{shown(name)}", values, folder) for name, values in given.items()}
-
-
-def _keys(where: str, given: Any, folder: Path) -> dict[str, Any]:
-    """Scenario key -> value, paths in it made absolute."""
-    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise ConfigurationError(where, given, "a mapping of scenario keys to values")
-    keys = dict(given)
-    for key, value in given.items():
-        holder = {key: copy.deepcopy(value)}
-        anchor_files(holder, folder)
-        keys |= holder
-    return keys
 
 
 def _check_names(file: CompareFile, parts: _Parts) -> None:
@@ -275,21 +219,20 @@ def _check_names(file: CompareFile, parts: _Parts) -> None:
             if name not in allowed:
                 raise ConfigurationError(where, name, f"one of {', '.join(allowed)}")
 
+    for kind, entries in {**parts, "best_of": file.best_of}.items():
+        if not entries and kind != "best_of":
+            raise ConfigurationError(kind, {}, "at least one name, with the scenario keys that it changes")
+        for name in entries:
+            if _NAME.fullmatch(name) is None:
+                raise ConfigurationError(kind, name, "names of 1 to 80 characters, without |")
     for name, best in file.best_of.items():
-        if name in parts["controllers"] or _NAME.fullmatch(name) is None:
-            raise ConfigurationError(f"best_of.{shown(name)}", name, "a name that no controller has, without |")
-        if not best.of:
-            raise ConfigurationError(f"best_of.{shown(name)}.of", list(best.of), "at least one controller")
-        known(f"best_of.{shown(name)}.of", best.of, "controllers")
-    if file.runs == ():
-        raise ConfigurationError("runs", [], "at least one product, or null")
+        if name in parts["controllers"]:
+            raise ConfigurationError(f"best_of.{name}", name, "a name that no controller has")
+        known(f"best_of.{name}.of", best.of, "controllers")
     for index, product in enumerate(file.runs or ()):
         for kind in _KINDS:
-            if not getattr(product, kind):
-                raise ConfigurationError(f"runs.{index}.{kind}", [], "at least one name")
-        known(f"runs.{index}.controllers", product.controllers, "controllers", list(file.best_of))
-        known(f"runs.{index}.references", product.references, "references")
-        known(f"runs.{index}.conditions", product.conditions, "conditions")
+            others = list(file.best_of) if kind == "controllers" else ()
+            known(f"runs.{index}.{kind}", getattr(product, kind), kind, others)
     if file.traced is not None:
         known("traced", [file.traced], "references")
     if file.bands is not None:
@@ -313,7 +256,7 @@ def _table_cells(file: CompareFile, base: Scenario, parts: _Parts, quick: bool) 
             **parts["controllers"][controller],
             **parts["conditions"][condition],
         }
-        for seed in file.seeds if _has_seed(changes) else file.seeds[:1]:
+        for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
             seeded = {key: _with_seed(value, seed) for key, value in changes.items()}
             scenario = _checked(base, seeded, f"{controller}, {reference}, {condition}")
             if quick:
@@ -360,13 +303,7 @@ def _checked(base: Scenario, changes: Mapping[str, Any], what: str) -> Scenario:
     try:
         return vary(base, changes)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{what}: {error.key}", error.value, error.allowed) from None
-
-
-def _has_seed(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_has_seed, value.values()))
-    return any(map(_has_seed, value)) if isinstance(value, list) else value == SEED
+        raise error.within(f"{what}: ") from None
 
 
 def _with_seed(value: Any, seed: int) -> Any:

@@ -74,7 +74,7 @@ def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
 
     Args:
         comparison: What was run.
-        rows: See `runner.run_plan`.
+        rows: See `sweep.run_plan`.
     """
     flat = [_flat(comparison, row) for row in rows if comparison.cells[row["index"]].frequency is None]
     found: list[Row] = []
@@ -150,7 +150,7 @@ def _flat(comparison: Comparison, row: Row) -> Row:
 
 def _worst(group: Sequence[Row], name: str) -> float | None:
     values = [row.get(name) for row in group]
-    return None if None in values else max(float(value) for value in values if value is not None)
+    return None if None in values or not values else max(float(value) for value in values if value is not None)
 
 
 def _failure(group: Sequence[Row]) -> str | None:
@@ -177,10 +177,6 @@ def _chosen(group: Sequence[Row]) -> str:
     return f" ({', '.join(names)})" if names else ""
 
 
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
 def number(value: float | None) -> str:
     """Three significant digits, without an exponent."""
     if value is None:
@@ -191,17 +187,30 @@ def number(value: float | None) -> str:
 
 
 _Show = Callable[[float | None], str]
+
+
+def _as(form: str) -> _Show:
+    return lambda value: "-" if value is None else format(value, form)
+
+
 _LIST: Sequence[tuple[str, str, _Show]] = (
     ("RMSE [deg]", "rmse_norm_deg", number),
     ("RMSE [mm]", "rmse_norm_mm", number),
     ("worst half [mm]", "worst_half_rmse_norm_mm", number),
     ("peak [mm]", "peak_norm_mm", number),
-    ("settled [s]", "settling_s", lambda value: _text(value, ".2f")),
-    ("torque RMS [N m]", "torque_rms_second_half", lambda value: _text(value, ".3f")),
+    ("settled [s]", "settling_s", _as(".2f")),
+    ("torque RMS [N m]", "torque_rms_second_half", _as(".3f")),
     ("change per tick [N m]", "torque_change_rms", number),
-    ("at the limit", "saturated_fraction", lambda value: _text(value, ".1%")),
+    ("at the limit", "saturated_fraction", _as(".1%")),
 )
 """Heading, column and form of what the list shows of a run."""
+_WORST_OF_ALL: Sequence[tuple[str, str, _Show]] = (
+    ("settled, slowest [s]", "settling_s", _as(".2f")),
+    ("torque RMS, largest [N m]", "torque_rms_second_half", number),
+    ("change per tick, largest [N m]", "torque_change_rms", number),
+    ("at the limit, most", "saturated_fraction", _as(".1%")),
+)
+"""The same of what the grid shows over all motions."""
 
 
 def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
@@ -237,24 +246,10 @@ def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:
                     failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
                 )
             done = [row for row in all_of if row["status"] == "completed"]
-            settling = [row.get("settling_s") for row in done]
-            line.append(
-                "-" if None in settling or not done else f"{max(float(value or 0.0) for value in settling):.2f}"
-            )
-            line.append(number(_worst(done, "torque_rms_second_half")) if done else "-")
-            line.append(number(_worst(done, "torque_change_rms")) if done else "-")
-            line.append(_text(_worst(done, "saturated_fraction"), ".1%") if done else "-")
+            line += [show(_worst(done, name)) for _, name, show in _WORST_OF_ALL]
             line.append(f"{len(all_of) - len(done)} of {len(all_of)}")
             lines.append(tuple(line))
-        header = (
-            "controller",
-            *references,
-            "settled, slowest [s]",
-            "torque RMS, largest [N m]",
-            "change per tick, largest [N m]",
-            "at the limit, most",
-            "not completed",
-        )
+        header = ("controller", *references, *(heading for heading, _, _ in _WORST_OF_ALL), "not completed")
         brief = (*range(len(references) + 1), len(header) - 1)
         made.append(Sheet(f"{condition}: RMSE {_LATE}, rotation and position", header, tuple(lines), brief))
     return made

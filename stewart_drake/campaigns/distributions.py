@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metric_table import Kind
+from stewart_drake.registry import Family
 from stewart_drake.section import Count, Flag, Positive, Real, Section, check_plain
-from stewart_drake.wording import chosen
 
 LARGEST = 1e100
 """Bounds beyond this are slips of the pen; differences of them could leave floating point."""
@@ -114,7 +113,7 @@ class Normal(_Distribution):
         return float(ndtr(low)), float(ndtr(high)), mirrored
 
 
-class Integers(_Distribution):
+class Integers(_Between):
     """Whole numbers from `low` to `high`, both included, equally often."""
 
     kind: Literal["integers"] = "integers"
@@ -122,10 +121,6 @@ class Integers(_Distribution):
     high: Whole
 
     column: ClassVar[Kind] = "whole"
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        _check_order(self.low, self.high)
 
     def at(self, quantile: float) -> int:
         """See `_Distribution.at`."""
@@ -141,7 +136,7 @@ class Choice(_Distribution):
     def rules(self) -> None:
         """See `Section.rules`."""
         check_plain("values", self.values)
-        if self.factor and not all(_is_number(value) for value in self.values):
+        if self.factor and not all(is_number(value) for value in self.values):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
 
     def at(self, quantile: float) -> Any:
@@ -156,33 +151,16 @@ class Grid(Choice):
 
 
 Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
-KINDS: Mapping[str, type[Distribution]] = {
-    "uniform": Uniform,
-    "loguniform": LogUniform,
-    "normal": Normal,
-    "integers": Integers,
-    "choice": Choice,
-    "grid": Grid,
-}
-
-
-def parse_distribution(key: str, data: Any) -> Distribution:
-    """A distribution from plain values, as YAML gives them.
-
-    Args:
-        key: Where they stand, for messages.
-        data: With a `kind` and what that kind wants.
-
-    Raises:
-        ConfigurationError: Names the key, the value and what is allowed.
-    """
-    kinds = ", ".join(KINDS)
-    if not isinstance(data, Mapping):
-        raise ConfigurationError(key, data, f"a section such as {{kind: uniform, low: 0, high: 1}}; kinds: {kinds}")
-    kind = data.get("kind")
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise ConfigurationError(f"{key}.kind", kind, chosen(kind, list(KINDS)))
-    return KINDS[kind].from_dict(dict(data), key)
+DISTRIBUTIONS = Family(
+    {
+        "uniform": (Uniform,),
+        "loguniform": (LogUniform,),
+        "normal": (Normal,),
+        "integers": (Integers,),
+        "choice": (Choice,),
+        "grid": (Grid,),
+    }
+)
 
 
 def column_of(distribution: Distribution) -> Kind:
@@ -194,7 +172,7 @@ def column_of(distribution: Distribution) -> Kind:
         return "flag"
     if all(isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63 for value in values):
         return "whole"
-    if all(_is_number(value) for value in values):
+    if all(is_number(value) for value in values):
         return "number"
     return "text" if all(isinstance(value, str) for value in values) else "json"
 
@@ -204,5 +182,6 @@ def _check_order(low: float, high: float) -> None:
         raise ConfigurationError("high", high, f"more than low, {low:g}")
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value is a number, and no truth value."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -29,6 +29,8 @@ NO_WORKERS_TIMEOUT = 60.0
 
 WORN = 200
 """Pieces of work after which a worker process is replaced: each leaves some tenths of a megabyte behind in Drake."""
+PROCESSES = max(1, min(8, os.cpu_count() or 1))
+"""On this machine, where nobody says how many."""
 
 
 class Workplace(ABC):
@@ -83,7 +85,7 @@ class LocalProcesses(Workplace):
     worn = WORN
 
     def __init__(self, workers: int | None = None) -> None:
-        self.workers = max(1, min(8, os.cpu_count() or 1)) if workers is None else workers
+        self.workers = PROCESSES if workers is None else workers
 
     def open(self, most: int) -> Executor:
         """See `Workplace.open`."""

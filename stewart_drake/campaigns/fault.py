@@ -1,12 +1,18 @@
-"""A fault of the table: a change of the scenario, and what is expected of it."""
+"""Faults of the table: each a change of the scenario, and what is expected of it; they stand in `faults.yaml`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import Field
+
+from stewart_drake.files.yaml_files import parse_yaml
+from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.safety import SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.section import Flag, NotNegative, Section, Text, Vector6
 
 Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
 """refused: before the start. ridden through: no monitor tripped, and none had to. unnoticed: none tripped, but the true
@@ -14,57 +20,65 @@ pose went farther from the reference than `safety.following_error` allows. held:
 bridged it. ramped: a safe hold, then the end. ended: without one, since the robot could not be held; brakes are all
 that is left."""
 
-ONSET = 0.5
+_FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
+ONSET: float = _FILE["onset"]
 """[s] when every fault begins."""
-DURATION = 2.0
-"""[s] of each run; assumed long enough for what a fault does to show."""
+DURATION: float = _FILE["duration"]
+"""[s] of each run."""
+MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
 
-HOME = [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]
-MOTIONS: Mapping[str, Mapping[str, Any]] = {
-    "hold": {"kind": "hold", "pose": HOME},
-    "breathing": {"kind": "breathing", "phase": 0.0},
-    "paper": {"kind": "sine"},
+_TICK = 0.001
+"""[s] of `exact_fig7`."""
+_WITHIN = {
+    "at_once": 0.0,
+    "deadline": 2 * _TICK,
+    "estimator": EncoderOptions.hold_ticks * _TICK,
+    "torque_limit": SafetyOptions.torque_limit_time,
+    "torque_rate": SafetyOptions.torque_rate_time,
 }
-"""Breathing begins at end-inhale, so that it moves when the fault comes."""
+"""[s] at_once: in the tick of the fault. deadline: of the safety layer. estimator: it bridges readings that it cannot
+believe for so long. Others: time in which that monitor trips."""
 
 
-@dataclass(frozen=True)
-class Fault:
-    """A row of the table.
+class Fault(Section):
+    """A row of the table."""
 
-    Attributes:
-        name: Stable name.
-        text: One line.
-        changes: Scenario keys; `reference` is the motion's, whatever they say.
-        drift: (6,) [rad, m] by which the reference wanders off; None for not at all.
-        drift_time: [s] in which it does.
-        checked: Whether the run is checked beforehand, as a user's is.
-        expected: Reactions allowed.
-        monitors: Monitors allowed to trip first; empty where none may.
-        since: [s] from which it acts; 0 for what is wrong from the start.
-        encoders: Keys of `sensors`, for a loop with encoders and commands a tick late; None for ideal sensors.
-        within: [s] within which a monitor trips, from the limits of the layer alone; None where it takes as long as
-            the motion and the robot take to show it.
-    """
+    name: Text
+    """Stable name."""
+    text: Text
+    """One line."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Scenario keys; `reference` is the motion's, whatever they say."""
+    expected: tuple[Reaction, ...] = ("ridden through",)
+    """Reactions allowed."""
+    monitors: tuple[Text, ...] = ()
+    """Monitors allowed to trip first; empty where none may."""
+    drift: Vector6 | None = None
+    """[rad, m] by which the reference wanders off; null for not at all."""
+    drift_time: NotNegative = 0.8
+    """[s] in which it does."""
+    checked: Flag = True
+    """Whether the run is checked beforehand, as a user's is."""
+    since: NotNegative = ONSET
+    """[s] from which it acts; 0 for what is wrong from the start."""
+    encoders: dict[str, Any] | None = None
+    """Keys of `sensors`, for a loop with encoders and commands a tick late; null for ideal sensors."""
+    within: NotNegative | None = None
+    """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
+    and the robot take to show it."""
 
-    name: str
-    text: str
-    changes: Mapping[str, Any]
-    expected: tuple[Reaction, ...]
-    monitors: tuple[str, ...] = ()
-    drift: tuple[float, ...] | None = None
-    drift_time: float = 0.8
-    checked: bool = True
-    since: float = ONSET
-    encoders: Mapping[str, Any] | None = None
-    within: float | None = None
+    @classmethod
+    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """The file has a name for the time `within`."""
+        return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
 
     def scenario(self, motion: str) -> Scenario:
         """The run of this fault during a motion of `MOTIONS`."""
         reference: Mapping[str, Any] = MOTIONS[motion]
         if self.drift is not None:
-            away = [a + b for a, b in zip(HOME, self.drift, strict=True)]
-            path = {"kind": "minimum_jerk", "poses": [HOME, away], "durations": [self.drift_time], "dwell": [ONSET]}
+            home = MOTIONS["hold"]["pose"]
+            away = [a + b for a, b in zip(home, self.drift, strict=True)]
+            path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
         changes: dict[str, Any] = {"name": f"{self.name} {motion}", "reference": dict(reference), **self.changes}
         if self.encoders is not None:
@@ -78,12 +92,6 @@ def base() -> Scenario:
     return load_scenario("exact_fig7").replace({"duration": DURATION, "safety": {}})
 
 
-THROUGH: tuple[Reaction, ...] = ("ridden through",)
-STOPPED: tuple[Reaction, ...] = ("ramped", "ended")
-MOVING = ("following_error", "crank_speed", "torque_limit")
-"""Monitors that see what a loop does that has lost its hold on the robot."""
-
-TICK = 0.001
-"""[s] of `exact_fig7`."""
-AT_ONCE = 0.0
-"""[s] in the tick of the fault."""
+FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())
+"""In the order of the table."""
+BY_NAME = {fault.name: fault for fault in FAULTS}

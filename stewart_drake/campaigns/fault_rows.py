@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.fault import MOTIONS, Fault, Reaction
-from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault import BY_NAME, FAULTS, MOTIONS, Fault, Reaction
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
 from stewart_drake.hardware.motors import HoldableLoad, holdable_load
@@ -30,7 +29,7 @@ def _column(unit: str, text: str, kind: Kind = "number", **default: Any) -> Any:
 class FaultRow:
     """A row; see `COLUMNS` for what each column says."""
 
-    fault: str = _column("", "name in fault_catalogue.FAULTS", "text", default=MISSING)
+    fault: str = _column("", "name in fault.FAULTS", "text", default=MISSING)
     motion: str = _column("", "name in fault.MOTIONS", "text", default=MISSING)
     reaction: str = _column(
         "", "see fault.Reaction; broke where the run ended without the safety layer", "text", default=MISSING
@@ -78,7 +77,7 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
     """Runs a fault during a motion.
 
     Args:
-        fault: Of `catalogue.FAULTS`, or one of the caller's.
+        fault: Of `fault.FAULTS`, or one of the caller's.
         motion: Of `fault.MOTIONS`.
     """
     try:
@@ -90,7 +89,7 @@ def fault_row(fault: Fault, motion: str) -> FaultRow:
 
 def named_row(name: str, motion: str) -> FaultRow:
     """`fault_row` by the fault's name; for workers."""
-    return fault_row(next(fault for fault in FAULTS if fault.name == name), motion)
+    return fault_row(BY_NAME[name], motion)
 
 
 def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
@@ -101,11 +100,8 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
     taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
     turned, moved = pose_distance(log["pose"], log["reference"])
     charge = after & ~taken
-    travel: tuple[float | None, float | None] = None, None
-    if taken.any():
-        first = int(taken.argmax())
-        angle, way = pose_distance(log["pose"][first:], log["pose"][first : first + 1])
-        travel = float(np.degrees(angle.max())), float(1e3 * way.max())
+    left = log["pose"][int(taken.argmax()) if taken.any() else len(taken) :]
+    angle, way = pose_distance(left, left[:1])
     if trip is not None:
         reaction: str = _WORST[trip["worst"]]
         if log.status == "failed":
@@ -118,7 +114,6 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         far = allowed and (turned[charge].max() > allowed[0] or moved[charge].max() > allowed[1])
         reaction = "unnoticed" if far else "ridden through"
     load = _holdable(log.scenario, log)
-    torque = np.abs(log["torque_applied"][after])
     return FaultRow(
         fault.name,
         motion,
@@ -130,11 +125,11 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         status=log.status,
         reason=log.reason,
         end_time=log.end_time,
-        peak_error_deg=float(np.degrees(turned[charge].max())) if charge.any() else None,
-        peak_error_mm=float(1e3 * moved[charge].max()) if charge.any() else None,
-        travel_deg=travel[0],
-        travel_mm=travel[1],
-        peak_torque=float(torque.max()) if len(torque) else None,
+        peak_error_deg=_largest(np.degrees(turned[charge])),
+        peak_error_mm=_largest(1e3 * moved[charge]),
+        travel_deg=_largest(np.degrees(angle)),
+        travel_mm=_largest(1e3 * way),
+        peak_torque=_largest(np.abs(log["torque_applied"][after])),
         holds_weight=None if load is None else load.weight,
         support_newton=None if load is None else load.support,
         force_newton=None if load is None else load.force,
@@ -142,6 +137,10 @@ def measured_row(fault: Fault, motion: str, log: SimulationLog) -> FaultRow:
         message=log.message,
         warnings=", ".join(each["name"] for each in log.warnings) or None,
     )
+
+
+def _largest(values: np.ndarray) -> float | None:
+    return float(values.max()) if values.size else None
 
 
 def all_rows() -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +11,7 @@ from typing import Any
 
 from stewart_drake.campaigns.engine import Work, fill
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, Fault
-from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault import BY_NAME, DURATION, FAULTS, MOTIONS, ONSET, Fault
 from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
 from stewart_drake.campaigns.identity import identity
 from stewart_drake.campaigns.row_store import Row, RowStore
@@ -30,7 +29,7 @@ class FaultTable:
     """The rows and where they are kept.
 
     Attributes:
-        rows: In the order of `catalogue.FAULTS`, motion by motion.
+        rows: In the order of `fault.FAULTS`, motion by motion.
         parquet: File with all columns of `FaultRow`.
         markdown: File with the short form and an explanation.
     """
@@ -125,10 +124,8 @@ def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
         mine = [row for row in rows if row.fault == name]
         waits = [row.latency_ms for row in mine if row.latency_ms is not None] if _begins(name) else []
         ends = sorted({f"{wait:.0f}" for wait in (min(waits), max(waits))}, key=float) if waits else ["-"]
-        figures = []
-        for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"):
-            values = [value for row in mine if (value := getattr(row, figure)) is not None]
-            figures.append(f"{max(values):.2f}" if values else "-")
+        most = [_most(mine, figure) for figure in ("peak_error_deg", "peak_error_mm", "peak_torque")]
+        figures = ["-" if value is None else f"{value:.2f}" for value in most]
         words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
         told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
         lines.append((name, *told, "-".join(ends), *figures))
@@ -151,7 +148,6 @@ def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
 
 def markdown_table(rows: Sequence[FaultRow]) -> str:
     """The table as a Markdown page."""
-    faults = {fault.name: fault for fault in FAULTS}
     page = [
         "# Fault table",
         "",
@@ -169,7 +165,7 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "",
         "What the faults are:",
         "",
-        *(_told(faults[name]) for name in dict.fromkeys(row.fault for row in rows)),
+        *(_told(BY_NAME[name]) for name in dict.fromkeys(row.fault for row in rows)),
         "",
         "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
         "",
@@ -194,14 +190,14 @@ def _end(row: FaultRow) -> str:
 
 
 def _begins(name: str) -> bool:
-    return next(fault for fault in FAULTS if fault.name == name).since > 0.0
+    return BY_NAME[name].since > 0.0
 
 
 def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
     units = {"deg": "deg", "mm": "mm", "torque": "N m"}
-    parts = []
-    for name in names:
-        values = [value for row in rows.values() if (value := getattr(row, name)) is not None]
-        if values:
-            parts.append(f"{max(values):.2f} {units[name.rpartition('_')[2]]}")
-    return ", ".join(parts) or "-"
+    most = ((units[name.rpartition("_")[2]], _most(rows.values(), name)) for name in names)
+    return ", ".join(f"{value:.2f} {unit}" for unit, value in most if value is not None) or "-"
+
+
+def _most(rows: Iterable[FaultRow], name: str) -> float | None:
+    return max((value for row in rows if (value := getattr(row, name)) is not None), default=None)

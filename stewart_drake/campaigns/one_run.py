@@ -144,7 +144,7 @@ def measure(log: SimulationLog) -> Row:
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:
-    from stewart_drake.campaigns.sweep_file import vary
+    from stewart_drake.campaigns.plan import vary
     from stewart_drake.scenario import Scenario
 
     try:

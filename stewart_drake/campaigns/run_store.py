@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import Given, LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.executors import PROCESSES, Given, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.identity import identity
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.errors import ConfigurationError
@@ -47,7 +46,7 @@ class RunStore:
     """
 
     folder: Path
-    workers: int = max(1, min(8, os.cpu_count() or 1))
+    workers: int = PROCESSES
 
     def run_all(
         self,

@@ -7,21 +7,21 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from stewart_drake.campaigns.distributions import Choice
 from stewart_drake.campaigns.engine import Work, fill
 from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.identity import identity
-from stewart_drake.campaigns.one_run import Measure, RunFunction, Task, empty_row, execute, simulate, simulate_figures
+from stewart_drake.campaigns.one_run import RunFunction, Task, empty_row, execute, simulate, simulate_figures
+from stewart_drake.campaigns.plan import Plan, vary
 from stewart_drake.campaigns.row_store import TABLES, Row, RowStore
-from stewart_drake.campaigns.sweep_file import Sweep, vary
+from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.campaigns.sweep_table import BEFORE, INCIDENTAL, sweep_table, varied_columns
 from stewart_drake.campaigns.tables import write_table
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.scenario import Scenario
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,7 +32,7 @@ class SweepResult:
     """What a sweep leaves.
 
     Attributes:
-        table: One row a run, sorted by index; see `table`.
+        table: One row a run, sorted by index; see `sweep_table`.
         rows: The same as plain values.
         path: The Parquet file.
     """
@@ -40,33 +40,6 @@ class SweepResult:
     table: pa.Table
     rows: list[Row]
     path: Path
-
-
-class Plan(Protocol):
-    """Runs of one scenario with some keys changed, each known by its index."""
-
-    @property
-    def base(self) -> Scenario:
-        """The scenario."""
-
-    @property
-    def runs(self) -> int:
-        """How many."""
-
-    def run_seed(self, index: int) -> int:
-        """Seed of a run, for its row."""
-
-    def run_name(self, index: int) -> str:
-        """Name of its scenario."""
-
-    def draw(self, index: int) -> Mapping[str, Any]:
-        """`values` of its row."""
-
-    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Scenario key -> value for what `draw` gave."""
-
-    def measure(self, index: int) -> Measure | None:
-        """What goes into its row; None for `one_run.measure`."""
 
 
 def run_plan(

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import difflib
 import hashlib
 import math
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,27 +14,21 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.campaigns.distributions import Choice, Distribution, Grid, column_of, parse_distribution
+from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
+from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, split_key, value_at, vary
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import anchor_files
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
-from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import NAME, NAME_WORDS, Count, Flag, Section, Seed, Text
+from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
 MAX_RUNS = 1_000_000
 Sampler = Literal["random", "sobol"]
 
-_KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
-
-class SweepFile(Section):
+class SweepFile(PlanFile):
     """Keys of a sweep file."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS] = "sweep"
-    """Used for the output folder and titles."""
-    scenario: Text
-    """What is varied: a file, relative to the sweep file, or the name of a shipped scenario."""
+    name: PlanName = "sweep"
     runs: Annotated[Count, Field(ge=1, le=MAX_RUNS)] | None = None
     """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
     seed: Seed = 0
@@ -48,24 +39,19 @@ class SweepFile(Section):
     mismatch: Flag = False
     """The controller keeps believing in the robot of the scenario while `robot.*` varies: `model_robot` becomes that
     robot, where the scenario has none of its own."""
-    set: Any = Field(default_factory=dict)
-    """Scenario key -> value, changed in every run."""
-    distributions: Any
+    distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Plan):
     """A scenario and what its keys are drawn from.
 
     The draws for run i depend on `seed`, i and the key alone: not on how many runs there are, nor on other keys (with
     the sampler `sobol`: not on how many runs there are).
 
     Attributes:
-        base: The scenario, with everything fixed in it.
         distributions: Scenario key -> distribution.
-        runs: How many.
-        name: For folders and titles.
         seed: Everything random follows from it.
         sampler: See `SweepFile`.
 
@@ -73,10 +59,8 @@ class Sweep:
         ConfigurationError: A key that the scenario lacks, that overlaps another, or whose distribution does not suit.
     """
 
-    base: Scenario
     distributions: Mapping[str, Distribution]
-    runs: int
-    name: str = "sweep"
+    name: str = field(default="sweep", kw_only=True)
     seed: int = 0
     sampler: Sampler = "random"
 
@@ -89,14 +73,14 @@ class Sweep:
             allowed = "a key that figures depend on: a sweep keeps no logs and looks at every tick"
             raise ConfigurationError("distributions.log_period", "log_period", allowed)
         data = self.base.to_dict()
-        paths = [_split(key) for key in self.distributions]
+        paths = [split_key(key) for key in self.distributions]
         for key, path in zip(self.distributions, paths, strict=True):
             over = next(
                 (k for k, p in zip(self.distributions, paths, strict=True) if p != path and path[: len(p)] == p), None
             )
             if over is not None:
                 raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
-            self._check(key, _current(data, key, "distributions."))
+            self._check(key, value_at(data, key, "distributions."))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
@@ -109,31 +93,20 @@ class Sweep:
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        if not isinstance(data, Mapping):
-            raise ConfigurationError("sweep", data, "a mapping of keys to values")
         folder = Path() if folder is None else folder
-        given = SweepFile.from_dict(dict(data))
-        fixed = _mapping("set", given.set, "values")
-        drawn = _mapping("distributions", given.distributions, "distributions")
-        base = vary(_load_base(given.scenario, folder), {k: _anchored(k, v, folder) for k, v in fixed.items()}, "set.")
+        given = SweepFile.read("sweep", data, folder)
+        base = given.base(folder)
         if given.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
-        distributions: dict[str, Distribution] = {}
-        for key, section in drawn.items():
-            distribution = parse_distribution(f"distributions.{shown(key)}", section)
-            if isinstance(distribution, Choice):
-                values = [_anchored(key, value, folder) for value in distribution.values]
-                distribution = type(distribution).from_dict({**distribution.to_dict(), "values": values})
-            distributions[key] = distribution
         runs = given.runs
         if runs is None:
-            grids = [d for d in distributions.values() if isinstance(d, Grid)]
+            grids = [d for d in given.distributions.values() if isinstance(d, Grid)]
             if not grids:
                 raise ConfigurationError("runs", None, "a number of runs; it may be left out where a key has a grid")
             runs = math.prod(len(grid.values) for grid in grids)
             if runs > MAX_RUNS:
                 raise ConfigurationError("distributions", f"{runs} combinations", f"grids of at most {MAX_RUNS}")
-        return cls(base, distributions, runs, given.name, given.seed, given.sampler)
+        return cls(base, given.distributions, given.seed, given.sampler, runs=runs, name=given.name)
 
     def run_seed(self, index: int) -> int:
         """Seed of run `index`, below 2^63."""
@@ -161,21 +134,6 @@ class Sweep:
             for key, value in drawn.items()
         }
 
-    def scenario(self, index: int) -> Scenario:
-        """The scenario of run `index`.
-
-        Raises:
-            ConfigurationError: The values drawn do not make one.
-        """
-        return vary(self.base, {"name": self.run_name(index), **self.changes(self.draw(index))})
-
-    def measure(self, index: int) -> None:
-        """See `runner.Plan`; the figures that every sweep has."""
-
-    def run_name(self, index: int) -> str:
-        """Name of the scenario of run `index`."""
-        return f"{self.name} {index}"
-
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain types, the whole scenario included."""
         return {
@@ -202,7 +160,7 @@ class Sweep:
     @cached_property
     def _bases(self) -> dict[str, Any]:
         data = self.base.to_dict()
-        return {key: _current(data, key, "distributions.") for key in self.distributions}
+        return {key: value_at(data, key, "distributions.") for key in self.distributions}
 
     @cached_property
     def _points(self) -> np.ndarray:
@@ -224,7 +182,7 @@ class Sweep:
                 self._check_value(key, current, value)
         elif isinstance(current, list):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
-        elif current is not None and (isinstance(current, bool) or not isinstance(current, (int, float))):
+        elif current is not None and not is_number(current):
             raise ConfigurationError(where, current, "a key that holds a number; kinds for others are choice and grid")
         elif isinstance(current, int) and column_of(distribution) != "whole":
             raise ConfigurationError(where, distribution.kind, "whole numbers, by the kinds integers, choice or grid")
@@ -236,7 +194,7 @@ class Sweep:
         try:
             vary(self.base, {key: value})
         except ConfigurationError as error:
-            path = ".".join(map(str, _split(key)))
+            path = ".".join(map(str, split_key(key)))
             if error.key == path or error.key.startswith(f"{path}."):
                 raise ConfigurationError(f"distributions.{shown(key)}", error.value, error.allowed) from None
 
@@ -258,103 +216,6 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     return Sweep.from_dict(data, path.parent)
 
 
-def sweep_folder() -> Path:
-    """Folder of the sweeps that the package carries (in a checkout: diagrams/sweeps)."""
-    return shipped_folder("sweeps")
-
-
-def vary(base: Scenario, changes: Mapping[str, Any], section: str = "") -> Scenario:
-    """A scenario with some keys changed, components of lists among them.
-
-    Args:
-        base: What to change.
-        changes: Key such as `robot.rod_length` or `initial_offset[0]` -> plain value.
-        section: Goes before the key where a message names it.
-
-    Raises:
-        ConfigurationError: The key does not exist, or what comes out is no scenario.
-    """
-    data = base.to_dict()
-    whole: dict[str, Any] = {}
-    for key, value in changes.items():
-        path = _split(key, section)
-        first = next((k for k, part in enumerate(path) if isinstance(part, int)), len(path))
-        name, inside = ".".join(str(part) for part in path[:first]), path[first:]
-        if not inside:
-            whole[name] = value
-            continue
-        _current(data, key, section)
-        whole.setdefault(name, copy.deepcopy(_current(data, name, section)))
-        here = whole[name]
-        for part in inside[:-1]:
-            here = here[part]
-        here[inside[-1]] = value
-    return base.replace(whole)
-
-
-def _split(key: str, section: str = "distributions.") -> tuple[str | int, ...]:
-    """Parts of a key: names and indices.
-
-    Raises:
-        ConfigurationError: It is none.
-    """
-    if _KEY.fullmatch(key) is None:
-        raise ConfigurationError(f"{section}{shown(key)}", key, "a key such as robot.rod_length or initial_offset[0]")
-    return tuple(int(index) if index else name for name, index in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", key))
-
-
-def _current(data: dict[str, Any], key: str, section: str) -> Any:
-    """Value of a key in a scenario.
-
-    Raises:
-        ConfigurationError: The scenario has no such key.
-    """
-    here: Any = data
-    where: list[str] = []
-    for part in _split(key, section):
-        inside = ".".join(where) or "the scenario"
-        if isinstance(part, int):
-            if not isinstance(here, list):
-                raise ConfigurationError(f"{section}{key}", here, f"a key without [{part}]: {inside} is no list")
-            if part >= len(here):
-                raise ConfigurationError(f"{section}{key}", part, f"a component from 0 to {len(here) - 1}")
-        elif not isinstance(here, dict):
-            hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
-            raise ConfigurationError(f"{section}{key}", here, f"a key in a section: {inside} is none{hint}")
-        elif part not in here:
-            close = difflib.get_close_matches(part, here, n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
-            raise ConfigurationError(f"{section}{shown(key)}", part, f"{guess}{inside} has {', '.join(here)}")
-        here = here[part]
-        where.append(str(part))
-    return here
-
-
-def _mapping(key: str, value: Any, of: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
-        raise ConfigurationError(key, value, f"a mapping of scenario keys to {of}")
-    return dict(value)
-
-
-def _load_base(name: str, folder: Path) -> Scenario:
-    relative = folder / name
-    try:
-        found = relative.is_file()
-    except OSError:
-        found = False
-    try:
-        return load_scenario(relative if found else name)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"scenario: {error.key}", error.value, error.allowed) from None
-
-
-def _anchored(key: str, value: Any, folder: Path) -> Any:
-    """`value`, with the paths of files in it made absolute."""
-    holder = {key: copy.deepcopy(value)}
-    anchor_files(holder, folder)
-    return holder[key]
-
-
 def _generator(seed: int, key: str) -> np.random.Generator:
     """Random numbers of one key in one run: another key in the sweep changes nothing about them."""
     words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32)
@@ -364,7 +225,7 @@ def _generator(seed: int, key: str) -> np.random.Generator:
 def _numbers(value: Any) -> bool:
     if isinstance(value, list):
         return bool(value) and all(map(_numbers, value))
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number(value)
 
 
 def _times(value: Any, factor: float) -> Any:

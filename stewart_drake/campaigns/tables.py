@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stewart_drake.files.parquet_files import to_csv
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.metric_table import Column
 
@@ -49,15 +50,6 @@ def to_parquet(table: pa.Table) -> bytes:
 
     stream = io.BytesIO()
     pq.write_table(table, stream, compression="zstd")
-    return stream.getvalue()
-
-
-def to_csv(table: pa.Table) -> bytes:
-    """The table as a CSV file, without its metadata."""
-    from pyarrow import csv
-
-    stream = io.BytesIO()
-    csv.write_csv(table, stream)
     return stream.getvalue()
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status
 from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
@@ -171,6 +171,10 @@ class SimulationLog:
         """(n,) [s] simulated time of each row."""
         return self.signals["time"]
 
+    def outcome(self) -> dict[str, Any]:
+        """What the log says besides its signals, in values that JSON has."""
+        return {name: _plain(getattr(self, name)) for name in _OUTCOME}
+
     def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
         """Column name -> (values (n,), unit, frame, explanation)."""
         columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
@@ -230,11 +234,7 @@ class SimulationLog:
 
     def to_csv(self) -> bytes:
         """The signals as a CSV file; of scenario and outcome it says nothing, so `load_log` does not read it."""
-        from pyarrow import csv
-
-        stream = io.BytesIO()
-        csv.write_csv(self.table(), stream)
-        return stream.getvalue()
+        return to_csv(self.table())
 
     def save(self, path: str | Path) -> None:
         """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
@@ -249,20 +249,7 @@ class SimulationLog:
         write_atomically(Path(path), formats[ending]())
 
 
-_OUTCOME = (
-    "status",
-    "reason",
-    "message",
-    "outcome_time",
-    "end_time",
-    "leg",
-    "warnings",
-    "safety",
-    "wall_time",
-    "versions",
-    "files",
-    "figures",
-)
+_OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in ("scenario", "signals", "state_names"))
 """What a log says besides its signals."""
 
 
@@ -280,7 +267,7 @@ def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) 
         "version": _VERSION,
         "scenario": log.scenario.to_dict(),
         "state_names": list(log.state_names),
-        "outcome": {name: _plain(getattr(log, name)) for name in _OUTCOME},
+        "outcome": log.outcome(),
     }
     waiting = iter(tables)
     held = [next(waiting)]
@@ -336,7 +323,7 @@ def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
     try:
         scenario = Scenario.from_dict(scenario)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+        raise error.within(f"{key}: ") from None
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
         components = state_names if name == "plant_state" else spec.components

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import psutil
@@ -35,8 +35,14 @@ class OutOfSpaceError(RunFailure):
     reason = "disk_full"
 
 
-class LogRows(Protocol):
-    """Takes the rows of a run as they come."""
+class LogRows:
+    """Takes the rows of a run as they come. This one keeps them all in memory."""
+
+    _held: ClassVar[float | None] = None
+    """Rows that are in memory at a time; None for all."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Mapping[str, np.ndarray]] = []
 
     def check(self, scenario: Scenario) -> None:
         """Called before the run.
@@ -44,63 +50,38 @@ class LogRows(Protocol):
         Raises:
             ConfigurationError: There is not enough memory for the rows.
         """
+        # All of them are there twice in the end.
+        rows = 2.0 * scenario.duration / scenario.effective_log_period if self._held is None else self._held
+        need, free = _WORKING + 8.0 * COLUMNS * rows, psutil.virtual_memory().available
+        if need > free:
+            allowed = (
+                f"one at which the run fits into memory: it takes {need / 1e9:.3g} GB, and {free / 1e9:.3g} are free"
+            )
+            raise ConfigurationError("log_period", scenario.effective_log_period, allowed)
 
     def begin(self, header: SimulationLog) -> None:
         """Called once; `header` has no signals, and the outcome that holds if nothing is heard of the run again."""
 
     def add(self, signals: Mapping[str, np.ndarray]) -> None:
         """The next rows."""
+        self._waiting.append(signals)
 
     def end(self, log: SimulationLog) -> SimulationLog:
         """`log`, which has no signals, with the rows."""
+        return replace(log, signals=_joined(self._waiting))
 
 
-class RowsInMemory:
-    """Keeps all rows."""
-
-    def __init__(self) -> None:
-        self._parts: list[Mapping[str, np.ndarray]] = []
-
-    def check(self, scenario: Scenario) -> None:
-        """See `LogRows.check`; in the end the rows are there twice."""
-        rows = scenario.duration / scenario.effective_log_period
-        _check_memory(scenario, 2.0 * 8.0 * COLUMNS * rows)
-
-    def begin(self, header: SimulationLog) -> None:
-        """See `LogRows.begin`."""
-
-    def add(self, signals: Mapping[str, np.ndarray]) -> None:
-        """See `LogRows.add`."""
-        self._parts.append(signals)
-
-    def end(self, log: SimulationLog) -> SimulationLog:
-        """See `LogRows.end`."""
-        return replace(log, signals=_joined(self._parts))
-
-
-class NoRows:
+class NoRows(LogRows):
     """Drops all rows; the figures of a run do without."""
 
-    def __init__(self) -> None:
-        self._empty: dict[str, np.ndarray] = {}
-
-    def check(self, scenario: Scenario) -> None:
-        """See `LogRows.check`."""
-        _check_memory(scenario, 0.0)
-
-    def begin(self, header: SimulationLog) -> None:
-        """See `LogRows.begin`."""
+    _held = 0.0
 
     def add(self, signals: Mapping[str, np.ndarray]) -> None:
         """See `LogRows.add`."""
-        self._empty = {name: values[:0] for name, values in signals.items()}
-
-    def end(self, log: SimulationLog) -> SimulationLog:
-        """See `LogRows.end`."""
-        return replace(log, signals=self._empty)
+        self._waiting = [{name: values[:0] for name, values in signals.items()}]
 
 
-class RowsInFile:
+class RowsInFile(LogRows):
     """Writes rows to numbered parts as they come, and in the end all of them to `log.parquet`.
 
     A process that is killed leaves the parts, which `load_log` reads.
@@ -109,16 +90,14 @@ class RowsInFile:
         folder: It exists, and nobody else writes there.
     """
 
+    _held = 3.0 * ROW_GROUP
+
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self.folder, self._parts = folder, folder / UNFINISHED
         self._header: SimulationLog | None = None
-        self._waiting: list[Mapping[str, np.ndarray]] = []
         self._rows = self._written = 0
         self._flushed = time.monotonic()
-
-    def check(self, scenario: Scenario) -> None:
-        """See `LogRows.check`; its space on the disk is the business of who made the folder."""
-        _check_memory(scenario, 3.0 * 8.0 * COLUMNS * ROW_GROUP)
 
     def begin(self, header: SimulationLog) -> None:
         """See `LogRows.begin`."""
@@ -131,7 +110,7 @@ class RowsInFile:
         Raises:
             OutOfSpaceError: The disk is full, or the like.
         """
-        self._waiting.append(signals)
+        super().add(signals)
         self._rows += len(signals["time"])
         if self._rows >= ROW_GROUP or time.monotonic() - self._flushed > _FLUSH_TIME:
             self._flush()
@@ -179,11 +158,3 @@ class RowsInFile:
 
 def _joined(parts: list[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
-
-
-def _check_memory(scenario: Scenario, rows: float) -> None:
-    """Refuses a run whose rows, so many bytes, do not fit into the memory that is free."""
-    need, free = _WORKING + rows, psutil.virtual_memory().available
-    if need > free:
-        allowed = f"one at which the run fits into memory: it takes {need / 1e9:.3g} GB, and {free / 1e9:.3g} are free"
-        raise ConfigurationError("log_period", scenario.effective_log_period, allowed)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -99,10 +99,6 @@ def _each(form: str, axes: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(form.format(axis) for axis in axes)
 
 
-def _list(values: np.ndarray) -> list[float]:
-    return [float(value) for value in values]
-
-
 def _torque_change(tally: Tally) -> float | None:
     squares, count = tally.torque_change
     return float(np.sqrt(squares / count)) if count else None
@@ -112,55 +108,51 @@ def _mean_weight(index: int) -> Callable[[Tally], float | None]:
     return lambda tally: None if tally.weights is None else float(tally.weights[index] / tally.ticks)
 
 
+def _pair(
+    name: str,
+    text: str,
+    of: Callable[[Tally], Any],
+    over: Over = "late_ticks",
+    what: Sequence[str] = ("roll, pitch, yaw error", "position error"),
+    labels: Sequence[str] = ("", ""),
+    each: bool = False,
+) -> list[Metric]:
+    """Two metrics, NAME_deg and NAME_mm, of what `of` gives in rad and in m: (2,), or (6,) with `each` axis a column.
+
+    `text` has a place for `what` the two are of.
+    """
+    made = []
+    for place, (unit, factor, axes) in enumerate((("deg", 180.0 / np.pi, _ANGLES), ("mm", 1e3, _LENGTHS))):
+
+        def value(tally: Tally, place: int = place, factor: float = factor) -> float | list[float]:
+            sizes = factor * np.reshape(of(tally), (2, -1))[place]
+            return sizes.tolist() if each else float(sizes[0])
+
+        parts = _each(f"{name}_{{}}_{unit}", axes) if each else ()
+        made.append(Metric(f"{name}_{unit}", unit, text.format(what[place]), value, over, parts, labels[place]))
+    return made
+
+
 METRICS: list[Metric] = [
-    Metric(
-        "rmse_deg", "deg", "root mean square error", lambda t: _list(np.degrees(t.late_rms[:3])),
-        parts=_each("rmse_{}_deg", _ANGLES), label="RMSE roll pitch yaw, second half",
+    *_pair(
+        "rmse", "root mean square error", lambda t: t.late_rms, each=True,
+        labels=("RMSE roll pitch yaw, second half", "RMSE X Y Z, second half"),
     ),
-    Metric(
-        "rmse_mm", "mm", "root mean square error", lambda t: _list(1e3 * t.late_rms[3:]),
-        parts=_each("rmse_{}_mm", _LENGTHS), label="RMSE X Y Z, second half",
+    *_pair(
+        "peak", "largest error", lambda t: t.late_peaks, "late_steps", each=True,
+        labels=("peak roll pitch yaw, second half", "peak X Y Z, second half"),
     ),
-    Metric(
-        "peak_deg", "deg", "largest error", lambda t: _list(np.degrees(t.late_peaks[:3])), "late_steps",
-        parts=_each("peak_{}_deg", _ANGLES), label="peak roll pitch yaw, second half",
-    ),
-    Metric(
-        "peak_mm", "mm", "largest error", lambda t: _list(1e3 * t.late_peaks[3:]), "late_steps",
-        parts=_each("peak_{}_mm", _LENGTHS), label="peak X Y Z, second half",
-    ),
-    Metric(
-        "rmse_norm_deg", "deg", "RMS length of the roll, pitch, yaw error",
-        lambda t: float(np.degrees(t.late_rms_norms[0])),
-    ),
-    Metric("rmse_norm_mm", "mm", "RMS length of the position error", lambda t: float(1e3 * t.late_rms_norms[1])),
-    Metric(
-        "worst_half_rmse_norm_deg", "deg", "RMS length of the roll, pitch, yaw error, the larger of both halves",
-        lambda t: float(np.degrees(t.worst_half_rms[0])),
-    ),
-    Metric(
-        "worst_half_rmse_norm_mm", "mm", "RMS length of the position error, the larger of both halves",
-        lambda t: float(1e3 * t.worst_half_rms[1]),
-    ),
+    *_pair("rmse_norm", "RMS length of the {}", lambda t: t.late_rms_norms),
+    *_pair("worst_half_rmse_norm", "RMS length of the {}, the larger of both halves", lambda t: t.worst_half_rms),
     Metric(
         "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
         lambda t: float(1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0])),
     ),
-    Metric(
-        "peak_norm_deg", "deg", "largest length of the roll, pitch, yaw error",
-        lambda t: float(np.degrees(t.late_norms[0])), "late_steps",
-    ),
-    Metric(
-        "peak_norm_mm", "mm", "largest length of the position error",
-        lambda t: float(1e3 * t.late_norms[1]), "late_steps",
-    ),
-    Metric(
-        "error_max_deg", "deg", "largest angle from the reference while the controller was in charge, whole run",
-        lambda t: float(np.degrees(t.largest["rotation"])), "steps", label="largest angle from the reference",
-    ),
-    Metric(
-        "error_max_mm", "mm", "largest distance from the reference while the controller was in charge, whole run",
-        lambda t: 1e3 * t.largest["position"], "steps", label="largest distance from it",
+    *_pair("peak_norm", "largest length of the {}", lambda t: t.late_norms, "late_steps"),
+    *_pair(
+        "error_max", "largest {} from the reference while the controller was in charge, whole run",
+        lambda t: (t.largest["rotation"], t.largest["position"]), "steps", ("angle", "distance"),
+        ("largest angle from the reference", "largest distance from it"),
     ),
     Metric("motion_ratio", "1", "size of the platform's motion over that of its reference", lambda t: t.motion_ratio),
     Metric(

@@ -39,25 +39,18 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
         tally = Tally(log.scenario)
         tally.add(log.signals)
         figures = plain_json(tally.figures())
-    metrics: dict[str, Any] = {
+    outcome = log.outcome()
+    wall, versions, files, _ = (outcome.pop(name) for name in ("wall_time", "versions", "files", "figures"))
+    return {
         "scenario": log.scenario.name,
-        "status": log.status,
-        "reason": log.reason,
-        "message": log.message,
-        "outcome_time": log.outcome_time,
-        "end_time": log.end_time,
-        "leg": log.leg,
-        "warnings": [dict(each) for each in log.warnings],
-        "safety": None if log.safety is None else dict(log.safety),
+        **outcome,
         **{metric.name: figures.get(metric.name) for metric in METRICS},
         NOT_FINITE: figures.get(NOT_FINITE, {}),
+        "real_time_factor": log.end_time / wall if wall > 0.0 else None,
+        "git_revision": versions.pop("git_revision", None),
+        "versions": versions,
+        "files": files,
     }
-    metrics["real_time_factor"] = log.end_time / log.wall_time if log.wall_time > 0.0 else None
-    versions = dict(log.versions)
-    metrics["git_revision"] = versions.pop("git_revision", None)
-    metrics["versions"] = versions
-    metrics["files"] = dict(log.files)
-    return metrics
 
 
 def integral_at(log: SimulationLog, time: float) -> list[float] | None:

@@ -11,19 +11,23 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator
 
-from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, QUIET, SKY, TEXT, YELLOW, label, panels
+from stewart_drake.plotting.panels import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    QUIET,
+    SKY,
+    TEXT,
+    YELLOW,
+    label,
+    legend_below,
+    logarithmic,
+    panels,
+)
 
 _Styles = Mapping[str, Mapping[str, Any]]
-_STYLES = (
-    (QUIET, "v"),
-    (YELLOW, "^"),
-    (ORANGE, "D"),
-    (BLUE, "o"),
-    (PURPLE, "s"),
-    (GREEN, ">"),
-    (TEXT, "h"),
-    (SKY, "*"),
-)
+_STYLES = tuple(zip((QUIET, YELLOW, ORANGE, BLUE, PURPLE, GREEN, TEXT, SKY), "v^Dos>h*", strict=True))
 _BAND = "#F4F6F8"
 _BESIDE = 3
 """Panels that have room side by side."""
@@ -38,7 +42,7 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """RMSE of the pose by reference and controller, a panel a condition, logarithmic; failures at the right edge.
 
     Args:
-        rows: See `comparison.table.table_rows`; `pose_rmse_mm` is drawn, of several seeds each.
+        rows: See `comparison_table.table_rows`; `pose_rmse_mm` is drawn, of several seeds each.
     """
     styles = _styles(rows)
     shown: dict[str, list[str]] = {}
@@ -65,11 +69,9 @@ def plot_rmse(rows: Sequence[Mapping[str, Any]]) -> Figure:
                 panel.axhspan(place - 0.5, place + 0.5, color=_BAND, zorder=0.0)
             runs = [row for row in rows if (row["reference"], row["condition"]) == (reference, condition)]
             _plot_lanes(panel, runs, styles, place, low, edge)
-        panel.set_xscale("log")
+        logarithmic(panel, "x")
         panel.set_xlim(low, high * (high / low) ** 0.09)
         panel.xaxis.set_major_locator(LogLocator(numticks=6 if beside else 12))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.minorticks_off()
         panel.set_ylim(-0.5, len(references) - 0.5)
         panel.set_yticks(range(len(references)), list(reversed(references)), fontsize=10)
         panel.tick_params(axis="y", length=0)
@@ -100,7 +102,7 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
     """Size of the pose error over time on one reference, a panel a condition, logarithmic.
 
     Args:
-        rows: With `trace`, see `comparison.figures.measure_run`.
+        rows: With `trace`, see `comparison_figures.measure_run`.
         band: [mm] drawn as the band within which a run counts as settled.
     """
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
@@ -118,9 +120,7 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
             panel.plot(time, size, color=color, linewidth=1.5)
             if row["status"] != "completed":
                 panel.plot(time[-1], size[-1], color=color, **_CROSS)
-        panel.set_yscale("log")
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.minorticks_off()
+        logarithmic(panel, "y")
         label(panel, condition, "time [s]" if condition == conditions[-1] else "", "pose error [mm]")
     sizes = [min(value, _LARGEST) for row in rows for value in row["trace"]["pose_mm"] if value]
     if sizes:
@@ -134,7 +134,7 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis.
 
     Args:
-        rows: See `comparison.table.band_rows`.
+        rows: See `comparison_table.band_rows`.
     """
     styles = _styles(rows)
     axes_names = list(dict.fromkeys(row["reference"] for row in rows))
@@ -158,16 +158,11 @@ def plot_bands(rows: Sequence[Mapping[str, Any]]) -> Figure:
             left = np.abs(1.0 - ratio * np.exp(1j * np.radians(lag)))
             rest.plot(frequency, left, **look)
         for panel in (amplitude, phase, rest):
-            panel.set_xscale("log")
+            logarithmic(panel, "x")
             panel.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]))
-            panel.xaxis.set_major_formatter("{x:g}")
-            panel.minorticks_off()
-        rest.set_yscale("log")
-        rest.yaxis.set_major_formatter("{x:g}")
-        rest.minorticks_off()
-        amplitude.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
-        phase.axhline(0.0, color=TEXT, linewidth=0.8, zorder=1.0)
-        rest.axhline(1.0, color=TEXT, linewidth=0.8, zorder=1.0)
+        logarithmic(rest, "y")
+        for panel, level in ((amplitude, 1.0), (phase, 0.0), (rest, 1.0)):
+            panel.axhline(level, color=TEXT, linewidth=0.8, zorder=1.0)
         first = column == 0
         label(amplitude, f"{name}: amplitude", "", "pose / reference [-]" if first else "")
         label(phase, f"{name}: phase", "", "phase [deg]" if first else "")
@@ -205,4 +200,4 @@ def _legend(figure: Figure, styles: _Styles, more: Sequence[Line2D] = (), lines:
         for name, style in styles.items()
     ]
     columns = 3 if max(map(len, styles), default=0) > 24 else 4
-    figure.legend(handles=[*handles, *more], loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    legend_below(figure, [*handles, *more], columns, 9.0)

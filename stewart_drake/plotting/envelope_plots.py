@@ -13,16 +13,11 @@ from matplotlib.ticker import MaxNLocator
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.motion_envelope import crank_rates
 from stewart_drake.planning.workspace_region import Survey
+from stewart_drake.plotting import panels as look
 from stewart_drake.plotting.workspace_plots import COLORS, WORDS, Slice, limit_keys, line_keys, use_bar
 
-_TEXT, _QUIET, _FIRST = "#222222", "#8C8C8C", "#000000"
-# Okabe and Ito's palette without its yellow; the first run is black and thicker.
-_RUNS = (_FIRST, "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7")
-_AXES = (
-    *(("roll", "deg", "deg/s"), ("pitch", "deg", "deg/s"), ("yaw", "deg", "deg/s")),
-    *(("X", "mm", "mm/s"), ("Y", "mm", "mm/s"), ("Z", "mm", "mm/s")),
-)
-_SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
+_RUNS = ("#000000", look.YELLOW, look.SKY, look.GREEN, look.BLUE, look.ORANGE, look.PURPLE)
+"""The first run is black and thicker."""
 
 
 def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndarray]) -> Figure:
@@ -33,30 +28,28 @@ def plot_motion_map(found: Survey, log: SimulationLog, use: Mapping[str, np.ndar
         log: The run.
         use: Utilisation (n,) of each limit at the poses of the log.
     """
-    figure = Figure(figsize=(12.0, 6.0), facecolor="white", layout="constrained")
-    map_, time_ = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    figure, ((map_, time_),) = look.wide(1, 2, 6.0, width_ratios=(1.25, 1.0))
     drawn = Slice(found)
     drawn.prepare(map_)
     seen = drawn.use_image(map_)
     drawn.lines(map_)
-    for path, color, width in ((log["pose"], _FIRST, 1.3), (log["reference"], "#FFFFFF", 1.3)):
-        across, up = (_SCALES[c] * path[:, c] for c in drawn.columns)
+    for path, color, width in ((log["pose"], _RUNS[0], 1.3), (log["reference"], "#FFFFFF", 1.3)):
+        across, up = (look.SCALES[c] * path[:, c] for c in drawn.columns)
         map_.plot(across, up, color=color, linewidth=width)
-    map_.set_title("Path over a slice: run black, reference white", loc="left", fontsize=11, fontweight="bold")
+    look.headline(map_, "Path over a slice: run black, reference white")
     use_bar(figure, map_)
     lines = [
         time_.plot(log.time, values, color=COLORS[name], linewidth=1.6, label=WORDS[name])[0]
         for name, values in use.items()
     ]
-    time_.axhline(1.0, color=_TEXT, linewidth=1.2)
+    time_.axhline(1.0, color=look.TEXT, linewidth=1.2)
     largest = max(float(np.nanmax(values)) for values in use.values())
     time_.set_ylim(0.0, max(1.12, 1.05 * min(2.0, largest)))
-    _plain(time_)
+    _open_grid(time_)
     time_.set_xlabel("time [s]")
     time_.set_ylabel("part of the limit taken up, at rest [-]")
-    time_.set_title("What the run takes up of each limit", loc="left", fontsize=11, fontweight="bold")
-    keys = [*line_keys(), *limit_keys(seen), *lines]
-    figure.legend(handles=keys, loc="outside lower center", ncols=5, frameon=False, fontsize=9.5)
+    look.headline(time_, "What the run takes up of each limit")
+    look.legend_below(figure, [*line_keys(), *limit_keys(seen), *lines], 5, 9.5)
     return figure
 
 
@@ -70,21 +63,20 @@ def plot_state_region(logs: Sequence[SimulationLog], names: Sequence[str], range
     """
     figure, panels = _six()
     for axis, panel in enumerate(panels):
-        scale = _SCALES[axis]
-        name, unit, rate_unit = _AXES[axis]
+        scale = look.SCALES[axis]
+        name, unit = look.COORDINATES[axis]
         for log, style in zip(logs, _styles(names), strict=True):
             panel.plot(scale * log["pose"][:, axis], scale * log["pose_rate"][:, axis], **style)
         _open(panel, 0.02 * scale if axis < 3 else 1.0)
         low, high = panel.get_xlim()
         for end in scale * ranges[:, axis]:
             if low < end < high:
-                panel.axvline(end, color=_QUIET, linestyle=(0, (4, 2)), linewidth=1.2)
+                panel.axvline(end, color=look.QUIET, linestyle=(0, (4, 2)), linewidth=1.2)
         panel.set_xlabel(f"{name} [{unit}]")
-        panel.set_ylabel(f"rate [{rate_unit}]")
+        panel.set_ylabel(f"rate [{unit}/s]")
         allowed = f"limits at rest {scale * ranges[0, axis]:.0f} .. {scale * ranges[1, axis]:.0f} {unit}"
-        panel.set_title(name, loc="left", fontsize=11, fontweight="bold", color=_TEXT)
-        panel.set_title(allowed, loc="right", fontsize=8.5, color=_TEXT)
-    _legend(figure, panels[0])
+        look.headline(panel, name, allowed)
+    look.legend_below(figure, panels[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -102,8 +94,8 @@ def plot_torque_region(
     figure, panels = _six()
     rates = [crank_rates(log.scenario.robot, log["pose"], log["pose_rate"]) for log in logs]
     for motor, panel in enumerate(panels):
-        panel.axhline(0.0, color=_QUIET, linewidth=0.7)
-        panel.axvline(0.0, color=_QUIET, linewidth=0.7)
+        panel.axhline(0.0, color=look.QUIET, linewidth=0.7)
+        panel.axvline(0.0, color=look.QUIET, linewidth=0.7)
         for log, rate, style in zip(logs, rates, _styles(names), strict=True):
             panel.plot(rate[:, motor], log["torque_applied"][:, motor], **style)
         _open(panel, 0.1)
@@ -113,44 +105,31 @@ def plot_torque_region(
         ):
             for side in () if limit is None else (-limit, limit):
                 if low < side < high:
-                    draw(side, color=_QUIET, linestyle=(0, (4, 2)), linewidth=1.2)
+                    draw(side, color=look.QUIET, linestyle=(0, (4, 2)), linewidth=1.2)
         panel.set_xlabel("crank speed [rad/s]")
         panel.set_ylabel("torque [N m]")
         peak = max(float(np.abs(log["torque_applied"][:, motor]).max()) for log in logs)
-        panel.set_title(f"Motor {motor}", loc="left", fontsize=11, fontweight="bold", color=_TEXT)
-        panel.set_title(
-            f"peak {peak:.2f} N m, {100.0 * peak / torque_limit:.0f} % of the limit", loc="right", fontsize=8.5
-        )
-    _legend(figure, panels[0])
+        look.headline(panel, f"Motor {motor}", f"peak {peak:.2f} N m, {100.0 * peak / torque_limit:.0f} % of the limit")
+    look.legend_below(figure, panels[0].get_legend_handles_labels()[0])
     return figure
 
 
 def _six() -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(12.0, 7.2), facecolor="white", layout="constrained")
-    panels = list(figure.subplots(2, 3).ravel())
-    for panel in panels:
-        _plain(panel)
-    return figure, panels
+    figure, panels = look.wide(2, 3, 7.2)
+    for panel in panels.flat:
+        _open_grid(panel)
+    return figure, list(panels.flat)
 
 
-def _plain(panel: Axes) -> None:
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.spines[["left", "bottom"]].set_color(_QUIET)
-    panel.tick_params(colors=_TEXT, color=_QUIET, labelsize=9)
-    panel.grid(color="#EBEBEB", linewidth=0.8)
-    panel.set_axisbelow(True)
+def _open_grid(panel: Axes) -> None:
+    look.plain(panel)
     panel.xaxis.set_major_locator(MaxNLocator(5))
     panel.yaxis.set_major_locator(MaxNLocator(5))
 
 
 def _styles(names: Sequence[str]) -> list[dict[str, Any]]:
     return [
-        {
-            "color": _RUNS[run % len(_RUNS)],
-            "linewidth": 2.0 if run == 0 else 0.9,
-            "zorder": 3.0 - 0.1 * run,
-            "label": name,
-        }
+        {"color": _RUNS[run % len(_RUNS)], "linewidth": 0.9 if run else 2.0, "zorder": 3.0 - 0.1 * run, "label": name}
         for run, name in enumerate(names)
     ]
 
@@ -161,7 +140,3 @@ def _open(panel: Axes, least: float) -> None:
         low, high = get()
         missing = max(0.0, 0.5 * (least - (high - low)))
         put(low - missing, high + missing)
-
-
-def _legend(figure: Figure, panel: Axes) -> None:
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=10)

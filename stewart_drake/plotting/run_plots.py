@@ -21,51 +21,34 @@ from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.metrics import run_metrics, tracking_error
 from stewart_drake.logs.tally import INTEGRAL_TIME
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, QUIET, SCALES, TEXT, headline, legend_below, plain
 
 DPI = 150
 """[1/inch] resolution of saved figures."""
 
-# Okabe and Ito's palette, which people with any colour vision can tell apart. Axis 1, 2, 3 as in RGB triads.
-_AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
+_AXIS_COLORS = (ORANGE, GREEN, BLUE)
+"""Axis 1, 2, 3 as in RGB triads."""
 LARGEST = 1e9
 """What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
 
-_QUIET, _TEXT, _FAILURE = "#8C8C8C", "#222222", "#B2182B"
+_FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8
-_DASHED: dict[str, Any] = {"color": _TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+_DASHED: dict[str, Any] = {"color": TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
 
 
 class _Group(NamedTuple):
     """Three coordinates that share a unit: a column of the figure."""
 
     columns: slice
-    scale: float
     unit: str
     names: tuple[str, str, str]
     symbols: tuple[str, str, str]
     main: int
-    metric: str
 
 
 _GROUPS = (
-    _Group(
-        columns=slice(0, 3),
-        scale=180.0 / np.pi,
-        unit="deg",
-        names=("roll", "pitch", "yaw"),
-        symbols=(r"$\phi$", r"$\theta$", r"$\psi$"),
-        main=0,
-        metric="rmse_deg",
-    ),
-    _Group(
-        columns=slice(3, 6),
-        scale=1e3,
-        unit="mm",
-        names=("X", "Y", "height"),
-        symbols=("X", "Y", "Z"),
-        main=2,
-        metric="rmse_mm",
-    ),
+    _Group(slice(0, 3), "deg", ("roll", "pitch", "yaw"), (r"$\phi$", r"$\theta$", r"$\psi$"), main=0),
+    _Group(slice(3, 6), "mm", ("X", "Y", "height"), ("X", "Y", "Z"), main=2),
 )
 
 
@@ -88,7 +71,7 @@ def plot_states(log: SimulationLog) -> Figure:
         metrics = run_metrics(log)
     log = _drawable(log)
     for column, group in enumerate(_GROUPS):
-        _plot_group(axes[:4, column], log, group, metrics[group.metric])
+        _plot_group(axes[:4, column], log, group, metrics[f"rmse_{group.unit}"])
     _plot_weights(axes[4], log)
     _finish(figure, axes, log)
     return figure
@@ -113,10 +96,10 @@ def plot_torques(log: SimulationLog) -> Figure:
     for leg, panel in enumerate(axes.flat):
         rms = np.sqrt(np.mean(applied[:, leg] ** 2))
         _title(panel, f"Motor {leg}", f"RMS {rms:#.3g} N m, peak {peak[leg]:#.3g} N m")
-        panel.axhline(0.0, color=_QUIET, linewidth=0.8)
+        panel.axhline(0.0, color=QUIET, linewidth=0.8)
         if near:
             for side in (-limit, limit):
-                panel.axhline(side, color=_QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
+                panel.axhline(side, color=QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
         if np.any(commanded[:, leg] != applied[:, leg]):
             # Thinner and underneath: seen only where the two differ.
             _draw(panel, time, commanded[:, leg], color=_AXIS_COLORS[0], label="commanded", held=True, linewidth=1.2)
@@ -133,8 +116,7 @@ def plot_torques(log: SimulationLog) -> Figure:
         handles, labels = panel.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
     if len(entries) > 1:
-        style: dict[str, Any] = {"ncols": 3, "frameon": False, "fontsize": 10, "labelcolor": _TEXT}
-        figure.legend(entries.values(), entries.keys(), loc="outside lower center", **style)
+        legend_below(figure, list(entries.values()), 3)
     _finish(figure, axes, log)
     return figure
 
@@ -179,7 +161,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     main, others, errors, integrals = panels
     time, unit = log.time, group.unit
     pose, reference, error, integral = (
-        group.scale * values[:, group.columns]
+        (SCALES * values)[:, group.columns]
         for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
@@ -207,9 +189,9 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
         _widen(panel, least)
         _legend(panel)
     for panel in (errors, integrals):
-        panel.axhline(0.0, color=_QUIET, linewidth=0.8, zorder=1.0)
+        panel.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1.0)
     if time[0] < INTEGRAL_TIME < time[-1]:
-        integrals.axvline(INTEGRAL_TIME, color=_QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
+        integrals.axvline(INTEGRAL_TIME, color=QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
         _title(integrals, f"Integral state (dotted: {INTEGRAL_TIME:g} s)")
 
 
@@ -228,7 +210,7 @@ def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
         ((_AXIS_COLORS[2], 2.4, r"$\omega_Q$"), (_AXIS_COLORS[0], 1.2, r"$\omega_R$"))
     ):
         _draw(both, log.time, weights[:, index], color=color, linewidth=width, label=label, held=True)
-    _draw(ratio, log.time, weights[:, 0] / weights[:, 1], color=_TEXT, held=True)
+    _draw(ratio, log.time, weights[:, 0] / weights[:, 1], color=TEXT, held=True)
     _title(both, "Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed")
     _title(ratio, "Ratio of the weights, on which alone the gain depends")
     both.set_ylabel("weight [-]")
@@ -264,30 +246,23 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
     first, last = log.time[0], max(log.end_time, log.time[-1])
     span = last - first if last > first else log.scenario.effective_log_period
     for panel in axes.flat:
-        panel.set_facecolor("white")
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.spines[["left", "bottom"]].set_color(_QUIET)
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.label.set(color=_TEXT, fontsize=10)
-        panel.tick_params(which="both", colors=_TEXT, color=_QUIET, labelsize=9)
-        panel.grid(color="#E6E6E6", linewidth=0.8)
-        panel.set_axisbelow(True)
+        plain(panel)
         panel.yaxis.set_major_locator(MaxNLocator(5))
     axes[0, 0].set_xlim(first, first + span * (1.0 if log.status == "completed" else 1.04))
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     top = 1.0 - 0.12 / height
-    headline, color = _outcome(log)
+    ended, color = _outcome(log)
     style: dict[str, Any] = {"x": 0.01, "ha": "left", "va": "top"}
-    figure.suptitle(f"{log.scenario.name}: {headline}", y=top, fontsize=14, fontweight="bold", color=color, **style)
-    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=_TEXT, **style)
+    figure.suptitle(f"{log.scenario.name}: {ended}", y=top, fontsize=14, fontweight="bold", color=color, **style)
+    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=TEXT, **style)
     return figure, axes
 
 
 def _outcome(log: SimulationLog) -> tuple[str, str]:
     """How the run ended, in words, and the colour of the words."""
     if log.status == "completed":
-        return f"completed, {log.end_time:g} s", _TEXT
+        return f"completed, {log.end_time:g} s", TEXT
     leg = "" if log.leg is None else f", leg {log.leg}"
     end = f"{log.status} at {_decided(log):.3f} s of {log.scenario.duration:g} s"
     return (end if log.reason in (None, log.status) else f"{end}: {log.reason}{leg}"), _FAILURE
@@ -332,14 +307,13 @@ def _finish(figure: Figure, axes: np.ndarray, log: SimulationLog) -> None:
 
 
 def _title(panel: Axes, left: str, right: str = "") -> None:
-    panel.set_title(left[0].upper() + left[1:], loc="left", fontsize=10, fontweight="bold", color=_TEXT)
-    panel.set_title(right, loc="right", fontsize=9, color=_TEXT)
+    headline(panel, left[0].upper() + left[1:], right)
 
 
 def _legend(panel: Axes) -> None:
     """Above the panel, where it hides no data."""
     panel.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=_TEXT,
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=TEXT,
         borderaxespad=0.0, handlelength=1.8, columnspacing=1.4,
     )  # fmt: skip
 

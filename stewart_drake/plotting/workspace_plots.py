@@ -19,24 +19,26 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped] # this part has no types
 
 from stewart_drake.mechanics.kinematics import leg_geometry
+from stewart_drake.planning import workspace_region
 from stewart_drake.planning.workspace_boundary import Boundary
-from stewart_drake.planning.workspace_region import COORDINATES, LIMIT_NAMES, Loss, Survey, governing_limit
+from stewart_drake.planning.workspace_region import LIMIT_NAMES, Loss, Survey, governing_limit
+from stewart_drake.plotting import panels as look
 from stewart_drake.robot import RobotParameters
 
 SERIAL, PARALLEL = "#C2270A", "#0B4FB3"
 """Colours of the two kinds of singularity."""
 
-# Okabe and Ito's palette; serial limits in warm colours, the parallel one in blue.
+# Serial limits in warm colours, the parallel one in blue.
 COLORS = {
-    "reach": "#D55E00",
-    "transmission": "#E69F00",
-    "conditioning": "#0072B2",
-    "ball_swing": "#009E73",
+    "reach": look.ORANGE,
+    "transmission": look.YELLOW,
+    "conditioning": look.BLUE,
+    "ball_swing": look.GREEN,
     "universal_swing": "#A3CC5B",
-    "clearance": "#CC79A7",
+    "clearance": look.PURPLE,
     "torque": "#7B6A3A",
-    "euler_pitch": "#8C8C8C",
-    "crank_range": "#56B4E9",
+    "euler_pitch": look.QUIET,
+    "crank_range": look.SKY,
 }
 WORDS = {
     "reach": "reach (serial)",
@@ -49,10 +51,8 @@ WORDS = {
     "euler_pitch": "pitch of the Euler angles",
     "crank_range": "stops of the cranks",
 }
-_OUT_OF_REACH, _TEXT, _QUIET = "#E9E9E6", "#222222", "#8C8C8C"
+_OUT_OF_REACH = "#E9E9E6"
 _USE = LinearSegmentedColormap.from_list("use", ["#FFFDE9", "#F3E2A9", "#C9C08A", "#86977C", "#49706F", "#1F4A5C"])
-_NAMES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("X", "mm"), ("Y", "mm"), ("Z", "mm"))
-_SCALES = (180.0 / np.pi,) * 3 + (1e3,) * 3
 
 
 class Slice:
@@ -70,16 +70,16 @@ class Slice:
         self.turned = bool((grid.high - grid.low)[up] > (grid.high - grid.low)[across])
         if self.turned:
             across, up = up, across  # a wide picture rather than a high one
-        scale = [_SCALES[c] for c in grid.coordinates]
-        names = [_NAMES[c] for c in grid.coordinates]
+        scale = [look.SCALES[c] for c in grid.coordinates]
+        names = [look.COORDINATES[c] for c in grid.coordinates]
         self.columns = (grid.coordinates[across], grid.coordinates[up])
         self.labels = tuple(f"{name} [{unit}]" for name, unit in (names[across], names[up]))
         self.x, self.y = scale[across] * grid.axes[across], scale[up] * grid.axes[up]
         self.extent = tuple(scale[axis] * end[axis] for axis in (across, up) for end in (grid.low, grid.high))
         self.title = f"{names[fixed][0]} = {scale[fixed] * grid.axes[fixed][0]:.0f} {names[fixed][1]}"
-        self.center = tuple(_SCALES[c] * grid.center[c] for c in self.columns)
+        self.center = tuple(look.SCALES[c] * grid.center[c] for c in self.columns)
         self.through_center = bool(np.isclose(grid.axes[fixed][0], grid.center[grid.coordinates[fixed]]))
-        self.equal = _SCALES[self.columns[0]] == _SCALES[self.columns[1]]
+        self.equal = look.SCALES[self.columns[0]] == look.SCALES[self.columns[1]]
 
     def field(self, values: np.ndarray) -> np.ndarray:
         """(n_up, n_across) of values (n,)."""
@@ -90,11 +90,9 @@ class Slice:
         """Axes, labels and title."""
         panel.set_xlim(self.extent[:2])
         panel.set_ylim(self.extent[2:])
-        panel.set_xlabel(self.labels[0])
-        panel.set_ylabel(self.labels[1])
-        panel.tick_params(colors=_TEXT, color=_QUIET, labelsize=9)
-        panel.spines[:].set_color(_QUIET)
-        panel.set_title(self.title, loc="left", fontsize=11, fontweight="bold", color=_TEXT)
+        look.plain(panel, grid=False)
+        panel.spines[:].set(visible=True, color=look.QUIET)
+        look.label(panel, self.title, *self.labels)
 
     def image(self, panel: Axes, values: np.ndarray, **style: Any) -> Any:
         """A picture of an array [row, column] or [row, column, colour]."""
@@ -126,11 +124,11 @@ class Slice:
                 panel.contour(self.x, self.y, field, levels=[at], **style)
 
         found = self.found
-        level(np.minimum(governing_limit(found.use)[0], 1.5), 1.0, colors=[_TEXT], linewidths=1.3)
+        level(np.minimum(governing_limit(found.use)[0], 1.5), 1.0, colors=[look.TEXT], linewidths=1.3)
         level(found.measures.reach, 0.0, colors=[SERIAL], linewidths=2.2)
         level(found.measures.conditioning, 0.0, colors=[PARALLEL], linewidths=2.2)
         if self.through_center:
-            panel.plot(*self.center, marker="+", markersize=11, markeredgewidth=2.0, color=_TEXT)
+            panel.plot(*self.center, marker="+", markersize=11, markeredgewidth=2.0, color=look.TEXT)
 
 
 def plot_slices(slices: Sequence[Survey]) -> Figure:
@@ -139,20 +137,17 @@ def plot_slices(slices: Sequence[Survey]) -> Figure:
     Args:
         slices: Surveys of grids with one side of a single cell.
     """
-    figure = Figure(figsize=(12.0, 8.0), facecolor="white", layout="constrained")
-    axes = figure.subplots(2, 3).ravel()
+    figure, axes = look.wide(2, 3, 8.0)
     seen: set[str] = set()
-    for panel, found in zip(axes, slices, strict=False):
+    for panel, found in zip(axes.flat, slices, strict=False):
         drawn = Slice(found)
         drawn.prepare(panel)
         seen |= drawn.use_image(panel)
         drawn.lines(panel)
-    for panel in axes[len(slices) :]:
+    for panel in axes.flat[len(slices) :]:
         panel.set_visible(False)
-    use_bar(figure, axes.tolist())
-    figure.legend(
-        handles=[*line_keys(), *limit_keys(seen)], loc="outside lower center", ncols=4, frameon=False, fontsize=10
-    )
+    use_bar(figure, axes)
+    look.legend_below(figure, [*line_keys(), *limit_keys(seen)])
     return figure
 
 
@@ -165,7 +160,7 @@ def plot_capability(found: Survey) -> Figure:
     drawn, measures = Slice(found), found.measures
     left, right, bottom, top = drawn.extent
     height = 2.9 * (top - bottom) / (right - left) if drawn.equal else 2.5
-    figure = Figure(figsize=(12.0, 1.1 + 2.0 * (1.0 + height)), facecolor="white", layout="constrained")
+    figure, axes = look.wide(2, 3, 1.1 + 2.0 * (1.0 + height))
     panels: list[tuple[str, np.ndarray, str]] = [
         ("Transmission, serial [-]", measures.transmission, "YlOrBr_r"),
         ("Conditioning, parallel [-]", measures.conditioning, "RdBu"),
@@ -174,10 +169,10 @@ def plot_capability(found: Survey) -> Figure:
         ("Force in any direction [N]", measures.force, "viridis"),
         ("Moment in any direction [N m]", measures.moment, "viridis"),
     ]
-    for panel, (title, values, cmap) in zip(figure.subplots(2, 3).ravel(), panels, strict=True):
+    for panel, (title, values, cmap) in zip(axes.flat, panels, strict=True):
         drawn.prepare(panel)
         panel.set_facecolor(_OUT_OF_REACH)
-        panel.set_title(title, loc="left", fontsize=11, fontweight="bold", color=_TEXT)
+        look.headline(panel, title)
         field = np.ma.masked_invalid(drawn.field(values))
         # Near a singularity forces and torques have no bound; a few pixels must not take all the colours.
         low, high = np.percentile(field.compressed(), [3.0, 97.0]) if field.count() else (0.0, 1.0)
@@ -188,8 +183,8 @@ def plot_capability(found: Survey) -> Figure:
         bar = figure.colorbar(image, ax=panel, shrink=0.75, aspect=20, pad=0.02, extend="both")
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=8.5)
-    figure.legend(handles=line_keys(), loc="outside lower center", ncols=4, frameon=False, fontsize=10)
-    figure.suptitle(f"Slice at {drawn.title}", x=0.01, ha="left", fontsize=12, fontweight="bold", color=_TEXT)
+    look.legend_below(figure, line_keys())
+    figure.suptitle(f"Slice at {drawn.title}", x=0.01, ha="left", fontsize=12, fontweight="bold", color=look.TEXT)
     return figure
 
 
@@ -206,8 +201,8 @@ def plot_boundaries(boundaries: Sequence[Boundary], robot: RobotParameters) -> F
         share = 1.0 / len(boundaries)
         place = (column * share - 0.005, 0.09, share - 0.02, 0.87)
         panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
-        columns = COORDINATES[surface.kind]
-        points = np.array(_SCALES)[list(columns)] * surface.points
+        columns = workspace_region.COORDINATES[surface.kind]
+        points = look.SCALES[list(columns)] * surface.points
         low, high = points.min(axis=0), points.max(axis=0)
         if surface.kind == "position":
             ends = np.concatenate(_draw_robot(panel, robot, surface.center))
@@ -218,7 +213,7 @@ def plot_boundaries(boundaries: Sequence[Boundary], robot: RobotParameters) -> F
         limit = surface.limit[surface.triangles]
         cause = np.where(limit[:, 1] == limit[:, 2], limit[:, 1], limit[:, 0])
         seen |= {LIMIT_NAMES[i] for i in np.unique(cause[cause >= 0])}
-        base = np.array([to_rgb(COLORS[LIMIT_NAMES[i]] if i >= 0 else _QUIET) for i in cause])
+        base = np.array([to_rgb(COLORS[LIMIT_NAMES[i]] if i >= 0 else look.QUIET) for i in cause])
         shadow = corners.copy()
         shadow[..., 2] = low[2]
         for order, polygons, colors in ((1, shadow, to_rgb("#E2E2E2")), (3, corners, _shade(corners, base))):
@@ -228,15 +223,15 @@ def plot_boundaries(boundaries: Sequence[Boundary], robot: RobotParameters) -> F
         panel.set_box_aspect(high - low)
         panel.view_init(elev=22.0, azim=-55.0)
         for axis, coordinate in zip((panel.xaxis, panel.yaxis, panel.zaxis), columns, strict=True):
-            axis.set_label_text("{} [{}]".format(*_NAMES[coordinate]), color=_TEXT)
+            axis.set_label_text("{} [{}]".format(*look.COORDINATES[coordinate]), color=look.TEXT)
             axis.labelpad = 5.0
             axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
             axis.set_major_locator(MaxNLocator(5))
         panel.grid(False)
-        panel.tick_params(labelsize=8.5, pad=1, colors=_TEXT)
+        panel.tick_params(labelsize=8.5, pad=1, colors=look.TEXT)
         what = "Positions at the fixed orientation", "Orientations at the fixed position"
         title = what[0] if surface.kind == "position" else what[1]
-        figure.text(place[0] + 0.5 * share, 0.95, title, ha="center", fontsize=12, fontweight="bold", color=_TEXT)
+        figure.text(place[0] + 0.5 * share, 0.95, title, ha="center", fontsize=12, fontweight="bold", color=look.TEXT)
     handles = [Patch(color=COLORS[name], label=f"first cut by {WORDS[name]}") for name in LIMIT_NAMES if name in seen]
     figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=10)
     return figure
@@ -252,7 +247,7 @@ def _draw_robot(panel: Any, robot: RobotParameters, pose: np.ndarray) -> tuple[n
         panel.plot(*np.concatenate([ring, ring[:1]]).T, color="#9A9A9A", linewidth=1.2, zorder=2)
     for shaft, tip, joint in zip(shafts, tips, joints, strict=True):
         panel.plot(*np.stack([tip, joint]).T, color="#5F6B76", linewidth=2.0, zorder=2)
-        panel.plot(*np.stack([shaft, tip]).T, color=_TEXT, linewidth=3.0, zorder=2)
+        panel.plot(*np.stack([shaft, tip]).T, color=look.TEXT, linewidth=3.0, zorder=2)
     return shafts, tips
 
 
@@ -262,8 +257,7 @@ def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]])
     Args:
         rows: Title, losses on the grid, and share of the directions in which each limit cuts first.
     """
-    figure = Figure(figsize=(12.0, 4.4), facecolor="white", layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(rows), sharey=True))
+    figure, (panels,) = look.wide(1, len(rows), 4.4, sharey=True)
     kinds = (
         (0.27, 0.0, "poses that break it and no other"),
         (0.0, 0.55, "poses that break it"),
@@ -277,30 +271,28 @@ def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]])
                 if share > 0.0:
                     color = COLORS[loss.limit]
                     bar = panel.barh(y, 100.0 * share, 0.24, color=_tint(color, tint), edgecolor=color, linewidth=0.8)
-                    label = f"{100.0 * share:.2g} %" if share >= 0.001 else "< 0.1 %"
-                    panel.bar_label(bar, [label], padding=3, fontsize=8.5, color=_TEXT)
+                    shown = f"{100.0 * share:.2g} %" if share >= 0.001 else "< 0.1 %"
+                    panel.bar_label(bar, [shown], padding=3, fontsize=8.5, color=look.TEXT)
         for y, of_limit in zip(height, values, strict=True):
             if not any(of_limit):
-                panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=_QUIET)
+                panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=look.QUIET)
         panel.set_yticks(height, [WORDS[loss.limit] for loss in lost])
         panel.set_xlim(0.0, 112.0)
         panel.set_xlabel("share [%]")
-        panel.set_title(title, loc="left", fontsize=11, fontweight="bold", color=_TEXT)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.spines[["left", "bottom"]].set_color(_QUIET)
-        panel.tick_params(colors=_TEXT, color=_QUIET)
-    keys = [Patch(facecolor=_tint(_TEXT, tint), edgecolor=_TEXT, label=label) for _, tint, label in kinds]
-    figure.legend(handles=keys, loc="outside lower center", ncols=3, frameon=False, fontsize=10)
+        look.headline(panel, title)
+        look.plain(panel, grid=False)
+    keys = [Patch(facecolor=_tint(look.TEXT, tint), edgecolor=look.TEXT, label=what) for _, tint, what in kinds]
+    look.legend_below(figure, keys, 3)
     return figure
 
 
 def line_keys() -> list[Line2D]:
     """Legend of what `Slice.lines` draws."""
     return [
-        Line2D([], [], color=_TEXT, linewidth=1.3, label="edge of what the limits allow"),
+        Line2D([], [], color=look.TEXT, linewidth=1.3, label="edge of what the limits allow"),
         Line2D([], [], color=SERIAL, linewidth=2.2, label="serial singularity"),
         Line2D([], [], color=PARALLEL, linewidth=2.2, label="parallel singularity"),
-        Line2D([], [], color=_TEXT, marker="+", linestyle="", markersize=10, markeredgewidth=2.0, label="centre"),
+        Line2D([], [], color=look.TEXT, marker="+", linestyle="", markersize=10, markeredgewidth=2.0, label="centre"),
     ]
 
 

@@ -91,13 +91,7 @@ def fit_speed(
     same pose. Where standing still is feasible, every k above the smallest feasible one is therefore feasible too, and
     bisection finds it. Limits of the poses alone do not depend on k.
 
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        reference: The motion.
-        duration: [s] > 0, of the motion as given.
-        gravity: [m/s^2] along -z of B.
-        samples_per_second: As in `check_reference`.
+    Args: As in `fit_amplitude`; the duration is that of the motion as given.
 
     Returns:
         The motion that is feasible over slowdown * duration, and its slowdown >= 1 [-], to a relative 1e-4; the motion

@@ -38,6 +38,7 @@ from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot import RobotParameters
+from stewart_drake.section import Positive, check_value
 
 MAX_FRAMES = 9000
 """A longer recording gets fewer frames a second: at some 2 kB a frame, a browser opens no more than this with ease."""
@@ -64,8 +65,7 @@ def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float 
             writable.
         DrakeCheckError: Drake could not record, such as for want of a free port.
     """
-    if not (math.isfinite(frames_per_second) and frames_per_second > 0.0):
-        raise ConfigurationError("frames_per_second", frames_per_second, "a positive number")
+    check_value("frames_per_second", frames_per_second, Positive)
     usable = np.flatnonzero(np.isfinite(log["plant_state"]).all(axis=1))
     if len(usable) == 0:
         raise ConfigurationError(

@@ -30,7 +30,7 @@ from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.user_errors import ControllerError, ControllerStop
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SIGNALS, SimulationLog
-from stewart_drake.logs.log_rows import LogRows, RowsInMemory
+from stewart_drake.logs.log_rows import LogRows
 from stewart_drake.logs.outcomes import find_warnings, judge
 from stewart_drake.logs.tally import Tally
 from stewart_drake.logs.versions import collect_versions
@@ -90,7 +90,7 @@ def run(
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
-    rows = RowsInMemory() if rows is None else rows
+    rows = LogRows() if rows is None else rows
     rows.check(scenario)
     if check:
         check_scenario(scenario)
@@ -334,22 +334,15 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
         "reference": values["reference"][:, :6],
         "reference_rate": values["reference"][:, 6:12],
         "reference_acceleration": values["reference"][:, 12:],
-        "error": values["error"],
-        "integral": values["integral"],
-        "torque": values["torque"],
         "torque_applied": np.clip(values.get("torque_applied", values["torque"]), -limit, limit),
         "crank_angle": plant.crank_angles(values["plant_state"]),
         "loop_gap": plant.loop_gap(values["plant_state"]),
-        "plant_state": values["plant_state"],
     }
-    if "weights" in values:
-        signals["weights" if values["weights"].shape[1] == 2 else "block_weights"] = values["weights"]
-        signals["density"] = values["density"]
-    if "disturbance" in values:
-        signals["disturbance"] = values["disturbance"]
-    if "safety" in values:
-        signals["safety"] = values["safety"]
+    weights = values.pop("weights", None)
+    if weights is not None:
+        signals["weights" if weights.shape[1] == 2 else "block_weights"] = weights
     if not scenario.sensors.exact:
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
+    signals = values | signals
     return {name: signals[name] for name in SIGNALS if name in signals}

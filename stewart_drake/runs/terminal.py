@@ -99,15 +99,7 @@ def drop_output(stream: IO[str]) -> None:
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     """A table of two columns on standard output."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left", show_header=False)
-    table.add_column()
-    table.add_column(justify="right", overflow="fold")
-    for name, value in rows:
-        table.add_row(name, escape(value))
-    console().print(table)
+    print_columns(title, ("", ""), rows)
 
 
 def print_columns(
@@ -117,14 +109,14 @@ def print_columns(
 
     Args:
         title: One line.
-        header: Names of the columns.
+        header: Names of the columns; none is shown where all are empty.
         rows: As many texts each.
         numbers: Columns that stand to the right; None for all but the first.
     """
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title), title_justify="left")
+    table = Table(title=escape(title), title_justify="left", show_header=any(header))
     right = range(1, len(header)) if numbers is None else numbers
     for place, name in enumerate(header):
         side: Any = "right" if place in right else "left"

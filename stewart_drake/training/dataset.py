@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.control.density import DensityKind
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.parquet_files import SealedWriter, read_sealed
 from stewart_drake.files.whole import write_atomically
+from stewart_drake.section import Window, check_value
 
 _INPUTS = tuple(f"density_{i}" for i in range(12))
 _FORMAT_KEY = b"stewart_drake.dataset"
@@ -80,10 +82,8 @@ def load_dataset(path: str | Path) -> Dataset:
     if version != _VERSION:
         found = "another format" if version is None else f"version {version}"
         raise ConfigurationError(key, found, f"a dataset of version {_VERSION}, written by `collect`")
-    if document.get("density", "magnitude") not in ("magnitude", "signed"):
-        raise ConfigurationError(f"{key}: density", document["density"], "magnitude or signed")
-    if type(document.get("window", 1)) is not int or document.get("window", 1) < 1:
-        raise ConfigurationError(f"{key}: window", document["window"], "an integer >= 1")
+    check_value(f"{key}: density", document.get("density", "magnitude"), DensityKind)
+    check_value(f"{key}: window", document.get("window", 1), Window)
     columns = ("time", "run", *_INPUTS, "omega_q", "omega_r")
     missing = [name for name in columns if name not in table]
     rows = len(next(iter(table.values()), ()))

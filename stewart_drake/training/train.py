@@ -4,47 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 
 from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.section import Fraction, Positive, Section, Seed, Window
 from stewart_drake.training.dataset import Dataset
 
 Split = Literal["samples", "runs"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingOptions:
-    """How to train.
+class TrainingOptions(Section, key="training"):
+    """How to train."""
 
-    Raises:
-        ConfigurationError: A value out of range.
-    """
-
-    seed: int = 0
+    seed: Seed = 0
     """Of the split and of the first weights."""
-    epochs: int = 2000
+    epochs: Window = 2000
     """Steps of Adam over the whole training set."""
-    learning_rate: float = 0.01
-    training_share: float = 0.7
+    learning_rate: Annotated[Positive, Field(lt=10.0)] = 0.01
+    training_share: Fraction = 0.7
     """Share of the samples (or runs) for training; the rest validates. 0.7 in the paper."""
     split: Split = "samples"
     """samples: at random, as in the paper; neighbours in time leak into each other. runs: whole experiments."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.seed < 2**63:
-            raise ConfigurationError("training.seed", self.seed, "an integer from 0 to 2^63 - 1")
-        if self.epochs < 1:
-            raise ConfigurationError("training.epochs", self.epochs, "at least 1")
-        if not 0.0 < self.learning_rate < 10.0:
-            raise ConfigurationError("training.learning_rate", self.learning_rate, "between 0 and 10")
-        if not 0.0 < self.training_share < 1.0:
-            raise ConfigurationError("training.training_share", self.training_share, "between 0 and 1")
-        if self.split not in ("samples", "runs"):
-            raise ConfigurationError("training.split", self.split, "samples or runs")
 
 
 @dataclass(frozen=True)
@@ -176,7 +161,7 @@ def train_network(
         "made_by": "stewart-drake collect, stewart-drake train",
         "dataset_sha256": dataset.digest(),
         "samples": len(dataset.run),
-        "options": vars(options),
+        "options": options.to_dict(),
         "torch": torch.__version__,
         "numpy": np.__version__,
         # JSON has no NaN, which is the score of a target that does not vary.

@@ -9,12 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.campaigns.comparison import run_comparison, write_pictures
-from stewart_drake.campaigns.comparison_file import AXES, Comparison, comparison_folder, load_comparison
+from stewart_drake.campaigns.comparison_file import AXES, Comparison, load_comparison
 from stewart_drake.campaigns.comparison_table import BANDS, number, sheets, table_columns, table_rows
 from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor
 from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.plotting import comparison_plots as plotting
 from stewart_drake.runs.simulation import run
@@ -150,7 +151,7 @@ def test_the_shipped_controllers_are_tuned_alike_and_the_nine_are_nine():
         tuners = {c.controller: comparison.scenario(i).tuner for i, c in enumerate(comparison.cells)}
         pairs = {(tuners[pair].omega_q, tuners[pair].omega_r) for pair in best.of}
         assert pairs == {(q, r) for q in (0.1, 1.0, 10.0) for r in (0.1, 1.0, 10.0)}
-    assert comparison_folder().joinpath("tracking.yaml").is_file()
+    assert shipped_folder("comparisons").joinpath("tracking.yaml").is_file()
 
 
 @pytest.mark.slow

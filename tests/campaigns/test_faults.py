@@ -10,8 +10,7 @@ from stewart_drake.campaigns import engine, executors
 from stewart_drake.campaigns import fault_rows as rows_module
 from stewart_drake.campaigns import fault_table as table_module
 from stewart_drake.campaigns.executors import Given, LocalProcesses, SerialExecutor
-from stewart_drake.campaigns.fault import DURATION, MOTIONS, ONSET, base
-from stewart_drake.campaigns.fault_catalogue import FAULTS
+from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
 from stewart_drake.campaigns.fault_rows import FaultRow, all_rows, fault_row, measured_row, named_row
 from stewart_drake.campaigns.fault_table import holdable_lines, make_table, markdown_table, short_rows, terse_rows
 from stewart_drake.cli.app import cli

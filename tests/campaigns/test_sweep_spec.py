@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.distributions import parse_distribution
-from stewart_drake.campaigns.sweep_file import Sweep, load_sweep, sweep_folder, vary
+from stewart_drake.campaigns.plan import vary
+from stewart_drake.campaigns.sweep_file import Sweep, SweepFile, load_sweep
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file
+from stewart_drake.files.yaml_files import find_file, shipped_folder
 from stewart_drake.scenario import Scenario, load_scenario
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
@@ -16,8 +16,12 @@ def sweep(**changes):
     return Sweep.from_dict({**PLAIN, **changes})
 
 
+def parsed(**data):
+    return SweepFile.from_dict({**PLAIN, "distributions": {"here": data}}).distributions["here"]
+
+
 def drawn_from(**data):
-    distribution = parse_distribution("here", data)
+    distribution = parsed(**data)
     return np.array([distribution.at(q) for q in QUANTILES])
 
 
@@ -166,11 +170,11 @@ def test_paths_are_relative_to_the_sweep_file(tmp_path):
 
 
 def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
-    names = [path.stem for path in sweep_folder().glob("*.yaml")]
+    names = [path.stem for path in shipped_folder("sweeps").glob("*.yaml")]
     assert "initial_offset" in names
     for name in names:
         s = load_sweep(name)
-        assert find_file("sweep", name) == sweep_folder() / f"{name}.yaml"
+        assert find_file("sweep", name) == shipped_folder("sweeps") / f"{name}.yaml"
         assert all(s.scenario(index).name == f"{name} {index}" for index in range(s.runs))
 
 
@@ -195,12 +199,12 @@ BAD = [
     ({"name": "../x"}, ["name", "letters"]),
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
     ({"scenario": 3}, ["scenario", "3", "a text"]),
-    ({"set": [1]}, ["set", "[1]", "a mapping"]),
-    ({"set": {1: 2}}, ["set", "a mapping"]),
+    ({"set": [1]}, ["set", "[1]", "a section"]),
+    ({"set": {1: 2}}, ["set", "keys that are texts"]),
     ({"set": {"durration": 3}}, ["durration", "did you mean duration?"]),
     ({"set": {"duration": float("nan")}}, ["duration", "nan", "finite"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
-    ({"distributions": None}, ["distributions", "None", "a mapping"]),
+    ({"distributions": None}, ["distributions", "None", "a section"]),
     ({"distributions": {}}, ["distributions", "at least one"]),
     ({"distributions": {"gravity": 3}}, ["distributions.gravity", "3", "kind: uniform"]),
     (only("gravity"), ["distributions.gravity.kind", "None", "loguniform"]),
@@ -298,7 +302,7 @@ def test_a_number_out_of_range_is_left_to_its_run():
 
 def test_a_sweep_of_a_scenario_made_in_python():
     base = load_scenario("paper_fig7", ["duration=1"])
-    s = Sweep(base, {"gravity": parse_distribution("gravity", {"kind": "uniform", "low": 1, "high": 2})}, runs=3)
+    s = Sweep(base, {"gravity": parsed(kind="uniform", low=1, high=2)}, runs=3)
     assert 1.0 <= s.scenario(2).gravity <= 2.0
     assert s.scenario(2).duration == 1.0
 

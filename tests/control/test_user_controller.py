@@ -7,13 +7,13 @@ import pytest
 from pydrake.systems.framework import PortDataType
 from strategies import ROBOT
 
-from stewart_drake.campaigns.comparison_file import comparison_folder
 from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, construct, load_class, user_code
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.files.user_errors import ControllerError
+from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -358,7 +358,7 @@ def test_a_run_that_it_ends_before_its_time_is_not_completed(written):
 
 
 def test_the_shipped_example_follows_the_reference():
-    system = f"{comparison_folder() / 'task_space_pd.py'}:TaskSpacePd"
+    system = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
     log = run(scenario({"kind": "python", "system": system}, duration=0.4, reference={"kind": "sine"}))
     assert log.status == "completed"
     assert np.abs(log["pose"] - log["reference"]).max() < 1e-3
