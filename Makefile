@@ -1,11 +1,12 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then the tests
+# make test   the same set-up, then all tests: some six minutes on two cores
+# make check  the fast part of them, for daily work: under a minute
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test lint bench picture plan format clean
+.PHONY: demo install test check lint bench picture plan format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -20,6 +21,10 @@ $(STAMP): pyproject.toml constraints.txt
 
 test: install
 	$(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
+
+# All but those marked slow: no campaign, no long run, no other process.
+check: install
+	$(BIN)/pytest -q -n auto -m "not slow" --ignore=tests/benchmarks --ignore=tests/paper
 
 lint: install
 	$(BIN)/ruff check .

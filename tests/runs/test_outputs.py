@@ -36,6 +36,7 @@ def short_run():
     return run(Scenario.from_dict({"name": "short", "duration": 0.2}))
 
 
+@pytest.mark.slow
 def test_a_run_leaves_all_its_files(short_run, tmp_path):
     folder = tmp_path / "deep" / "down"
     metrics = write_run(short_run, folder, build_diagram(short_run.scenario).GetGraphvizString())
@@ -55,6 +56,7 @@ def test_a_run_leaves_all_its_files(short_run, tmp_path):
     assert (folder / "diagram.dot").read_text().startswith("digraph")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_run_that_broke_at_once_keeps_what_it_has(short_run, tmp_path, rows):
     signals = {name: values[:rows] for name, values in short_run.signals.items()}
@@ -72,6 +74,7 @@ def test_numbers_alone_need_no_pictures(tmp_path):
     assert names(tmp_path) == ALWAYS
 
 
+@pytest.mark.slow
 def test_results_of_the_same_scenario_are_replaced_as_a_whole(short_run, tmp_path):
     folder = tmp_path / "out"
     write_run(short_run, folder, "digraph {}")
@@ -164,6 +167,7 @@ def test_a_folder_under_construction_is_locked_and_its_leftovers_are_cleared(tmp
     assert names(place) == ALWAYS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [False, True])
 @pytest.mark.parametrize("step", ["mkdir", "rename", "unlink"])
 def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_path, monkeypatch, before, step):
