@@ -33,7 +33,7 @@ def test_the_shipped_motions_can_be_done_and_every_margin_is_shown(check, tmp_pa
     assert (status, err) == (0, "")
     assert "broken" not in out
     smallest = motion_report(load_scenario(name)).smallest
-    assert list(smallest) == list(RULES)
+    assert list(smallest) == [rule for rule in RULES if rule != "crank_range"]  # the robot has no stops
     for limit, worst in smallest.items():
         (row,) = [line for line in out.splitlines() if f" {limit} " in line]
         for words in (f"{worst.margin:.4g}", f"{worst.time:.3f} s", worst.where, f"{worst.bound:.4g} {worst.unit}"):
