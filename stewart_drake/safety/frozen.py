@@ -20,7 +20,8 @@ def frozen_tick(
 ) -> tuple[int | None, np.ndarray]:
     """Looks for a sensor that repeats itself while things move.
 
-    In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never contradict each other.
+    In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never
+    contradict each other.
 
     Args:
         options: Limits.
