@@ -1,11 +1,12 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
-# make test   the same set-up, then the tests
+# make test   the same set-up, then all tests: some six minutes on two cores
+# make check  the fast part of them, for daily work: under a minute
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test lint bench picture plan format clean
+.PHONY: demo install test check lint bench picture plan format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -21,6 +22,10 @@ $(STAMP): pyproject.toml constraints.txt
 test: install
 	$(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
 
+# All but those marked slow: no campaign, no long run, no other process.
+check: install
+	$(BIN)/pytest -q -n auto -m "not slow" --ignore=tests/benchmarks --ignore=tests/paper
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -32,7 +37,7 @@ bench: install
 
 # The README's picture of the robot.
 picture: install
-	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.replay import render_png; \
+	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.runs.replay import render_png; \
 	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
 
 # The README's plan of the rooms.

@@ -38,6 +38,19 @@ def python(*arguments):
     return done.stdout
 
 
+def alive(group):
+    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(of_group) == group and state != "Z":
+            found.append(stat.parent.name)
+    return found
+
+
 def field_of(error):
     """Key of a ConfigurationError without the places in lists at its end."""
     return re.sub(r"(\.\d+)+$", "", error.key)
@@ -83,6 +96,26 @@ def code_as_it_is(monkeypatch):
 @pytest.fixture
 def network():
     return make_network()
+
+
+@pytest.fixture
+def call(monkeypatch, capsys, tmp_path):
+    """The command within this process, in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*args):
+        from stewart_drake.cli.app import main
+
+        monkeypatch.setattr(sys, "argv", ["stewart-drake", *map(str, args)])
+        status = 0
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+        return status, *capsys.readouterr()
+
+    return call
 
 
 if threading.current_thread() is threading.main_thread():

@@ -62,6 +62,7 @@ def test_links_lead_somewhere():
     assert [target for target in targets if not (ROOT / target.split("#")[0]).exists()] == []
 
 
+@pytest.mark.slow
 def test_continuous_integration_runs_the_readme_command():
     script = (ROOT / ".ci" / "run").read_text()
     assert "make test" in script

@@ -5,7 +5,6 @@ import math
 import jsonschema
 import numpy as np
 import pytest
-from conftest import resealed
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
@@ -200,11 +199,8 @@ WRONG = [
     ("tuner.omega", {"tuner": {"kind": "ann", "omega": 1}}, "did you mean omega_"),
     ("tuner.weights_file", {"tuner": {"kind": "fixed", "weights_file": "x"}}, "no such key"),
     ("robot", {"robot": 3}, "a section"),
-    ("robot", {"robot": None}, "a section"),
-    ("plant", {"plant": [1]}, "a section"),
     ("tuner", {"tuner": "ann"}, "fixed, ann or block"),
     ("tuner.kind", {"tuner": {}}, "fixed, ann or block; this key is required"),
-    ("tuner.kind", {"tuner": {"kind": "anm"}}, "fixed, ann or block"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
     (
         "reference.kind",
@@ -212,11 +208,7 @@ WRONG = [
         "spline, recorded, sum, adjusted or module:Class; this key is required",
     ),
     ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine, sine_bursts, breathing"),
-    ("reference.kind", {"reference": {"kind": 3}}, "got 3; allowed: hold, sine, sine_bursts, breathing"),
-    ("reference.kind", {"reference": {"kind": ["sine"]}}, "hold, sine, sine_bursts, breathing"),
     ("reference.center", {"reference": {"kind": "sine", "center": [0, 0, 0]}}, "a list of 6 numbers"),
-    ("reference.center", {"reference": {"kind": "sine", "center": [0] * 7}}, "a list of 6 numbers"),
-    ("reference.center", {"reference": {"kind": "sine", "center": 0}}, "a list of 6 numbers"),
     (
         "reference.center.5",
         {"reference": {"kind": "sine", "center": [0, 0, 0, 0, 0, "x"]}},
@@ -224,15 +216,12 @@ WRONG = [
     ),
     ("reference.frequency", {"reference": {"kind": "sine_bursts", "amplitude": []}}, "this key is required"),
     ("reference.frequncy", {"reference": {"kind": "sine_bursts", "frequncy": [1]}}, "did you mean frequency?"),
-    ("reference.frequency", {"reference": BURSTS | {"frequency": []}}, "at least 1 positive number"),
     ("reference.frequency.1", {"reference": BURSTS | {"frequency": [1, -2]}}, "positive"),
     ("reference.amplitude", {"reference": BURSTS | {"amplitude": [[0] * 6]}}, "2 vectors of 6 numbers"),
     ("reference.amplitude.1", {"reference": BURSTS | {"amplitude": [[0] * 6, [0] * 5]}}, "a list of 6 numbers"),
     ("reference.amplitude", {"reference": BURSTS | {"amplitude": 3}}, "a list of lists of 6 numbers"),
-    ("reference.fade", {"reference": BURSTS | {"fade": 0}}, "positive"),
     ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
     ("reference.parts", {"reference": {"kind": "sum", "parts": []}}, "a list of at least 1 sections"),
-    ("reference.parts", {"reference": {"kind": "sum", "parts": 3}}, "a list of at least 1 sections"),
     ("reference.parts.0", {"reference": {"kind": "sum", "parts": [3]}}, "a section, with kind: hold, sine"),
     ("reference.parts.0.kind", {"reference": {"kind": "sum", "parts": [{"kind": "sum", "parts": []}]}}, "recorded"),
     (
@@ -252,49 +241,24 @@ WRONG = [
     ),
     ("reference.motion", {"reference": {"kind": "adjusted"}}, "this key is required"),
     ("reference.premature_beats.0", {"reference": {"kind": "heartbeat", "premature_beats": [1.5]}}, "a whole number"),
-    ("reference.motion_file", {"reference": {"kind": "recorded"}}, "a text; this key is required"),
     ("duration", {"duration": "10"}, "(without quotes)"),
-    ("duration", {"duration": "long"}, "got 'long'; allowed: a number"),
-    ("duration", {"duration": 0}, "a number above 0"),
-    ("duration", {"duration": 1000001}, "at most 1e+06"),
     ("duration", {"duration": 8000, "plant": {"time_step": 1e-6}, "log_period": 1}, "1e9 steps"),
-    ("duration", {"duration": 10**400}, "a number"),
     ("duration", {"duration": 0.004}, "at least one control period, 0.005 s"),
     ("duration", {"duration": datetime.date(2001, 1, 1)}, "a number"),
-    ("gravity", {"gravity": -1}, "a number from 0 to 1e+06 [m/s^2]"),
-    ("initial_offset", {"initial_offset": [0] * 5}, "a list of 6 numbers"),
-    ("tuner.omega_q", {"tuner": {"kind": "fixed", "omega_q": 0}}, "a positive number"),
-    ("tuner.omega_r", {"tuner": {"kind": "ann", "omega_r": -1}}, "a positive number"),
-    ("tuner.window", {"tuner": {"kind": "fixed", "window": 0}}, "a whole number from 1 to 100000"),
-    ("tuner.window", {"tuner": {"kind": "fixed", "window": 4.5}}, "a whole number"),
     ("tuner.window", {"tuner": {"kind": "fixed", "window": 100_001}}, "a whole number from 1 to 100000"),
     ("tuner.density", {"tuner": {"kind": "fixed", "density": "x"}}, "magnitude or signed"),
-    ("tuner.weights_file", {"tuner": {"kind": "ann", "weights_file": 4}}, "a text, or null"),
-    ("plant.time_step", nested("plant.time_step", 0), "a number from 1e-06 to 0.1 [s]"),
-    ("plant.time_step", nested("plant.time_step", -0.001), "a number from 1e-06 to 0.1 [s]"),
     ("plant.rod_joint", nested("plant.rod_joint", "bal"), "universal or ball"),
-    ("plant.collision", nested("plant.collision", 1), "true or false"),
     ("plant.collision", nested("plant.collision", "yes"), "true or false"),
-    ("plant.motor_friction", nested("plant.motor_friction", -1), "from 0 to 1e+06 [N m]"),
-    ("controller.period", nested("controller.period", 0), "positive"),
     ("controller.period", nested("controller.period", 0.0055), "a whole multiple of the plant's time step 0.001 s"),
     ("controller.period", nested("controller.period", 0.0005), "a whole multiple"),
     ("controller.period", {"plant": {"time_step": 0.01}}, "a whole multiple of the plant's time step 0.01 s"),
     ("controller.period", nested("controller.period", 0.005000001), "a whole multiple"),
     ("controller.force_map", nested("controller.force_map", "print"), "printed or statics"),
     ("controller.feedforward", nested("controller.feedforward", True), "none, gravity, platform or full"),
-    ("controller.min_transmission", nested("controller.min_transmission", 1.0), "between 0 and 1"),
     ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
-    ("limits.reach", nested("limits.reach", "x"), "a number above 0, at most 1, or null"),
     ("robot.branch", nested("robot.branch", 0), "-1 or 1"),
-    ("robot.branch", nested("robot.branch", 1.0), "a whole number"),
-    ("robot.crank_length", nested("robot.crank_length", -0.11), "from 1e-12 to 1e+06 [m]"),
-    ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
     ("robot.home_height", nested("robot.rod_length", 0.1), "rods of 0.1 m reach"),
     ("robot.rod_length", nested("robot.rod_length", 1e200), "1e+06"),
-    ("model_robot.rod_length", nested("model_robot.rod_length", 1e200), "1e+06"),
-    ("model_robot.branch", nested("model_robot.branch", 3), "-1 or 1"),
-    ("log_period", {"log_period": 0}, "a positive number [s], or null"),
     ("log_period", {"log_period": 0.0015}, "a whole multiple of the plant's time step"),
     ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),
     ("name", {"name": ""}, "at least 1"),
@@ -302,7 +266,6 @@ WRONG = [
     ("name", {"name": "../up"}, "letters, digits"),
     ("name", {"name": ".."}, "letters, digits"),
     ("name", {"name": "a\n"}, "letters, digits"),
-    ("name", {"name": 3}, "a text"),
     ("1", {1: 2}, "keys that are texts"),
     ("None", {None: 2}, "keys that are texts"),
     ("plant.1", {"plant": {1: 2}}, "keys that are texts"),
@@ -314,32 +277,6 @@ def test_a_bad_value_is_named_with_its_key_and_what_is_allowed(key, data, words)
     error = refusal(data)
     assert error.key == key
     assert words in error.allowed or words in str(error)
-
-
-@pytest.mark.parametrize("whole", WHOLE, ids=lambda s: s.reference.kind)
-@pytest.mark.parametrize(
-    "junk",
-    [math.nan, math.inf, -math.inf, "1", True, {}, [[]], b"1", datetime.date(2001, 1, 1), "1e-3", 10**400],
-    ids=repr,
-)
-def test_no_key_takes_a_value_that_means_nothing_there(whole, junk):
-    text = {"name", "weights_file", "motion_file"}
-    for path, value in leaves(whole.to_dict()):
-        fits = (isinstance(junk, str) and path[-1] in text) or (junk is True and isinstance(value, bool))
-        section = path[-1] in ("model_robot", "safety") and junk == {}
-        if fits or section:
-            continue
-        error = refusal(put(whole.to_dict(), path, junk))
-        assert error.key.startswith(".".join(path)) or error.key == path[0], (error.key, path)
-
-
-@pytest.mark.parametrize("junk", [math.nan, math.inf, "1", True, None, []], ids=repr)
-@pytest.mark.parametrize("whole", WHOLE, ids=lambda s: s.reference.kind)
-def test_nor_does_an_entry_of_a_vector(whole, junk):
-    for path, value in leaves(whole.to_dict()):
-        if isinstance(value, list):
-            error = refusal(put(whole.to_dict(), path, [junk, *value[1:]]))
-            assert error.key.startswith(".".join(path)), (error.key, path)
 
 
 def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
@@ -370,23 +307,6 @@ def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
     ],
 )
 def test_python_construction_names_the_key_too(make, key):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    assert one_line(caught.value).key == key
-
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: FixedTuner(omega_q=-1.0), "tuner.omega_q"),
-        (lambda: AnnTuner(weights=3), "tuner.weights"),
-        (lambda: Scenario(reference=HoldReference(pose=(0.0, 0.0, 0.0, 0.0, 0.0, True))), "reference.pose.5"),
-        (lambda: Scenario(robot=RobotParameters(branch=True)), "robot.branch"),
-        (lambda: Scenario(robot=RobotParameters), "robot"),
-        (lambda: Scenario(reference=Scenario()), "reference.kind"),
-    ],
-)
-def test_a_section_made_in_python_is_checked_like_one_from_a_file(make, key):
     with pytest.raises(ConfigurationError) as caught:
         make()
     assert one_line(caught.value).key == key
@@ -634,12 +554,6 @@ def test_an_absolute_weights_file_stays(tmp_path):
     assert load_scenario(path).tuner.weights_file == "/somewhere/own.json"
 
 
-def _changed(change):
-    document = json.loads(default_network_path().read_text())
-    change(document)
-    return resealed(document)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -649,15 +563,7 @@ def _changed(change):
         (b"\xff\xfe", "JSON"),
         (b"[]", "format"),
         (b"{}", "format"),
-        (_changed(lambda d: d.update(version=99)), "version"),
-        (_changed(lambda d: d["hidden_weights"].pop()), "hidden_weights"),
-        (_changed(lambda d: d["hidden_weights"][0].pop()), "hidden_weights"),
-        (_changed(lambda d: d["hidden_bias"].__setitem__(0, math.nan)), "JSON compliant"),
-        (_changed(lambda d: d["output_bias"].__setitem__(0, "x")), "output_bias"),
-        (_changed(lambda d: d["input_scale"].__setitem__(0, 0.0)), "input_scale"),
-        (_changed(lambda d: d.pop("omega_max")), "omega_max"),
     ],
-    ids=range(13),
 )
 def test_a_weights_file_that_cannot_be_used_is_named(tmp_path, content, words):
     path = tmp_path / "weights.json"
@@ -704,6 +610,7 @@ def test_the_control_law_is_that_of_the_scenario():
     assert abs(torque - static_torque(scenario.robot, scenario.robot.home_pose, 3.0)).min() > 0.01
 
 
+@pytest.mark.slow
 def test_the_start_is_the_references_pose_plus_the_offset_at_the_references_rate():
     scenario = Scenario(initial_offset=(0.01, 0.0, 0.0, 0.0, 0.0, -0.002))
     pose, rate = scenario.start()
@@ -808,7 +715,7 @@ values = st.recursive(
 @given(st.dictionaries(st.sampled_from(sorted(KEYS_OF_ALL)) | st.text(max_size=5), values, max_size=4))
 @example({"robot": {"rod_length": 1e200}})
 @example({"model_robot": {"branch": 10**400}})
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_random_documents_give_a_scenario_or_a_line_that_names_a_key(document):
     error = None
     try:
@@ -820,7 +727,7 @@ def test_random_documents_give_a_scenario_or_a_line_that_names_a_key(document):
 
 
 @given(st.sampled_from(WHOLE), st.data())
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_a_scenario_with_one_random_value_names_the_place_or_takes_it(whole, data):
     paths = [path for path, _ in leaves(whole.to_dict())]
     path = data.draw(st.sampled_from(paths))
@@ -832,7 +739,7 @@ def test_a_scenario_with_one_random_value_names_the_place_or_takes_it(whole, dat
 
 
 @given(st.binary(max_size=60) | st.text(max_size=60).map(lambda t: t.encode("utf-8", "surrogatepass")))
-@settings(max_examples=300)
+@settings(max_examples=100)
 @example(b"!!bool 3")
 @example(b"!!float x")
 @example(b"? - a\n: b")
@@ -845,7 +752,7 @@ def test_random_files_give_a_scenario_or_a_line_that_names_the_file_or_a_key(tmp
 
 
 @given(st.text(max_size=20), st.text(max_size=20))
-@settings(max_examples=200)
+@settings(max_examples=100)
 @example("\b", "'")
 @example("name", "!!binary MQ==")
 def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, value):

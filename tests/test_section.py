@@ -223,6 +223,8 @@ def test_every_bound_is_where_it_was():
         assert not takes(*names[label], more), label
         if label not in ("Scenario.duration", "SafetyOptions.deadline", "PlantOptions.time_step"):
             assert takes(*names[label], most), label
+    assert not takes(*names["SafetyOptions.runaway"], 0.999)
+    assert takes(*names["SafetyOptions.runaway"], 1.0)
     for label in BELOW_ONE:
         assert takes(*names[label], 0.999), label
         assert not takes(*names[label], 1.0), label

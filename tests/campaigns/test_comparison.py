@@ -59,6 +59,7 @@ def done(tmp_path_factory):
     return comparison, run_comparison(comparison, folder, SerialExecutor()), folder
 
 
+@pytest.mark.slow
 def test_every_run_that_is_asked_for_is_there_once():
     cells = [(c.controller, c.reference, c.condition, c.seed) for c in small().cells if c.frequency is None]
     assert cells == [
@@ -127,6 +128,7 @@ def test_files_that_cannot_be_read(tmp_path):
         load_comparison("none_of_this_name")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_comparisons_load_and_their_first_run_works(name):
     comparison = shipped(name)
@@ -152,6 +154,7 @@ def test_the_shipped_controllers_are_tuned_alike_and_the_nine_are_nine():
     assert shipped_folder("comparisons").joinpath("tracking.yaml").is_file()
 
 
+@pytest.mark.slow
 def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
     bands = {**SMALL["bands"], "axes": ["Z", "roll"], "frequencies": [0.5, 20.0], "transient": 1.0, "window": 0.7}
     comparison = small(bands=bands)
@@ -170,6 +173,7 @@ def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
         assert np.flatnonzero(scenario.reference.amplitude).tolist() == [axis]
 
 
+@pytest.mark.slow
 def test_the_table_has_the_figures_and_failures_of_the_runs(done):
     comparison, result, folder = done
     by_run = {(r["controller"], r["reference"], r["condition"], r["seed"]): r for r in result.rows}
@@ -241,6 +245,7 @@ def test_the_markdown_is_a_table_with_failures_and_the_chosen_one(done):
     assert {len(row) for sheet in grid for row in sheet.rows} == {len(sheet.header) for sheet in grid}
 
 
+@pytest.mark.slow
 def test_pictures_are_written(done, tmp_path):
     comparison, result, _ = done
     assert write_pictures(comparison, result, tmp_path) == []
@@ -249,6 +254,7 @@ def test_pictures_are_written(done, tmp_path):
     assert all((tmp_path / name).stat().st_size > 10_000 for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1e12, 1e160, 1e308, None])
 def test_a_blow_up_is_drawn_within_bounds(done, tmp_path, value):
     comparison, result, _ = done
@@ -273,6 +279,7 @@ def test_a_picture_that_cannot_be_drawn_is_a_line_and_the_others_are_there(done,
     assert {path.name for path in tmp_path.iterdir()} == {"rmse.png", "bands.png"}
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_log_period(done, tmp_path):
     _, result, _ = done
     coarse = small(set={**SMALL["set"], "log_period": 0.02}, runs=SMALL["runs"][:1], bands=None)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_network
+from conftest import alive, make_network
 
 from stewart_drake.campaigns.run_store import RunStore, run_key
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, StewartDrakeError
@@ -315,19 +315,6 @@ def start(tmp_path):
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def alive(group):
-    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(of_group) == group and state != "Z":
-            found.append((stat.parent / "cmdline").read_text())
-    return found
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
 def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_tracebacks(tmp_path, start):
@@ -349,22 +336,6 @@ def test_ctrl_c_at_a_terminal_ends_all_workers_at_once_and_without_their_traceba
         time.sleep(0.1)
     assert alive(process.pid) == []
     assert list(runs.glob("*.parquet")) == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
-def test_workers_do_not_outlive_a_caller_that_is_killed(start):
-    process = start('if __name__ == "__main__":', 2000.0)
-    deadline = time.monotonic() + 60.0
-    while len(alive(process.pid)) < 4 and time.monotonic() < deadline:  # the caller, a tracker, two workers
-        time.sleep(0.1)
-    assert len(alive(process.pid)) == 4
-    time.sleep(3.0)
-    process.kill()
-    process.communicate(timeout=60)
-    while alive(process.pid) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert alive(process.pid) == []
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import logging
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import socket
 import threading
@@ -77,6 +78,18 @@ def outcomes(result):
 def reference(tmp_path_factory):
     """The tiny sweep in this process, one run after the other."""
     return run_sweep(sweep(), tmp_path_factory.mktemp("reference"), SerialExecutor())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The same, with what is on the disk, and made by the code as it is."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(versions, "source_digest", lambda: "as it is")
+        engine._own_source.cache_clear()
+        result = run_sweep(sweep(), folder, SerialExecutor())
+    engine._own_source.cache_clear()
+    return result, folder
 
 
 # --- the table -----------------------------------------------------------------------------------------------------
@@ -169,6 +182,7 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
 # --- the same table from any executor ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_threads_and_processes_give_the_same_table(reference, tmp_path):
     with ThreadPoolExecutor(2) as pool:
         assert_same(run_sweep(sweep(), tmp_path / "threads", pool), reference)
@@ -209,6 +223,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 def test_what_a_run_raises_is_its_row(reference, tmp_path):
     serial = run_sweep(sweep(), tmp_path / "serial", SerialExecutor(), function=faulty)
     assert outcomes(serial) == FAULTS
@@ -293,6 +308,7 @@ class Broken(Executor):
         return future
 
 
+@pytest.mark.slow
 def test_workers_are_replaced_once_they_are_worn(reference, tmp_path):
     class Wearing(Workplace):
         worn, opened = 2, 0
@@ -321,11 +337,13 @@ def test_an_executor_that_fails_by_itself_is_said_so_and_is_no_row(tmp_path):
     assert (tmp_path / "rows.jsonl").read_bytes() == b""
 
 
+@pytest.mark.slow
 def test_a_function_that_does_not_travel_is_said_so(tmp_path):
     with pytest.raises(StewartDrakeError, match=r"the executor failed: .*<lambda>"):
         run_sweep(sweep(), tmp_path, LocalProcesses(1), function=lambda s: simulate(s))
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_version_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(versions, "source_digest", lambda: "another")
     with pytest.raises(StewartDrakeError, match="another version of stewart-drake"):
@@ -368,7 +386,7 @@ def interrupt_at(count):
 
 
 @pytest.mark.usefixtures("code_as_it_is")
-def test_what_is_done_outlives_an_interruption_and_only_the_rest_is_run(tmp_path):
+def test_what_is_done_outlives_an_interruption_and_only_the_rest_is_run(whole, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_sweep(sweep(), tmp_path, SerialExecutor(), interrupt_at(3))
     assert len((tmp_path / "rows.jsonl").read_bytes().splitlines()) == 3
@@ -382,10 +400,10 @@ def test_what_is_done_outlives_an_interruption_and_only_the_rest_is_run(tmp_path
     result = run_sweep(sweep(), tmp_path, SerialExecutor(), counts.append, function=spy)
     assert ran == [3, 4, 5]
     assert counts == [3.0, 4.0, 5.0, 6.0]
-    whole = run_sweep(sweep(), tmp_path / "whole", SerialExecutor())
-    assert_same(result, whole)
+    assert_same(result, whole[0])
 
 
+@pytest.mark.slow
 def test_an_interruption_ends_the_processes_at_once_and_keeps_what_they_did(tmp_path):
     others = set(multiprocessing.active_children())
     with pytest.raises(KeyboardInterrupt):
@@ -420,8 +438,9 @@ def test_a_run_that_was_interrupted_is_no_row(tmp_path):
         lambda line: line.replace(b'"index": 5', b'"index": 4'),
     ],
 )
-def test_a_line_that_is_not_whole_is_run_again(tmp_path, tear):
-    first = run_sweep(sweep(), tmp_path, SerialExecutor())
+def test_a_line_that_is_not_whole_is_run_again(whole, tmp_path, tear):
+    first, folder = whole
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     rows = tmp_path / "rows.jsonl"
     lines = rows.read_bytes().splitlines(keepends=True)
     assert tear(lines[5]) != lines[5]
@@ -564,6 +583,7 @@ def test_a_scheduler_that_does_not_answer_is_bad_input(tmp_path, monkeypatch):
             run_sweep(sweep(), tmp_path, DaskCluster(address))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"", None])
 def test_a_port_that_is_not_dask_is_bad_input(monkeypatch, answer):
     """It talks of something else, hangs up, or takes what it is told and says nothing."""

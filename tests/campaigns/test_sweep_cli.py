@@ -1,3 +1,4 @@
+import functools
 import json
 import os
 import signal
@@ -8,9 +9,9 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from conftest import alive
 
 from stewart_drake.campaigns.sweep_table import INCIDENTAL
-from stewart_drake.cli.app import main
 
 ROOT = Path(__file__).parent.parent.parent
 TINY = """
@@ -36,21 +37,9 @@ def start(*args, cwd, **options):
 
 
 @pytest.fixture
-def call(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["stewart-drake", "sweep", *map(str, args)])
-        status = 0
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code
-        return status, *capsys.readouterr()
-
-    return call
+def call(call):
+    """The subcommand."""
+    return functools.partial(call, "sweep")
 
 
 @pytest.mark.slow
@@ -110,19 +99,6 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))
 
 
-def alive(group):
-    """Processes of a group that are not yet dead; zombies wait for whoever adopted them."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, of_group = stat.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(of_group) == group and state != "Z":
-            found.append(stat.parent.name)
-    return found
-
-
 @pytest.mark.slow
 def test_on_a_dask_cluster_the_table_is_the_same(call, tmp_path):
     distributed = pytest.importorskip("distributed")
@@ -179,6 +155,7 @@ def test_another_sweep_in_the_folder_is_refused_until_it_is_thrown_away(call, tm
     assert pq.read_table("out/sweep.parquet").num_rows == 1
 
 
+@pytest.mark.slow
 def test_the_command_line_loads_none_of_it_before_it_is_needed():
     code = "import sys, stewart_drake.cli.app; print([m for m in sys.modules if 'sweeps' in m or m == 'distributed'])"
     done = subprocess.run(

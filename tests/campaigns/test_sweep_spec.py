@@ -267,12 +267,7 @@ def test_bad_input_is_one_line_that_names_the_key(changes, words):
 
 
 FILES = {
-    "empty": (b"", ["an empty file"]),
-    "list": (b"[1, 2]", ["a mapping"]),
-    "twice": (b"runs: 1\nruns: 2\n", ["line 2", 'duplicate key "runs"']),
     "twice inside": (b"distributions:\n  gravity: 1\n  gravity: 2\n", ["line 3", 'duplicate key "gravity"']),
-    "tag": (b"runs: !!python/object:os.system {}\n", ["line 1", "without tags"]),
-    "binary": (b"\x89PNG\xff", ["UTF-8"]),
     "broken": (b"distributions: {", ["line 1"]),
     "nothing in it": (b"runs: 3\n", ["scenario", "required"]),
 }

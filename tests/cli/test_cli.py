@@ -14,7 +14,7 @@ import pytest
 from conftest import resealed
 
 from stewart_drake import scenario as scenario_module
-from stewart_drake.cli.app import cli, main
+from stewart_drake.cli.app import cli
 from stewart_drake.control.network import default_network_path
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
@@ -52,24 +52,6 @@ def shell(*args, cwd, **options):
 
 
 @pytest.fixture
-def call(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["stewart-drake", *map(str, args)])
-        status = 0
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code
-        return status, *capsys.readouterr()
-
-    return call
-
-
-@pytest.fixture
 def without_pictures(monkeypatch):
     from stewart_drake.runs import outputs
 
@@ -80,6 +62,7 @@ def without_pictures(monkeypatch):
 # --- good input ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(tmp_path):
     status, out, err = shell("run", "paper_fig7", *QUICK, cwd=tmp_path)
     assert status == 0, err
@@ -153,6 +136,7 @@ def test_the_version_is_one_line(call):
     assert re.fullmatch(r"stewart-drake (\d+\.\d+\.\d+\S*|not installed)\n", out)
 
 
+@pytest.mark.slow
 def test_the_package_runs_as_a_module(tmp_path):
     code = "import runpy; runpy.run_module('stewart_drake', run_name='__main__')"
     status, out, err = shell("--help", cwd=tmp_path, code=code)
@@ -197,25 +181,15 @@ BAD = [
     (["run", "twice.yaml"], ["twice.yaml", "line 2", 'duplicate key "duration"']),
     (["run", "typo.yaml"], ["plant.time_stp", "did you mean time_step?"]),
     (["run", "paper_fig7", "--set", "duration"], ["--set", "'duration'", "key=value"]),
-    (["run", "paper_fig7", "--set", "=2"], ["--set", "'=2'", "key=value"]),
     (["run", "paper_fig7", "--set", "duration.x=3"], ["duration", "10.0", "a section"]),
     (["run", "paper_fig7", "--set", "duration=[1"], ["--set duration", "line 1"]),
-    (["run", "paper_fig7", "--set", "duration=ten"], ["duration", "'ten'", "a number"]),
     (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "(without quotes)"]),
-    (["run", "paper_fig7", "--set", "duration=true"], ["duration", "True", "a number"]),
-    (["run", "paper_fig7", "--set", "duration=.nan"], ["duration", "nan", "a finite number"]),
-    (["run", "paper_fig7", "--set", "duration=-1"], ["duration", "-1", "a number above 0"]),
-    (["run", "paper_fig7", "--set", "plant.time_step=0"], ["plant.time_step", "got 0;", "1e-06 to 0.1"]),
     (["run", "paper_fig7", "--set", "plant.time_step=0.003"], ["controller.period", "0.005", "multiple", "0.003"]),
-    (["run", "paper_fig7", "--set", "log_period=0.0005"], ["log_period", "0.0005", "multiple"]),
     (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine, sine_bursts"]),
-    (["run", "paper_fig7", "--set", "reference.center=[0, 0, 0.3]"], ["reference.center", "a list of 6 numbers"]),
-    (["run", "paper_fig7", "--set", "name=../../etc"], ["name", "'../../etc'", "letters"]),
     (["run", "paper_fig7", "--set", "reference.center=[0,0,0,0,0,0.6]"], ["reach", "t = 0.000 s", "leg 0", "0.98"]),
     (["run", "paper_fig7", "--set", "reference.amplitude=[2,0,0,0,0,0]"], ["joint_swing", "t = 0.282 s", "leg 5"]),
     (["run", "paper_fig7", "--set", "reference.angular_frequency=[1e200,0,0,0,0,0]"], ["reference", "finite"]),
     (["run", "paper_fig7", "--set", "initial_offset=[0,0,0,0,0,0.3]"], ["initial_offset", "out of reach of leg 0"]),
-    (["run", "paper_fig7", "--set", "gravity=1e300"], ["gravity", "0 to 1e+06"]),
     (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
     (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "a regular file"]),
@@ -232,7 +206,6 @@ BAD = [
     (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
     (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
-    (["run", "exact_breathing", "--set", "sensors.noise=1.7e308"], ["sensors.noise", "1e+06"]),
     (
         [
             "run",
@@ -248,6 +221,7 @@ BAD = [
     ),
     (["collect", "--out", "a" * 300], ["--out", "too long"]),
     (["collect", "--out", "folder"], ["--out", "directory"]),
+    (["train", "--out", "folder"], ["--out", "directory"]),
     (["train", "data.parquet", "--out", ""], ["--out", "empty text"]),
     (["schema", "--out", "no/schema.json"], ["no/schema.json", "writable folder"]),
     (["schema", "--out", "folder"], ["folder", "is a directory"]),
@@ -297,9 +271,9 @@ def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_fi
     assert contents(tmp_path) == bad_files
 
 
-@pytest.mark.parametrize("which", [8, 11, 22, 28, 30, 33, 39])
-def test_bad_input_from_a_shell_too(bad_files, tmp_path, which):
-    args, words = BAD[which]
+@pytest.mark.slow
+@pytest.mark.parametrize(("args", "words"), BAD[::12], ids=[" ".join(args)[:60] for args, _ in BAD[::12]])
+def test_bad_input_from_a_shell_too(bad_files, tmp_path, args, words):
     assert_refused(*shell(*args, cwd=tmp_path), words)
     assert contents(tmp_path) == bad_files
 
@@ -310,6 +284,7 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_run(call, monkey
     assert_refused(*call("run", "paper_fig7", "--out", "/proc/x"), ["--out", "'/proc/x'"])
 
 
+@pytest.mark.slow
 def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
     for args in ([b"run", b"\xff"], [b"run", b"paper_fig7", b"--set", b"name=\xff"]):
         command = [sys.executable, "-c", "from stewart_drake.cli.app import main; main()", *args]
@@ -321,6 +296,7 @@ def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("args", [["schema"], ["run", "paper_fig7", "--set", "duration=0.02", "--out", "out"]])
 def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
     if not Path("/dev/full").exists():
@@ -350,6 +326,7 @@ def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
     assert load_scenario(own).duration == 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("args", [["--version"], ["schema"]])
 def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
     code = "from stewart_drake.cli.app import main; main()"
@@ -359,6 +336,7 @@ def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
     assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
     process = start("run", "paper_fig7", "--set", "duration=0.3", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
     process.stderr.close()
@@ -368,6 +346,7 @@ def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
     assert "real-time factor" in out
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
     args = ["run", "paper_fig7_uncompensated", "--set", "controller.feedforward=none", "--out", "out"]
     process = start(*args, cwd=tmp_path, code=WITHOUT_PICTURES)
@@ -389,6 +368,7 @@ def test_a_run_without_figures_is_told_all_the_same(call):
 # --- runs that break ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
     status, out, err = shell("run", "paper_fig7_uncompensated", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
     assert status == 3
@@ -422,6 +402,7 @@ def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
     assert json.loads(Path("runs/paper_fig7/metrics.json").read_text())["torque_rms"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     code = (
@@ -450,6 +431,7 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "interrupted"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs SIGHUP")
 def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
     code = (
@@ -512,6 +494,7 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
 HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "array_api_compat.numpy")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "args"),
     [
@@ -530,6 +513,7 @@ def test_nothing_heavy_loads_before_it_is_needed(tmp_path, code, args):
     assert out.splitlines()[-1] == "LOADED []"
 
 
+@pytest.mark.slow
 def test_a_run_without_training_needs_no_torch(tmp_path):
     spy = (
         "import sys; sys.modules['torch'] = None\n"
@@ -538,15 +522,6 @@ def test_a_run_without_training_needs_no_torch(tmp_path):
     )
     status, out, err = shell(cwd=tmp_path, code=spy)
     assert (status, out) == (0, "completed\n"), err
-
-
-@pytest.mark.parametrize("command", ["collect", "train"])
-def test_a_folder_where_a_file_should_go_is_refused_before_the_work(tmp_path, command):
-    (tmp_path / "made").mkdir()
-    status, _, err = shell(command, "--out", "made", cwd=tmp_path)
-    assert status == 2
-    assert "made" in err
-    assert list((tmp_path / "made").iterdir()) == []
 
 
 @pytest.mark.parametrize(

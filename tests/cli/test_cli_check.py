@@ -1,8 +1,7 @@
-import sys
+import functools
 
 import pytest
 
-from stewart_drake.cli.app import main
 from stewart_drake.planning.limits import RULES
 from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.scenario import load_scenario
@@ -11,20 +10,9 @@ FAST = ("--set", "reference.angular_frequency=[14,14,14,14,14,14]", "--set", "du
 
 
 @pytest.fixture
-def check(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["stewart-drake", "check", *map(str, args)])
-        try:
-            main()
-        except SystemExit as end:
-            return end.code, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return call
+def check(call):
+    """The subcommand."""
+    return functools.partial(call, "check")
 
 
 @pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "paper_fig7"])

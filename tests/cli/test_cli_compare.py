@@ -1,8 +1,6 @@
-import sys
+import functools
 
 import pytest
-
-from stewart_drake.cli.app import main
 
 TEXT = """
 scenario: paper_fig7
@@ -13,20 +11,9 @@ references: {hold: {reference: {kind: hold}}}
 
 
 @pytest.fixture
-def compare(monkeypatch, capsys, tmp_path):
-    """The command within this process, in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["stewart-drake", "compare", *map(str, args)])
-        try:
-            main()
-        except SystemExit as end:
-            return end.code, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return call
+def compare(call):
+    """The subcommand."""
+    return functools.partial(call, "compare")
 
 
 @pytest.mark.slow

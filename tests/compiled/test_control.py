@@ -72,6 +72,7 @@ def test_acceleration_map(robot, offset, exact, printed):
     np.testing.assert_allclose(out.T, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(
     robot=robots,

@@ -48,6 +48,7 @@ def test_without_a_place_for_a_cache_functions_compile_all_the_same(monkeypatch)
     assert twice(3.0) == 6.0
 
 
+@pytest.mark.slow
 def test_constants_from_elsewhere_are_in_modules_that_the_digest_covers():
     """What a compiled module imports from the package is compiled in: another module would go stale unseen."""
     used = python("-c", _IMPORTS).split()
@@ -110,6 +111,7 @@ def package(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_change_below_reaches_what_was_compiled_above(package, tmp_path, monkeypatch):
     """The same files, the callee's changed; numba's own cache would answer as the first time."""
     shutil.copytree(package / "cache", tmp_path / "cache")

@@ -117,6 +117,7 @@ def test_a_saved_network_comes_back_whole(tmp_path, network):
     assert (twin.density, twin.window, twin.provenance) == (network.density, network.window, network.provenance)
 
 
+@pytest.mark.slow
 def test_the_file_is_byte_stable(tmp_path, network):
     first, second = tmp_path / "a.json", tmp_path / "b.json"
     network.save(first)
@@ -294,6 +295,7 @@ def test_the_package_carries_a_tuner_and_says_where_it_comes_from():
     np.testing.assert_array_equal([network.omega_min, network.omega_max], [[0.1, 0.1], [10.0, 10.0]])
 
 
+@pytest.mark.slow
 def test_inference_needs_neither_torch_nor_drake():
     code = (
         "import sys; sys.modules.update(torch=None, pydrake=None)\n"

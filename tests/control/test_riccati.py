@@ -301,6 +301,7 @@ def both_chain_gains(s, period, blocks, method):
     return chain_gains(np.array([s]), period, blocks, method)[0], compiled
 
 
+@pytest.mark.slow
 @settings(max_examples=80)
 @example(1.0, 0.1, 1.0, 0.01, 1e6, 1.0, "exact")  # Long periods: what a hold adds to Euler's terms is felt.
 @example(1.0, 0.1, 1e6, 0.01, 1.0, 1.0, "exact")
@@ -321,6 +322,7 @@ def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, me
         assert worst_digit(gains, expected) < 1e-9
 
 
+@pytest.mark.slow
 @settings(max_examples=80)
 @given(
     s=logs(-6.0, 6.0),

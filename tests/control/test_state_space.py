@@ -73,6 +73,7 @@ def test_the_dynamics_are_a_double_integrator_with_an_integral_beside_it():
     np.testing.assert_array_equal(derivative[INTEGRAL], state[POSITION])
 
 
+@pytest.mark.slow
 @given(pose=poses(), period=st.floats(1e-4, 0.1))
 def test_exact_discretisation_is_the_matrix_exponential(pose, period):
     b = input_matrix(acceleration_map(pose))

@@ -189,6 +189,7 @@ RAISED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", RAISED)
 def test_whatever_it_raises_keeps_the_log_and_is_shown_with_its_line(written, error):
     text = GOOD.replace(
@@ -250,6 +251,7 @@ NOT_RUN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", NOT_RUN)
 def test_a_module_of_no_installed_package_is_refused_before_anything_is_imported(tmp_path, monkeypatch, system):
     for name in ("loose", "package/__init__", "package/inside", "space/inside"):
@@ -264,6 +266,7 @@ def test_a_module_of_no_installed_package_is_refused_before_anything_is_imported
     assert not [name for name in set(sys.modules) - loaded if name.partition(".")[0] in ("loose", "package", "space")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", ["numpy:array", "numpy:ndarray", "numpy.testing:run_threaded", "click:Command"])
 def test_what_is_no_system_is_not_called_although_it_is_installed(system):
     with pytest.raises(ConfigurationError, match=r"a class|a LeafSystem|with a class"):

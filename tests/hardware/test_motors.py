@@ -97,6 +97,7 @@ def test_with_gravity_no_five_motors_hold_even_the_weight_but_for_chance(pose, d
         assert load.support == pytest.approx(distance)
 
 
+@pytest.mark.slow
 @given(poses(0.5), st.integers(0, 5), st.integers(0, 1000))
 def test_without_weight_the_largest_force_is_a_corner_that_no_direction_surpasses(pose, dead, seed):
     jacobian = twist_jacobian(ROBOT, pose)

@@ -211,6 +211,7 @@ def test_every_metric_is_the_same_whether_the_run_comes_whole_or_in_parts(metric
     assert metric.shown(None) == "-"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.5, 2.0])
 @pytest.mark.parametrize("start", [0.0, 3.0])
 def test_settling_of_an_exponential_decay_is_known(rate, start):

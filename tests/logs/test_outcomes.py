@@ -206,6 +206,7 @@ def push(time, **keys):
     return {"disturbances": [{"time": time, **keys}]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "status", "reason"),
     [
@@ -232,6 +233,7 @@ def test_no_run_is_completed_because_the_clock_ran_out(changes, status, reason, 
     assert json.loads(json.dumps(metrics, allow_nan=False)) == run_metrics(log)
 
 
+@pytest.mark.slow
 def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
     blow = push(0.25, kind="impulse", impulse=[0, 0, 0, 0, 2.0, 0])
     logs = [run(exact(log_period=period, **blow)) for period in (None, 0.6, 0.007)]
@@ -242,6 +244,7 @@ def test_figures_and_outcome_do_not_depend_on_which_rows_the_log_keeps():
     assert [log.warnings for log in logs[1:]] == [logs[0].warnings] * 2
 
 
+@pytest.mark.slow
 def test_peaks_are_those_of_every_step_of_the_plant():
     coarse = Scenario.from_dict(
         {"duration": 0.5, "reference": STILL, "tuner": {"kind": "fixed"}}
@@ -253,6 +256,7 @@ def test_peaks_are_those_of_every_step_of_the_plant():
     np.testing.assert_allclose(peaks, 1e3 * sizes[3:], rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "exact_breathing", "exact_heart", "exact_fig7"])
 def test_a_committed_scenario_without_a_fault_is_completed(name):
     log = run(load_scenario(name).replace({"duration": 2.0}))

@@ -126,6 +126,7 @@ def some_poses(robot, shape, seed=0):
     return pose, *rng.normal(size=(2, *shape, 6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 def test_numpy_torch_and_numba_give_the_same_over_any_leading_axes(robot, name):
@@ -177,6 +178,7 @@ def test_many_poses_give_what_each_gives_in_whatever_way_they_are_passed(functio
         np.testing.assert_allclose(found.reshape(-1, *expected.shape[1:])[some], expected, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(at=robots_and_poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 5.0))
 def test_gradients_are_our_jacobians_and_finite_differences(at, rate, acceleration):

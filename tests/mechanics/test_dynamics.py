@@ -144,6 +144,7 @@ def test_inertia_gives_the_kinetic_energy_of_all_bodies(at, rate):
     assert energy == pytest.approx(kinetic_energy(robot, pose, rate), rel=1e-7, abs=1e-10)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(at=st.sampled_from([HEAVY, UNEQUAL]).flatmap(with_pose), rate=vectors(6), acceleration=vectors(6, 5.0))
 def test_torques_satisfy_lagranges_equations_of_the_energies(at, rate, acceleration):
@@ -214,6 +215,7 @@ def test_static_torque_is_inverse_dynamics_at_rest(at):
         np.testing.assert_allclose(static_torque(robot, pose, gravity), at_rest, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(at=robots_and_poses())
 def test_static_torque_is_the_gradient_of_the_potential_energy(at):
     robot, pose = at
@@ -248,25 +250,6 @@ def test_turning_the_motion_by_120_degrees_turns_inertia_and_bias_with_it(pose, 
     bias, inertia = task_bias(ROBOT, pose, twist), task_inertia(ROBOT, pose)
     np.testing.assert_allclose(task_bias(ROBOT, turned, both @ twist), both @ bias, atol=1e-10)
     np.testing.assert_allclose(task_inertia(ROBOT, turned), both @ inertia @ both.T, atol=1e-11)
-
-
-def test_everything_is_vectorised_over_leading_axes():
-    rng = np.random.default_rng(0)
-    pose = ROBOT.home_pose + rng.uniform(-0.05, 0.05, (2, 3, 6))
-    rate, acceleration = rng.normal(size=(2, 2, 3, 6))
-    calls = {
-        "static_torque": lambda *a: static_torque(ROBOT, a[0]),
-        "inverse_dynamics": lambda *a: inverse_dynamics(ROBOT, *a),
-        "forward_dynamics": lambda *a: forward_dynamics(ROBOT, *a),
-        "task_inertia": lambda *a: task_inertia(ROBOT, a[0]),
-        "task_bias": lambda *a: task_bias(ROBOT, a[0], a[1]),
-        "euler_acceleration": euler_acceleration,
-    }
-    for name, call in calls.items():
-        values = call(pose, rate, acceleration)
-        for i in np.ndindex(2, 3):
-            one = call(pose[i], rate[i], acceleration[i])
-            np.testing.assert_allclose(values[i], one, rtol=1e-11, atol=1e-12, err_msg=name)
 
 
 def test_a_torque_of_another_size_is_refused():

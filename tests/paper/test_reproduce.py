@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import make_network
 from matplotlib.image import imread
+from quick_report import FASTER
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.logs import versions
@@ -326,22 +327,9 @@ def test_numbers_that_json_does_not_have_end_the_report_before_anything_is_overw
 
 
 @pytest.fixture
-def call(monkeypatch, capsys, tmp_path):
-    from stewart_drake.cli.app import main
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["stewart-drake", "reproduce", *args])
-        status = 0
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code
-        return status, *capsys.readouterr()
-
-    return call
+def call(call):
+    """The subcommand."""
+    return functools.partial(call, "reproduce")
 
 
 def test_the_command_makes_the_report_and_prints_each_verdict(call, made):
@@ -469,7 +457,8 @@ def test_its_progress_rises_from_zero_to_one_within_each_section(report):
 def test_a_shell_finds_the_finished_report_and_prints_each_verdict(report):
     code = "from stewart_drake.cli.app import main\nif __name__ == '__main__': main()"
     env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    command = [sys.executable, "-c", code, "reproduce", "--quick", "--out", str(report.folder)]
+    sets = [word for key, value in FASTER.items() for word in ("--set", f"{key}={json.dumps(value)}")]
+    command = [sys.executable, "-c", code, "reproduce", "--quick", "--out", str(report.folder), *sets]
     before = content(report.folder / "parts") | content(report.folder / "figures")
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr

@@ -202,6 +202,7 @@ def test_check_reference_covers_both_ends_at_the_stated_rate():
     assert np.diff(time).max() <= 1.0 / 30.0 + 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("frequency", [1.0, 5.0])
 def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(axis, frequency):
@@ -228,6 +229,7 @@ def test_the_largest_amplitude_bound_by_torque_is_feasible_and_a_little_more_is_
     assert amplitude < 0.9 * largest_amplitude(ROBOT, NONE, axis, 4.0, GRAVITY)
 
 
+@pytest.mark.slow
 def test_the_amplitude_table_falls_with_frequency_from_the_range_at_rest():
     table = amplitude_table(ROBOT, ALL, [0.0, 3.0], GRAVITY)
     assert table.shape == (2, 6)

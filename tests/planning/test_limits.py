@@ -204,6 +204,7 @@ def test_the_sixty_pairs_are_all_links_of_different_legs():
         assert one.split()[1] != other.split()[1]
 
 
+@pytest.mark.slow
 @given(pose=poses())
 def test_clearance_is_the_distance_of_the_two_named_links_between_their_surfaces(pose):
     legs = leg_geometry(ROBOT, pose)

@@ -50,6 +50,7 @@ def home_survey():
     return {kind: survey(ROBOT, LIMITS, spanning_grid(ROBOT, kind, HOME, 20_000)) for kind in COORDINATES}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "robot",
     [ROBOT, ROBOT.replace(branch=1, home_height=0.25, rod_length=0.42), TANGENTIAL, ALTERNATING, UNEQUAL],
@@ -315,6 +316,7 @@ def is_closed(triangles):
     return len(set(sides)) == len(sides) and all((b, a) in set(sides) for a, b in sides)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("subdivisions", [0, 1, 3])
 def test_the_icosphere_is_a_closed_sphere(subdivisions):
     vertices, triangles = icosphere(subdivisions)
@@ -324,6 +326,7 @@ def test_the_icosphere_is_a_closed_sphere(subdivisions):
     assert (np.linalg.det(vertices[triangles]) > 0.0).all()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_split_edges_leave_the_mesh_closed(seed):
     rng = np.random.default_rng(seed)
@@ -357,6 +360,7 @@ def test_rays_end_where_the_named_limit_is_met(kind):
     np.testing.assert_array_equal(cause, limit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
 def test_ranges_along_an_axis_agree_with_the_largest_amplitude_at_rest(axis):
     kind = "orientation" if axis < 3 else "position"
@@ -365,6 +369,7 @@ def test_ranges_along_an_axis_agree_with_the_largest_amplitude_at_rest(axis):
     assert radius.min() == pytest.approx(largest_amplitude(ROBOT, LIMITS, axis, 0.0, 9.81), rel=3e-4)
 
 
+@pytest.mark.slow
 def test_surface_and_grid_agree_on_the_volume(home_survey):
     surface = boundary(ROBOT, LIMITS, "position", HOME, subdivisions=3, refinements=1)
     found = home_survey["position"]

@@ -121,6 +121,7 @@ def test_from_the_same_state_both_accelerate_alike():
         np.testing.assert_allclose(robot.acceleration, expected, rtol=0.0, atol=2e-4 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @motions
 def test_runge_kutta_of_mujoco_reaches_the_exact_motion(motion):
     errors = []
@@ -132,6 +133,7 @@ def test_runge_kutta_of_mujoco_reaches_the_exact_motion(motion):
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.slow
 @motions
 def test_closed_form_lacks_the_spin_of_the_rods_alone(motion):
     platform, gap = of_mujoco(motion, "RK4", robot=THIN)
@@ -140,6 +142,7 @@ def test_closed_form_lacks_the_spin_of_the_rods_alone(motion):
     assert 20.0 * gap < spin < 1e-6
 
 
+@pytest.mark.slow
 @motions
 def test_drake_reaches_the_exact_motion_as_its_step_shrinks(motion):
     coarse, middle, fine = (of_drake(motion, time_step) for time_step in (2.0 * STEP, STEP, 0.5 * STEP))
@@ -150,6 +153,7 @@ def test_drake_reaches_the_exact_motion_as_its_step_shrinks(motion):
     assert apart((8.0 * fine - 6.0 * middle + coarse) / 3.0, exact(motion)) < 5e-9
 
 
+@pytest.mark.slow
 @motions
 def test_drake_and_euler_of_mujoco_differ_at_second_order_only(motion):
     apart_at = {step: apart(of_drake(motion, step), of_mujoco(motion, "Euler", step)[0]) for step in (2.0 * STEP, STEP)}

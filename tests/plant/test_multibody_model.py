@@ -75,6 +75,7 @@ def spins(stewart, pose, rate):
     return np.sum(np.multiply(turning, axes), axis=-1)
 
 
+@pytest.mark.slow
 @robots
 @settings(max_examples=25)
 @given(unit=vectors(6), rate=vectors(6, 3.0))
@@ -88,6 +89,7 @@ def test_with_ball_joints_it_is_the_closed_form(robot, gravity, unit, rate):
     agree(found.input_map, twist_jacobian(robot, pose).T)
 
 
+@pytest.mark.slow
 @robots
 @settings(max_examples=25)
 @given(unit=vectors(6), rate=vectors(6, 3.0))
@@ -148,6 +150,7 @@ def relative_error(robot, spin, pose, rate, torque, time_step, options):
     return ((after - before) / time_step - model) / np.abs(model).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "spin", "options"),
     [

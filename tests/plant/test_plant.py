@@ -342,6 +342,7 @@ def test_context_of_another_diagram_is_refused_and_drake_does_not_exit():
 # --- motion ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @universal_or_ball
 def test_free_motion_of_the_reference_converges_at_first_order(rod_joint):
     errors, turns = [], []
@@ -357,6 +358,7 @@ def test_free_motion_of_the_reference_converges_at_first_order(rod_joint):
     assert 8.0 < turns[0] / turns[1] < 12.0
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(pose=poses(), rate=vectors(6, 2.0), torque=vectors(6, 3.0))
 def test_velocities_change_as_the_closed_form_says(pose, rate, torque):
@@ -538,6 +540,7 @@ def on_the_papers_way(**plant):
     return np.array(states), contacts
 
 
+@pytest.mark.slow
 def test_collision_neither_acts_nor_shows_on_the_papers_way():
     free, none = on_the_papers_way()
     checked, contacts = on_the_papers_way(collision=True)

@@ -280,6 +280,7 @@ def test_missing_folder_is_one_clear_error(tmp_path):
         save_figure(plot_torques(make_log(rows=2)), tmp_path / "missing" / "figure.png")
 
 
+@pytest.mark.slow
 def test_nothing_of_the_user_s_matplotlib_changes():
     before = dict(mpl.rcParams)
     plot_states(make_log())

@@ -38,6 +38,7 @@ adjusted = st.builds(
 PATH = MinimumJerkReference(poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.1, 0.0, 0.0, 0.02, 0.0, 0.3)), durations=(1.0,))
 
 
+@pytest.mark.slow
 @given(sums | adjusted, st.floats(-0.5, 10.0))
 def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time):
     check_means(reference, time)
@@ -76,6 +77,7 @@ def test_tremor_on_a_tool_path_is_about_the_path():
         np.testing.assert_allclose(both, path + shaking, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(simple | sums, st.floats(0.25, 8.0), st.floats(0.0, 10.0))
 def test_slowed_by_k_rates_are_one_kth_and_accelerations_one_k_squared(motion, slowdown, time):
     slow = AdjustedReference(motion=motion, slowdown=slowdown).evaluate(slowdown * time)

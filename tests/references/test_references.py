@@ -6,6 +6,7 @@ import pytest
 from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
+from references.laws import check_shapes
 from strategies import vectors
 
 from stewart_drake.errors import ConfigurationError
@@ -46,24 +47,8 @@ def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time
 
 
 @given(references, st.lists(st.floats(-1.0, 10.0), min_size=1, max_size=5))
-def test_many_times_at_once_give_what_each_gives_alone(reference, times):
-    together = reference.evaluate(np.array([times, times]))
-    for values in together:
-        assert values.shape == (2, len(times), 6)
-    for index, time in enumerate(times):
-        for values, one in zip(together, reference.evaluate(time), strict=True):
-            np.testing.assert_allclose(values[1, index], one, rtol=1e-12, atol=1e-12)
-            assert one.shape == (6,)
-
-
-@given(references, st.floats(0.0, 5.0))
-def test_a_caller_may_write_into_what_it_gets(reference, time):
-    first = reference.evaluate(time)
-    kept = [values.copy() for values in first]
-    for values in first:
-        values += 1.0
-    for values, again in zip(kept, reference.evaluate(time), strict=True):
-        np.testing.assert_array_equal(values, again)
+def test_shapes(reference, times):
+    check_shapes(reference, times)
 
 
 @given(st.floats(0.0, 20.0))
@@ -106,6 +91,7 @@ def test_before_the_first_and_after_the_last_burst_the_centre_is_held(reference,
         np.testing.assert_allclose([rate, acceleration], 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @given(bursts())
 def test_acceleration_has_no_jumps(reference):
     times = np.arange(0.0, len(reference.frequency) * reference.burst_duration + 0.2, 1e-4)

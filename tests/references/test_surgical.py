@@ -118,6 +118,7 @@ def test_a_steady_heart_repeats_every_beat(rate, time, beats):
         np.testing.assert_allclose(again, first, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(heartbeats(premature=()))
 @settings(max_examples=50)
 def test_excursion_is_from_end_to_end(reference):
@@ -172,6 +173,7 @@ def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prema
     assert times[beat + 1] - times[beat - 1] == pytest.approx(2.0 / rate, abs=1e-4)
 
 
+@pytest.mark.slow
 @given(heartbeats())
 @settings(max_examples=50)
 def test_a_premature_beat_leaves_the_rest_of_the_motion_alone_and_never_turns_the_heart_back(reference):
@@ -185,6 +187,7 @@ def test_a_premature_beat_leaves_the_rest_of_the_motion_alone_and_never_turns_th
     assert reference.beats(times)[1].min() > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beats", [(3,), (2, 4), (1, 3, 5)])
 def test_pose_rate_and_acceleration_are_continuous_across_premature_beats(beats):
     reference = HeartbeatReference(premature_beats=beats)
@@ -200,6 +203,7 @@ def test_pose_rate_and_acceleration_are_continuous_across_premature_beats(beats)
 # --- tremor -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tremor_has_its_size_and_stays_within_its_band():
     reference = TremorReference(rms=(1e-3, 0.0, 0.0, 1e-4, 2e-4, 3e-4), low=6.0, high=12.0, seed=3)
     rate, duration = 200.0, 400.0

@@ -33,6 +33,7 @@ def feasible(robot, reference, duration):
     return check_reference(robot, LIMITS, reference, duration, GRAVITY).feasible
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "reference", "duration"),
     [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4), (ROBOT, TOO_FAR, 4.0)],
@@ -45,6 +46,7 @@ def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, referenc
     assert not feasible(robot, adjusted(reference, scale=1.01 * scale), duration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "reference", "duration"), [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4)]
 )
@@ -60,6 +62,7 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
         assert feasible(robot, adjusted(reference, slowdown=slower), slower * duration)
 
 
+@pytest.mark.slow
 def test_the_whole_motion_is_slowed_and_checked_to_its_end():
     late = dataclasses.replace(BEATS, premature_beats=(4,))
     worst = check_reference(WEAK, LIMITS, late, 2.1, GRAVITY).smallest["torque"]
@@ -84,6 +87,7 @@ def test_a_feasible_motion_stays_as_it_is():
         assert factor == 1.0
 
 
+@pytest.mark.slow
 def test_what_is_adjusted_already_is_adjusted_further():
     start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
     fitted, factor = fit_speed(ROBOT, LIMITS, start, 1.0, GRAVITY)

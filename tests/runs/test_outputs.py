@@ -36,6 +36,7 @@ def short_run():
     return run(Scenario.from_dict({"name": "short", "duration": 0.2}))
 
 
+@pytest.mark.slow
 def test_a_run_leaves_all_its_files(short_run, tmp_path):
     folder = tmp_path / "deep" / "down"
     metrics = write_run(short_run, folder, build_diagram(short_run.scenario).GetGraphvizString())
@@ -55,6 +56,7 @@ def test_a_run_leaves_all_its_files(short_run, tmp_path):
     assert (folder / "diagram.dot").read_text().startswith("digraph")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_run_that_broke_at_once_keeps_what_it_has(short_run, tmp_path, rows):
     signals = {name: values[:rows] for name, values in short_run.signals.items()}
@@ -72,6 +74,7 @@ def test_numbers_alone_need_no_pictures(tmp_path):
     assert names(tmp_path) == ALWAYS
 
 
+@pytest.mark.slow
 def test_results_of_the_same_scenario_are_replaced_as_a_whole(short_run, tmp_path):
     folder = tmp_path / "out"
     write_run(short_run, folder, "digraph {}")
@@ -113,7 +116,7 @@ def test_the_same_scenario_with_another_file_of_the_same_name_is_another_one(tmp
         write_run(logs[0], tmp_path / "out", pictures=False)
     with pytest.raises(ConfigurationError, match="--force"):
         write_run(logs[1], tmp_path / "out", pictures=False)
-    assert (tmp_path / "out" / "controller.py").read_text() == "# first\n"
+    assert (tmp_path / "out" / "code" / "mine.py").read_text() == "# first\n"
 
 
 def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
@@ -164,6 +167,7 @@ def test_a_folder_under_construction_is_locked_and_its_leftovers_are_cleared(tmp
     assert names(place) == ALWAYS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [False, True])
 @pytest.mark.parametrize("step", ["mkdir", "rename", "unlink"])
 def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_path, monkeypatch, before, step):
@@ -237,11 +241,14 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     log = made_log(scenario=own)
     log = dataclasses.replace(log, files=file_digests(log.scenario.to_dict()))
     write_run(log, folder, pictures=False)
-    assert names(folder) == ALWAYS | {"controller.py"}
-    assert (folder / "controller.py").read_text() == "one = 1\n"
+    assert names(folder) == ALWAYS | {"code"}
+    assert (folder / "code" / "mine.py").read_text() == "one = 1\n"
     again = load_scenario(folder / "scenario.yaml")
-    assert again.controller.system == f"{folder / 'controller.py'}:Mine"
+    assert again.controller.system == f"{folder / 'code' / 'mine.py'}:Mine"
     write_run(log, folder, pictures=False)
+    (folder / "code" / "notes.py").write_text("mine")
+    with pytest.raises(ConfigurationError, match=r"code/notes\.py would be lost"):
+        write_run(log, folder, pictures=False, force=True)
     code.unlink()
     write_run(made_log(scenario=own), tmp_path / "without", pictures=False)
     assert names(tmp_path / "without") == ALWAYS

@@ -131,6 +131,7 @@ def test_frames_come_at_the_given_rate_in_simulated_time(page):
         assert len(values) == 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod_joint", ["universal", "ball"])
 def test_platform_and_reference_move_as_logged(rod_joint, tmp_path):
     log = make_log(rod_joint=rod_joint)
@@ -263,6 +264,7 @@ def test_port_is_free_and_nothing_announced_afterwards(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_failure_while_recording_leaves_the_earlier_page(tmp_path, monkeypatch):
     before = listening_sockets()
     earlier = written(make_log(rows=3), tmp_path)
@@ -283,6 +285,7 @@ def test_missing_folder_is_one_clear_error(tmp_path):
         written(make_log(rows=3), tmp_path / "missing")
 
 
+@pytest.mark.slow
 @needs_egl
 @pytest.mark.parametrize("size", [1.0, 2.0])
 def test_still_shows_the_whole_robot_on_white(size, tmp_path):
@@ -305,6 +308,7 @@ def test_still_shows_the_whole_robot_on_white(size, tmp_path):
     assert 0.002 < np.mean((red > blue + 0.2) & (red > green + 0.1)) < 0.1, "the cranks"
 
 
+@pytest.mark.slow
 @needs_egl
 def test_every_pass_of_a_still_has_the_robot_at_its_pose(tmp_path):
     for passes in (1, 2):

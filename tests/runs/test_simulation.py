@@ -142,6 +142,7 @@ def test_a_duration_between_steps_ends_at_the_step_before(duration, end, rows):
     assert log.time[-1] == pytest.approx(0.005 * (rows - 1), abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "period"), [(1e-4, 5e-4), (0.0003, 0.0021), (1 / 3000, 1 / 300), (0.002, 0.006)])
 def test_ticks_are_met_at_awkward_periods_too(step, period):
     log = run(scenario(duration=30 * period, plant={"time_step": step}, controller={"period": period}))
@@ -421,6 +422,7 @@ def test_what_numba_compiles_is_no_part_of_the_run(monkeypatch):
     assert log.wall_time == len(ticks) - 1
 
 
+@pytest.mark.slow
 def test_a_run_leaves_no_diagram_behind():
     # pydrake ties a diagram into cycles that Python's garbage collector does not find: some megabytes a run.
     def alive():

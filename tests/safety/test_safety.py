@@ -330,6 +330,7 @@ def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
     assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
+@pytest.mark.slow
 @given(vectors(6, 0.4))
 def test_the_safe_hold_takes_energy_out(rate):
     done, _ = run([GOOD, *[inputs(pose=at(x=0.13), rate=rate)] * 30], SafetyOptions(horizon=0.0))
@@ -384,6 +385,7 @@ wild = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(wild | st.just(GOOD), min_size=1, max_size=40))
 @settings(max_examples=150)
 def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
@@ -402,6 +404,7 @@ def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
 # --- compiled -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(poses(0.6), vectors(6, 1.0), vectors(6, 4.0), vectors(6, 0.02)), min_size=1, max_size=4))
 @settings(max_examples=60)
 def test_compiled_ticks_are_the_reference(ticks):
@@ -524,6 +527,7 @@ def swing(frequency, amplitude):
     return time, (HOME + sine, omega * cosine, -(omega**2) * sine)
 
 
+@pytest.mark.slow
 @given(st.floats(0.5, 6.0), st.floats(0.001, 0.005))
 @settings(max_examples=30)
 def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wider_ones_are_not(frequency, amplitude):
@@ -572,36 +576,3 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     assert any(tripped)
     short = dataclasses.replace(options, horizon=0.0)
     refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
-
-
-@pytest.mark.parametrize(
-    ("values", "key"),
-    [
-        ({"deadline": -1}, "deadline"),
-        ({"deadline": 1.0}, "deadline"),
-        ({"torque_limit": 1.1}, "torque_limit"),
-        ({"torque_limit": 0.0}, "torque_limit"),
-        ({"torque_rate": np.nan}, "torque_rate"),
-        ({"transmission": 1.0}, "transmission"),
-        ({"conditioning": -0.1}, "conditioning"),
-        ({"crank_speed": 0.0}, "crank_speed"),
-        ({"workspace": (1.0, 0.0)}, "workspace"),
-        ({"workspace": (1.0,)}, "workspace"),
-        ({"following_error": (np.inf, 1.0)}, "following_error"),
-        ({"frozen_pose": (0.0, 1.0)}, "frozen_pose"),
-        ({"frozen_encoder": -1.0}, "frozen_encoder"),
-        ({"hold_ticks": 21}, "hold_ticks"),
-        ({"hold_ticks": 1.5}, "hold_ticks"),
-        ({"hold_time": 0.031}, "hold_time"),
-        ({"ramp_time": 0.0}, "ramp_time"),
-        ({"safe_hold_time": 0.0}, "safe_hold_time"),
-        ({"damping": -0.1}, "damping"),
-        ({"horizon": np.nan}, "horizon"),
-        ({"runaway": 0.9}, "runaway"),
-        ({"torque_rate_time": -1.0}, "torque_rate_time"),
-    ],
-)
-def test_a_bad_value_is_named(values, key):
-    with pytest.raises(ConfigurationError) as caught:
-        SafetyOptions(**values)
-    assert field_of(caught.value) == f"safety.{key}"

@@ -1,11 +1,11 @@
-import importlib.util
+import ast
 import io
 import re
 from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
-from conftest import ROOT, make_network, python
+from conftest import ROOT, make_network
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.primitives import ConstantVectorSource
 
@@ -16,7 +16,6 @@ from stewart_drake.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop, build_diagram
 
 DIAGRAMS = ROOT / "diagrams"
-SCRIPTS = ["open_loop", "fixed_weight_lqi", "ann_tuned_lqi"]
 PORTS = {"measurement": 12, "reference": 18, "torque": 6, "error": 6, "integral": 6, "weights": 2, "density": 12}
 SYSTEMS = {"command", "densities", "plant", "sensor", "reference", "controller", "density", "tuner"}
 
@@ -113,14 +112,6 @@ def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tm
         ClosedLoop(scenario(tuner={"kind": "ann", "weights_file": str(path)}))
 
 
-def test_a_network_trained_on_another_density_is_refused(tmp_path):
-    tuner = with_network(tmp_path, density="signed")
-    ClosedLoop(scenario(tuner=tuner))
-    with pytest.raises(ConfigurationError) as caught:
-        ClosedLoop(scenario(tuner={**tuner, "density": "magnitude"}))
-    assert caught.value.key == "tuner.density"
-
-
 @pytest.mark.parametrize("log_period", [0.001, 0.005, 0.02, 0.05])
 def test_rows_of_a_log_belong_to_one_instant_at_any_log_period(log_period):
     loop = ClosedLoop(scenario(log_period=log_period))
@@ -146,8 +137,9 @@ def test_tracking_errors_are_those_of_the_independent_study_in_the_notes():
     case = Scenario.from_dict(
         {
             "gravity": 0.0,
-            "controller": {"period": 0.001, "feedforward": "none"},
+            "controller": {"period": 0.001, "feedforward": "none", "solver": "split"},
             "tuner": {"kind": "fixed"},
+            "compiled": True,
         }
     )
     rms = np.sqrt(np.mean(run(case)["error"] ** 2, axis=0))
@@ -159,26 +151,22 @@ def test_tracking_errors_are_those_of_the_independent_study_in_the_notes():
 
 
 def printed(name, **names):
-    """What the script prints, run in this process with some of its names replaced."""
-    spec = importlib.util.spec_from_file_location(f"diagrams_{name}", DIAGRAMS / f"{name}.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    for key, value in names.items():
-        assert hasattr(script, key)
-        setattr(script, key, value)
+    """What the script prints, run as it stands in this process, but for some of its constants and imports."""
+    module = ast.parse((DIAGRAMS / f"{name}.py").read_text())
+    *head, guard = module.body
+    assert ast.unparse(guard) == "if __name__ == '__main__':\n    main()"
+    script = {"__name__": "__main__"}
+    exec(compile(ast.Module(head, []), name, "exec"), script)
+    assert set(names) <= set(script)
+    script.update(names)
     stream = io.StringIO()
     with redirect_stdout(stream):
-        script.main()
+        exec(compile(ast.Module([guard], []), name, "exec"), script)
     return stream.getvalue()
 
 
 def numbers(text):
     return [float(x) for x in re.findall(r"-?\d+\.\d*(?:e[-+]\d+)?", text)]
-
-
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_scripts_run_as_they_are(name):
-    assert np.isfinite(numbers(python(DIAGRAMS / f"{name}.py"))).all()
 
 
 HAND_WIRED = {
@@ -190,6 +178,11 @@ HAND_WIRED = {
 }
 
 
+def test_every_script_is_tested():
+    assert {path.stem for path in DIAGRAMS.glob("*.py")} == {"open_loop", *HAND_WIRED}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HAND_WIRED)
 def test_a_loop_wired_by_hand_is_the_loop_of_the_scenario(name, tmp_path):
     keys = HAND_WIRED[name]

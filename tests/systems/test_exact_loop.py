@@ -29,6 +29,7 @@ def same(one, other, tolerance):
         np.testing.assert_allclose(other[name], one[name], rtol=0.0, atol=tolerance, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", [{"kind": "ideal"}, ENCODERS], ids=["ideal", "encoders"])
 def test_compiled_and_numpy_do_the_same_run(sensors):
     one, other = (run(exact("duration=0.3", f"compiled={compiled}", sensors=sensors)) for compiled in ("false", "true"))
@@ -39,6 +40,7 @@ def test_compiled_and_numpy_do_the_same_run(sensors):
     assert np.abs(one["error"][-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_with_the_networks_weights_too():
     tuner = {"kind": "ann"}
     changes = {"model": "exact", "feedforward": "full", "solver": "split", "bumpless": True, "period": 0.005}
@@ -62,6 +64,7 @@ def test_the_start_lies_on_the_reference_and_stays_there():
 # --- delay ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "period"), [(0.001, 0.001), (0.001, 0.005), (0.0005, 0.001), (1 / 3000, 1 / 600), (1 / 7000, 1 / 1400)]
 )
@@ -116,6 +119,7 @@ def test_a_robot_that_starts_in_motion_is_measured_in_motion_from_the_first_tick
     assert np.abs(log["torque"] - log["torque"].mean(axis=0)).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_model_that_cannot_stand_at_the_start_ends_the_run_with_a_log_delayed_or_not():
     for delay in (0, 2):
         log = run(exact(f"command_delay={delay}", model_robot={"home_height": 0.2, "rod_length": 0.2}))
@@ -144,6 +148,7 @@ def test_two_runs_of_one_diagram_share_nothing():
 # --- failures ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", ["false", "true"])
 @pytest.mark.parametrize(("fault", "size"), [("nan", 0.0), ("jump", 0.5)])
 def test_an_encoder_that_fails_ends_the_run_by_name_and_the_log_is_kept(fault, size, compiled):
@@ -191,6 +196,7 @@ HEAVY = ("torch", "numba", "llvmlite")
 """What a start must not load unless it is used: seconds."""
 
 
+@pytest.mark.slow
 def test_the_shipped_scenario_runs_from_the_command_line(tmp_path):
     out = tmp_path / "out"
     python("-m", "stewart_drake", "run", "exact_fig7", "--set", "duration=0.3", "--out", out)
@@ -199,6 +205,7 @@ def test_the_shipped_scenario_runs_from_the_command_line(tmp_path):
     assert log.scenario.controller.model == "exact"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "start",
     [
@@ -216,6 +223,7 @@ def test_a_start_loads_neither_torch_nor_numba(start):
     assert json.loads(python("-c", script).splitlines()[-1]) == []
 
 
+@pytest.mark.slow
 def test_a_compiled_run_does_load_numba():
     """So that the test before this one can fail."""
     script = (

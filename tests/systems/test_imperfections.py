@@ -85,6 +85,7 @@ def test_its_inertia_resists_motion():
 # --- wrench from outside --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_wrench_is_balanced_by_the_torques_of_virtual_work():
     wrench = [0.05, -0.03, 0.02, 3.0, -2.0, 4.0]
     log = run(scenario(duration=1.0, disturbances=[{"kind": "constant", "wrench": wrench}]))
@@ -148,6 +149,7 @@ def test_noise_has_its_size_and_does_not_depend_on_how_often_it_is_looked_at():
     assert 1e-6 < np.abs(error[::5]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_run_with_chance_in_it_repeats_to_the_last_bit():
     case = scenario(
         sensors=ENCODERS | {"noise": 1e-4},
@@ -200,6 +202,7 @@ def test_a_command_cannot_be_later_than_a_period():
 # --- a broken rod ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [0.0, 0.02, 0.0705])
 def test_a_rod_breaks_at_its_time_and_alone(time):
     log = run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}, duration=0.1))
@@ -211,6 +214,7 @@ def test_a_rod_breaks_at_its_time_and_alone(time):
     assert log["loop_gap"][-1, 3] > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [0.1, 1e308])
 def test_one_that_would_break_after_the_end_does_not(time):
     plain, log = run(scenario()), run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}))

@@ -133,6 +133,7 @@ def by_hand(scenario, steps):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tuner", ["fixed", "ann"])
 @pytest.mark.parametrize(
     ("step", "period"), [(0.001, 0.005), (0.0001, 0.001), (0.001, 0.001), (0.001, 0.002), (1 / 3000, 1 / 600)]

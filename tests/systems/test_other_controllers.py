@@ -56,6 +56,7 @@ def test_a_tick_is_the_pure_function_and_answers_at_once(system, tick, memory):
     np.testing.assert_array_equal(system.torque.Eval(context), tick(expected).torque)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_in_the_loop_the_motion_is_followed_and_the_log_is_whole(kind):
     log = run(scenario(controller={"kind": kind}))
@@ -70,6 +71,7 @@ def test_in_the_loop_the_motion_is_followed_and_the_log_is_whole(kind):
     assert plot_torques(log) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_with_encoders_and_delay_the_error_is_that_of_the_measured_pose(kind):
     sensors = {"kind": "encoders", "rate_cutoff": 150.0}
@@ -78,6 +80,7 @@ def test_with_encoders_and_delay_the_error_is_that_of_the_measured_pose(kind):
     np.testing.assert_allclose(log["error"], log["measured_pose"] - log["reference"], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_an_unknown_payload_leaves_a_pd_loop_off_and_an_integral_does_not():
     def sag(**controller):
         chosen = {"kind": "computed_torque", **controller}

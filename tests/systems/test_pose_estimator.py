@@ -39,6 +39,7 @@ def start(system, angles):
     return Simulator(system, context)
 
 
+@pytest.mark.slow
 @both
 def test_a_tick_is_the_pure_function(compiled):
     system = make(compiled)
@@ -52,6 +53,7 @@ def test_a_tick_is_the_pure_function(compiled):
     assert np.abs(seen[3, 6:]).max() > 1.0
 
 
+@pytest.mark.slow
 def test_it_answers_within_the_tick_and_holds_until_the_next():
     system = make()
     simulator = start(system, reading(0))
@@ -64,6 +66,7 @@ def test_it_answers_within_the_tick_and_holds_until_the_next():
     np.testing.assert_array_equal(system.measurement.Eval(context), first)
 
 
+@pytest.mark.slow
 def test_memory_lives_in_the_context_and_is_cloned_with_it():
     system = make()
     one = start(system, reading(0))
@@ -75,6 +78,7 @@ def test_memory_lives_in_the_context_and_is_cloned_with_it():
     np.testing.assert_array_equal(other[4:], late)
 
 
+@pytest.mark.slow
 @both
 def test_a_reading_that_fails_ends_the_run_at_its_time_after_the_ticks_held(compiled):
     system = make(compiled)

@@ -25,6 +25,7 @@ OPTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ROBOTS if name != "paper"])
 def test_it_follows_as_well_compiled_as_not_and_has_its_pictures(name, tmp_path):
     base = Scenario(robot=ROBOTS[name]).to_dict()

@@ -67,6 +67,7 @@ def made_up(n=12, seed=0):
 # --- collecting ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nine_experiments_in_order_each_with_its_own_pair_of_weights(collected):
     dataset, _ = collected
     assert dataset.inputs.shape == (9 * SAMPLES, 12)

@@ -89,6 +89,7 @@ def test_a_side_without_samples_is_an_error_of_training_too(dataset, changes):
 # --- back-propagation ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_losses_are_those_of_the_network_on_each_side_of_the_split():
     dataset, before = made_up(), options(epochs=25)
     after = train_network(dataset, options(epochs=26))
