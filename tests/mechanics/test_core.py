@@ -148,6 +148,14 @@ def test_numpy_torch_and_numba_give_the_same_over_any_leading_axes(robot, name):
                 np.testing.assert_allclose(fast, one, rtol=0.0, atol=1e-11 * scale)
 
 
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_torch_with_gradients_gives_numpys_values(name):
+    arrays = some_poses(ROBOT, (2,))
+    found = FUNCTIONS[name](ROBOT, *(tensor.requires_grad_() for tensor in tensors(*arrays)))
+    assert found.requires_grad
+    np.testing.assert_allclose(found.detach().numpy(), FUNCTIONS[name](ROBOT, *arrays), rtol=1e-10, atol=1e-10)
+
+
 WAYS = {
     "by place": lambda f, p, names: f(ROBOT, *p),
     "by name": lambda f, p, names: f(ROBOT, p[0], **dict(zip(names[1:], p[1:], strict=True))),
