@@ -30,7 +30,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema
+from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema, place_users
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
@@ -192,6 +192,7 @@ class Scenario(Section):
 
     def rules(self) -> None:
         """See `Section.rules`."""
+        place_users(self)
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")

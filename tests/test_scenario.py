@@ -287,7 +287,7 @@ WRONG = [
     ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
     ("limits.reach", nested("limits.reach", "x"), "a number above 0, at most 1, or null"),
     ("robot.branch", nested("robot.branch", 0), "-1 or 1"),
-    ("robot.branch", nested("robot.branch", 1.0), "a whole number"),
+    ("robot.branch", nested("robot.branch", 1.0), "-1 or 1"),
     ("robot.crank_length", nested("robot.crank_length", -0.11), "from 1e-12 to 1e+06 [m]"),
     ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
     ("robot.home_height", nested("robot.rod_length", 0.1), "rods of 0.1 m reach"),
