@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Count, Real, Section, plain
+from stewart_drake.section import Real, Section, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6
@@ -20,6 +21,16 @@ Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
 Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
+
+
+def _sign(given: Any) -> Any:
+    if type(given) is not int:
+        # Python takes True and 1.0 for 1.
+        raise PydanticCustomError("literal_error", "a sign")
+    return given
+
+
+Branch = Annotated[Literal[-1, 1], BeforeValidator(_sign)]
 
 
 class LegParameters(Section, key="robot.legs"):
@@ -37,15 +48,13 @@ class LegParameters(Section, key="robot.legs"):
     """[m] shaft to crank tip."""
     rod_length: Size | None = None
     """[m] crank tip to platform joint."""
-    branch: Count | None = None
+    branch: Branch | None = None
     """Sign of the acos in the inverse kinematics: -1 or +1."""
     crank_angle_range: tuple[Signed, Signed] | None = None
     """[rad] lowest and highest theta, within one turn; the plant has stops there. Null: none."""
 
     def rules(self) -> None:
         """See `Section.rules`."""
-        if self.branch not in (None, -1, 1):
-            raise ConfigurationError("branch", self.branch, "-1 or 1")
         low, high = self.crank_angle_range or (-math.pi, math.pi)
         if not low < high <= low + 2.0 * math.pi:
             allowed = "two angles, rising, within one turn"

@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
+import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -62,8 +63,25 @@ class Family:
         return self.kinds if self._own is None else [*self.kinds, "module:Class"]
 
     def add(self, section: type[Section], system: Any = None) -> None:
-        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it."""
-        self._lines[section.__pydantic_fields__["kind"].default] = (section, system)
+        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.
+
+        A section that was added before may be added again, as a cell of a notebook does.
+
+        Raises:
+            ConfigurationError: The section has no such default, or a kind of that name is there already.
+        """
+        field = getattr(section, "__pydantic_fields__", {}).get("kind")
+        kind = None if field is None else field.default
+        if not isinstance(kind, str):
+            raise ConfigurationError(
+                f"{section.__name__}.kind", None, 'a name as its default, such as kind: str = "own"'
+            )
+        before = self.section(kind) if kind in self._lines else section
+        if path_of(before) != path_of(section):
+            raise ConfigurationError(
+                f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
+            )
+        self._lines[kind] = (section, system)
 
     def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""
@@ -134,6 +152,9 @@ class UserMade(Section):
     place of the whole section.
     """
 
+    asked: ClassVar[str]
+    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
+
     kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
     code is run."""
@@ -156,16 +177,36 @@ class UserMade(Section):
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return UserClass(self.kind, f"{self.section_key}.kind", vars(self).get("given"))
+        place = vars(self).get("place", self.section_key)
+        return UserClass(self.kind, f"{place}.kind", vars(self).get("given"))
 
     @cached_property
     def made(self) -> Any:
         """The object.
 
         Raises:
-            ConfigurationError: See `UserClass.construct`.
+            ConfigurationError: See `UserClass.construct`; it does not have the method.
         """
-        return self.source.construct(self.arguments, {})
+        made = self.source.construct(self.arguments, {})
+        method = self.asked.partition("(")[0]
+        if not callable(getattr(made, method, None)):
+            raise self.refusal(f"one without {method}")
+        return made
+
+    def refusal(self, found: str) -> ConfigurationError:
+        """The error that says what is asked of the class, and what was found instead."""
+        return ConfigurationError(self.source.key, self.kind, f"a class whose {self.asked}, not {found}")
+
+    def numbers(self, answer: Any) -> np.ndarray:
+        """An answer of the object as an array.
+
+        Raises:
+            ConfigurationError: It is none.
+        """
+        try:
+            return np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise self.refusal(f"a {type(answer).__name__} that is no array of numbers") from None
 
 
 def given_again(section: Any) -> Any:
@@ -196,6 +237,16 @@ def user_sources(section: Any) -> list[UserClass]:
     found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []
     inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
     return found + [each for part in inside for each in user_sources(part)]
+
+
+def place_users(section: Any, place: str = "") -> None:
+    """Tells the sections of a user's classes where they stand, for messages."""
+    if isinstance(section, UserMade):
+        vars(section)["place"] = place
+    if isinstance(section, (Section, tuple)):
+        named = vars(section).items() if isinstance(section, Section) else enumerate(section)
+        for name, part in list(named):
+            place_users(part, f"{place}.{name}" if place else str(name))
 
 
 def _import(place: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from functools import cached_property
 from typing import Annotated, Any
@@ -11,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Legs, Signed, Signed3, Size, Size3
-from stewart_drake.section import Count, NotNegative, Section
+from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
@@ -53,7 +52,7 @@ class RobotParameters(Section, key="robot"):
     """[m] crank tip to platform joint."""
     home_height: Size = 0.30
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
-    branch: Count = -1
+    branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
     legs: Legs | None = None
     """Six sections with what each leg has of its own; null for none."""
@@ -90,8 +89,6 @@ class RobotParameters(Section, key="robot"):
 
     def rules(self) -> None:
         """See `Section.rules`."""
-        if self.branch not in (-1, 1):
-            raise ConfigurationError("robot.branch", self.branch, "-1 or 1")
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
@@ -119,7 +116,8 @@ class RobotParameters(Section, key="robot"):
             if (beyond := np.abs(off) > 0.5 * (high - low)).any():
                 leg = int(beyond.argmax())
                 allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
-                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (low[leg], high[leg]), allowed)
+                given = float(low[leg]), float(high[leg])
+                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", given, allowed)
         else:
             leg = int(margin.argmin())
             raise ConfigurationError(
@@ -253,11 +251,7 @@ class RobotParameters(Section, key="robot"):
         Raises:
             ConfigurationError: Unknown name or unusable value.
         """
-        known = {field.name for field in dataclasses.fields(self)}
-        for name, value in changes.items():
-            if name not in known:
-                raise ConfigurationError(f"robot.{name}", value, "one of " + ", ".join(sorted(known)))
-        return dataclasses.replace(self, **changes)
+        return RobotParameters(**{name: getattr(self, name) for name in self.__pydantic_fields__} | changes)
 
     @property
     def _central_inertia(self) -> np.ndarray:

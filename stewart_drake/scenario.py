@@ -30,7 +30,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema
+from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema, place_users
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
@@ -54,6 +54,7 @@ MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched by a hair, would lose their step."""
+_MOVED = "controller.compiled is the scenario's own key `compiled` now"
 
 
 class Scenario(Section):
@@ -92,8 +93,9 @@ class Scenario(Section):
     sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
     """What the controller sees of the robot."""
     compiled: Flag = False
-    """Ticks compiled by numba: of the LQI (with `controller.solver: split`), the pose estimator, the tuner and the
-    safety layer; seventy times faster. The first run on a machine compiles for half a minute."""
+    """A wish: ticks compiled by numba where they can be, of the LQI with `controller.solver: split`, the pose
+    estimator, the tuner and the safety layer; seventy times faster. What cannot be compiled runs as it is. The first
+    run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())
@@ -112,10 +114,12 @@ class Scenario(Section):
         """See `Section.from_older`."""
         controller = data.get("controller")
         if isinstance(controller, Mapping) and "compiled" in controller:
-            warnings.warn(
-                "controller.compiled is the scenario's own key `compiled` now", OlderFileWarning, stacklevel=4
-            )
-            data = {**data, "compiled": controller["compiled"]}
+            warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
+            older = controller["compiled"]
+            if data.get("compiled", older) != older:
+                allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
+                raise ConfigurationError("controller.compiled", older, allowed)
+            data = {**data, "compiled": older}
             data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
         return data
 
@@ -188,11 +192,10 @@ class Scenario(Section):
 
     def rules(self) -> None:
         """See `Section.rules`."""
+        place_users(self)
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
-        if self.compiled:
-            self.controller.check_compiled()
         if self.safety is not None:
             self.safety.check_against(self.believed_robot, self.controller.period)
         if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):
@@ -254,6 +257,9 @@ _FAMILIES: Mapping[str, Family] = {
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
+    if key == "controller.compiled":
+        warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
+        key = "compiled"
     *parents, last = key.split(".")
     section: Any = data
     for depth, part in enumerate(parents):

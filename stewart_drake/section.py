@@ -160,8 +160,8 @@ def by_default(section: Section) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Numpy's numbers as Python's, and lists and arrays of one axis as tuples; anything else as it is."""
-    if isinstance(value, (np.floating, np.integer)):
+    """Numpy's numbers and truth values as Python's, lists and arrays of one axis as tuples; all else as it is."""
+    if isinstance(value, (np.floating, np.integer, np.bool_)):
         return value.item()
     if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim == 1):
         return tuple(plain(x) for x in value)

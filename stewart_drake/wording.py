@@ -67,7 +67,8 @@ def explain(root: Any, error: ValidationError, data: Any, section: str = "") -> 
         # A mistyped key that is required shows up twice.
         if report["type"] not in _MISSING or problem.key.rpartition(".")[::2] not in guessed:
             found.append(problem)
-    first, *others = found
+    # Of a list that is too short pydantic reports each entry that is missing.
+    first, *others = {str(problem): problem for problem in found}.values()
     return first.with_others(others)
 
 

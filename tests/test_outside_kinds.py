@@ -13,6 +13,7 @@ from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.sensor_faults import SensorOptions
 from stewart_drake.logs.log import load_log
@@ -300,3 +301,74 @@ def test_what_was_given_in_python_is_refused_where_results_are_kept():
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
         with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
             many(own)
+
+
+class Nothing:
+    """Has no method at all."""
+
+
+class Answers:
+    """Says the same whatever it is asked."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def evaluate(self, t):  # noqa: ARG002
+        return self.answer
+
+    def look(self, inputs):  # noqa: ARG002
+        return self.answer
+
+
+PLACES = {
+    "reference": (lambda given: {"reference": {"kind": given}}, "evaluate"),
+    "reference.parts.1": (lambda given: {"reference": {"kind": "sum", "parts": [{"kind": "hold"}, given]}}, "evaluate"),
+    "disturbances.1": (lambda given: {"disturbances": [ToyPush, given]}, "evaluate"),
+    "safety.monitors.0": (lambda given: {"safety": {"monitors": [given]}}, "look"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("given", [Nothing, *map(Answers, ("a text", 1.5, [], ["x"] * 3, [1.0, [2.0]]))])
+def test_a_class_of_another_shape_is_bad_input_that_names_key_class_and_what_is_asked(place, given):
+    section, method = PLACES[place]
+    scenario = Scenario.from_dict({**SHORT, **section(given)})
+    with pytest.raises(ConfigurationError, match=rf"a class whose {method}\(.*\) returns .*, not ") as caught:
+        run(scenario)
+    assert caught.value.key == f"{place}.kind"
+    assert "Nothing" in str(caught.value) or "Answers" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+class Turned(ToyReference):
+    """Takes arrays, and returns them the wrong way round."""
+
+    def evaluate(self, t):
+        up = np.array([0.0, 0.0, 0.0, 0.0, 0.0, self.height])
+        shape = np.ones_like(t)
+        return tuple(np.multiply.outer(part, shape) for part in (HOME + up, up, 0.0 * up))
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (5,), (6,), (7,), (6, 6), (2, 3), (0,)])
+def test_a_reference_that_returns_arrays_the_wrong_way_round_is_asked_time_by_time(shape):
+    pose, rate, acceleration = Scenario(reference=Turned(1.0)).reference.evaluate(np.zeros(shape))
+    np.testing.assert_array_equal(pose, np.broadcast_to([0, 0, 0, 0, 0, 1.3], (*shape, 6)))
+    np.testing.assert_array_equal(rate, np.broadcast_to([0, 0, 0, 0, 0, 1.0], (*shape, 6)))
+    assert acceleration.shape == (*shape, 6)
+
+
+class AnotherLqi(ControllerOptions):
+    """Takes the name of a kind that exists."""
+
+    kind: Literal["lqi"] = "lqi"
+    period: Positive = 0.001
+
+
+@pytest.mark.usefixtures("added")
+@pytest.mark.parametrize(("section", "words"), [(AnotherLqi, "no kind has"), (ControllerOptions, "as its default")])
+def test_a_kind_needs_a_name_of_its_own(section, words):
+    with pytest.raises(ConfigurationError, match=rf"^{section.__name__}\.kind: .*{words}") as caught:
+        CONTROLLERS.add(section, ToyLaw)
+    assert "\n" not in str(caught.value)
+    assert CONTROLLERS.section("lqi") is LqiOptions
+    CONTROLLERS.add(ToyLawOptions, ToyLaw)  # as a cell of a notebook does

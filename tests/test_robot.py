@@ -229,3 +229,17 @@ def test_products_of_no_body_are_refused():
         RobotParameters(platform_products=(0.004, 0.0, 0.0))
     with pytest.raises(ConfigurationError, match=r"robot\.legs"):
         RobotParameters.symmetric(legs=[{}] * 6)
+
+
+def test_all_problems_are_listed_a_wrong_branch_among_them():
+    with pytest.raises(ConfigurationError) as caught:
+        RobotParameters(branch=3, rod_mass=-1.0, legs=[{"branch": 2}] + [{}] * 5)
+    keys = [each.key for each in (caught.value, *caught.value.others)]
+    assert keys == ["robot.branch", "robot.rod_mass", "robot.legs.0.branch"]
+
+
+def test_what_is_refused_is_shown_in_plain_numbers_and_a_mistyped_name_has_a_suggestion():
+    with pytest.raises(ConfigurationError, match=r"crank_angle_range: got \(1\.0, 1\.1\); allowed"):
+        RobotParameters(legs=[{"crank_angle_range": [1.0, 1.1]}] + [{}] * 5)
+    with pytest.raises(ConfigurationError, match=r"^robot\.rod_lenght: .*did you mean rod_length\?"):
+        ROBOT.replace(rod_lenght=1)

@@ -257,6 +257,8 @@ WRONG = [
     ("controller.feedforward", nested("controller.feedforward", True), "none, gravity, platform or full"),
     ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
     ("robot.branch", nested("robot.branch", 0), "-1 or 1"),
+    ("robot.branch", nested("robot.branch", 1.0), "-1 or 1"),
+    ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
     ("robot.home_height", nested("robot.rod_length", 0.1), "rods of 0.1 m reach"),
     ("robot.rod_length", nested("robot.rod_length", 1e200), "1e+06"),
     ("log_period", {"log_period": 0.0015}, "a whole multiple of the plant's time step"),

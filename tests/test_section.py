@@ -11,6 +11,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.disturbances import UserDisturbance
+from stewart_drake.references.basic import HoldReference
 from stewart_drake.references.user_reference import UserReference
 from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS, Family
 from stewart_drake.scenario import Scenario
@@ -143,7 +144,7 @@ def test_no_field_takes_junk_unless_it_says_so():
     assert taken["text"] == {"name", "motion_file", "weights_file"}
     assert taken["list"] <= {"dwell", "dropped", "late", "faults", "disturbances", "premature_beats", "monitors"}
     booleans = {name for section, name in FIELDS if section.__pydantic_fields__[name].annotation is bool}
-    assert taken["true"] == booleans - {"compiled"}  # which needs another solver
+    assert taken["true"] == booleans
 
 
 # What the fields take, stated a second time: a bound that is lost or moved shows here.
@@ -372,3 +373,17 @@ def test_a_family_takes_a_kind_from_outside_of_the_package():
     assert family.system("mine") is print
     with pytest.raises(ConfigurationError, match=r"^part\.kind: .*did you mean mine"):
         Holder(part={"kind": "mne"})
+
+
+@pytest.mark.parametrize("given", [[], [1], [1, 2, 3, 4, 5], [1] * 7])
+def test_a_list_of_another_length_is_one_problem_on_one_line(given):
+    for section, key in ((Scenario, "initial_offset"), (HoldReference, "pose")):
+        with pytest.raises(ConfigurationError, match=rf"{key}: got \(.*\); allowed: a list of 6 numbers") as caught:
+            section(**{key: given})
+        assert not caught.value.others
+
+
+def test_numbers_and_truth_values_of_numpy_are_taken():
+    scenario = Scenario(compiled=np.bool_(True), command_delay=np.int64(2), duration=np.float32(1.5))
+    assert (scenario.compiled, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
+    assert type(scenario.compiled) is bool

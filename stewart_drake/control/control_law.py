@@ -55,7 +55,7 @@ class ControlLaw:
         density_kind: Kind of density.
         window: Window m [ticks].
         initial_weights: omega_Q, omega_R at the start, or q_e, q_v, q_z, r.
-        compiled: Ticks compiled by numba; needs `solver="split"`.
+        compiled: Ticks compiled by numba where they can be, with `solver="split"`.
 
     Raises:
         ConfigurationError: A window below 1, a kind of density that is not the network's, four weights beside a
@@ -76,8 +76,6 @@ class ControlLaw:
         check_value("window", self.window, Window)
         check_value("density_kind", self.density_kind, DensityKind)
         block_weights(np.array(self.initial_weights))
-        if self.compiled:
-            self.options.check_compiled()
         if self.network is not None:
             if self.density_kind != self.network.density:
                 allowed = f"{self.network.density}, as the network was trained on"

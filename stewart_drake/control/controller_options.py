@@ -61,12 +61,10 @@ class ControllerOptions(Section, key="controller"):
         """[N m] of a motor's torque."""
         return robot.effort_limit
 
-    def check_compiled(self) -> None:
-        """Refuses options that have no compiled tick.
-
-        Raises:
-            ConfigurationError: Names `compiled`.
-        """
+    @property
+    def compiles(self) -> bool:
+        """Whether numba can compile its tick; where not, `Scenario.compiled` says nothing about it."""
+        return False
 
 
 class OwnControllerOptions(ControllerOptions):

@@ -146,7 +146,7 @@ def lqi_tick(
         setpoint: Reference now.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r; all > 0.
         memory: Of the tick before, see `initial_memory`.
-        compiled: By numba; needs `solver: split`.
+        compiled: By numba where it can be, with `solver: split`.
 
     Raises:
         NotFiniteError: Measurement, setpoint or the torque that comes of them.
@@ -154,7 +154,7 @@ def lqi_tick(
             that is out of reach or exactly singular.
         RiccatiError: See `lqi_gain`.
     """
-    if compiled:
+    if compiled and options.compiles:
         tick = _compiled_tick(robot, options, gravity)
         weights = np.asarray(weights, dtype=float)
         return LqiMemory.from_flat(tick(np.concatenate(measurement), np.concatenate(setpoint), weights, memory.flat()))
@@ -244,7 +244,7 @@ def held_tick(
 
 def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float, compiled: bool = False) -> FlatTick:
     """`held_tick` on flat vectors: (measurement (12,), setpoint (18,), weights, memory (137,)) -> memory (137,)."""
-    fast = _compiled_tick(robot, options, gravity) if compiled else None
+    fast = _compiled_tick(robot, options, gravity) if compiled and options.compiles else None
 
     def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
         if fast is not None:

@@ -9,7 +9,6 @@ from pydantic import Field
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.section import Flag, Natural, Positive, PositivePair
@@ -63,7 +62,7 @@ class LqiOptions(OwnControllerOptions):
         model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
         return f"{model}, feedforward {self.feedforward}"
 
-    def check_compiled(self) -> None:
+    @property
+    def compiles(self) -> bool:
         """See `ControllerOptions`."""
-        if self.solver != "split":
-            raise ConfigurationError("compiled", True, "true only with controller.solver: split")
+        return self.solver == "split"

@@ -128,6 +128,8 @@ class NoiseWrench(Section, key="disturbances"):
 class UserDisturbance(UserMade, key="disturbances"):
     """What a class of the user's own says with `evaluate(time)`: a wrench (6,) [N m, N] at a time."""
 
+    asked = "evaluate(t) returns a wrench (6,)"
+
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """See `total_wrench`.
 
@@ -135,11 +137,11 @@ class UserDisturbance(UserMade, key="disturbances"):
             ConfigurationError: The class cannot be used, or answers something else.
         """
         times = np.asarray(time, dtype=float)
-        found = np.array([self.made.evaluate(float(each)) for each in times.ravel()], dtype=float)
-        if found.shape != (times.size, 6):
-            allowed = f"a class whose evaluate(t) returns a wrench (6,), not {found.shape[1:]}"
-            raise ConfigurationError(self.source.key, self.kind, allowed)
-        return found.reshape(*times.shape, 6)
+        found = [self.numbers(self.made.evaluate(float(each))) for each in times.ravel()]
+        wrong = next((each.shape for each in found if each.shape != (6,)), None)
+        if wrong is not None:
+            raise self.refusal(str(wrong))
+        return np.reshape(found, (*times.shape, 6))
 
 
 class Disturbance(Protocol):

@@ -53,7 +53,7 @@ class ProgressBar:
 
 def announce_compilation(scenario: Any) -> None:
     """Says why nothing moves for half a minute, where that lies ahead."""
-    if scenario.controller.kind != "lqi" or not scenario.compiled:
+    if not (scenario.compiled and scenario.controller.compiles):
         return
     # numba takes half a second to import.
     from stewart_drake.compiled.control import lqi_tick

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from stewart_drake.errors import ConfigurationError
+import reprlib
+
+import numpy as np
+
 from stewart_drake.registry import UserMade
 from stewart_drake.safety.memory import SafetyInputs
 
@@ -13,6 +16,8 @@ class UserMonitor(UserMade, key="safety.monitors"):
     It gets `SafetyInputs` with a measurement that is finite, and returns the leg with which something is wrong, -1 for
     the robot as a whole, None for nothing. Where something is, the robot is taken from its controller.
     """
+
+    asked = "look(inputs) returns a leg, -1 or None"
 
     @property
     def name(self) -> str:
@@ -26,7 +31,9 @@ class UserMonitor(UserMade, key="safety.monitors"):
             ConfigurationError: The class cannot be used, or answers something else.
         """
         leg = self.made.look(inputs)
-        if leg is not None and (isinstance(leg, bool) or leg not in range(-1, 6)):
-            allowed = f"a class whose look(inputs) returns a leg, -1 or None, not {leg!r}"
-            raise ConfigurationError(self.source.key, self.kind, allowed)
-        return None if leg is None else int(leg)
+        if leg is None:
+            return None
+        number = isinstance(leg, (int, float, np.number)) and not isinstance(leg, bool)
+        if not number or leg not in range(-1, 6):
+            raise self.refusal(reprlib.repr(leg))
+        return int(leg)

@@ -18,7 +18,7 @@ from stewart_drake.control.state_space import (
 )
 from stewart_drake.errors import ConfigurationError, NotFiniteError, RiccatiError, SingularPoseError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, load_scenario
 
 GRAVITY = 9.81
 HOME = ROBOT.home_pose
@@ -189,7 +189,7 @@ def test_block_weights_takes_two_or_four_positive_numbers_and_nothing_else(weigh
     np.testing.assert_array_equal(block_weights([4, 3, 2, 1]), [4.0, 3.0, 2.0, 1.0])
 
 
-def test_compiled_ticks_need_the_split_solver_and_an_older_file_is_read_with_a_note():
+def test_compiled_is_a_wish_beside_the_controller_and_an_older_file_is_read_with_a_note():
     split = Scenario.from_dict({"compiled": True, "controller": {"solver": "split"}})
     for old in ({"controller": {"solver": "split", "compiled": True}}, {"compiled": False, **split.to_dict()}):
         if "compiled" in old["controller"]:
@@ -197,10 +197,18 @@ def test_compiled_ticks_need_the_split_solver_and_an_older_file_is_read_with_a_n
                 assert Scenario.from_dict(old) == split
         else:
             assert Scenario.from_dict(old) == split
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario(compiled=True)
-    assert caught.value.key == "compiled"
-    assert "split" in caught.value.allowed
+    # A wish, which a controller that cannot be compiled does not hear: an override may set another one.
+    for controller in ({"period": 0.005}, {"kind": "pid"}):
+        wished = split.replace({"controller": controller})
+        assert wished.compiled
+        assert not wished.controller.compiles
+    with pytest.warns(FutureWarning):
+        assert not load_scenario("exact_fig7", ["controller.compiled=false"]).compiled
+    with (
+        pytest.warns(FutureWarning),
+        pytest.raises(ConfigurationError, match=r"^controller\.compiled: got True; allowed: False, .* own key"),
+    ):
+        Scenario.from_dict({"compiled": False, "controller": {"solver": "split", "compiled": True}})
 
 
 # --- changes of weights --------------------------------------------------------------------------------------------
