@@ -180,6 +180,17 @@ def given_again(section: Any) -> Any:
     return data
 
 
+def refuse_given(section: Any) -> None:
+    """Refuses what was given in Python as a class or an object, where results are kept and known again by content.
+
+    Raises:
+        ConfigurationError: There is such a part.
+    """
+    for source in user_sources(section):
+        if source.given is not None:
+            raise ConfigurationError(source.key, source.path, "a class by its import path, to run it many times")
+
+
 def user_sources(section: Any) -> list[UserClass]:
     """Every class of the user's own in a section, and in those inside."""
     found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []

@@ -8,6 +8,9 @@ import pytest
 from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
+from stewart_drake.campaigns.distributions import Uniform
+from stewart_drake.campaigns.run_store import run_key
+from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
@@ -266,3 +269,34 @@ def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_
         check_scenario(scenario.replace({"reference.pose": [0, 0, 0, 0, 0, 0.299]}))
     with pytest.raises(ConfigurationError, match=r"^safety\.monitors: .*blind"):
         check_scenario(scenario.replace({"safety": {"monitors": [ToyMonitor(-1.0)]}}))
+
+
+def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "motions.py").write_text(
+        "class Rise:\n"
+        "    def evaluate(self, t):\n"
+        "        return [0, 0, 0, 0, 0, 0.3 + 0.01 * t], [0, 0, 0, 0, 0, 0.01], [0] * 6\n"
+    )
+    (tmp_path / "pushes.py").write_text("class Push:\n    def evaluate(self, t):\n        return [0, 0, 0, 0, 0, t]\n")
+    (tmp_path / "s.yaml").write_text(
+        "duration: 0.05\n"
+        "tuner: {kind: fixed}\n"
+        "reference: {kind: 'motions.py:Rise'}\n"
+        "disturbances: [{kind: 'pushes.py:Push'}]\n"
+    )
+    for scenario, out in (("s.yaml", "out"), ("out/scenario.yaml", "again")):
+        done = CliRunner().invoke(cli, ["run", scenario, "--out", out, "--quiet"])
+        assert done.exit_code == 0, done.output
+        assert {path.name for path in (tmp_path / out / "code").iterdir()} == {"motions.py", "pushes.py"}
+        for name in ("motions.py", "pushes.py"):
+            (tmp_path / name).unlink(missing_ok=True)
+    one, two = (load_log(tmp_path / out) for out in ("out", "again"))
+    np.testing.assert_array_equal(one["pose"], two["pose"])
+
+
+def test_what_was_given_in_python_is_refused_where_results_are_kept():
+    own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
+    for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
+        with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
+            many(own)

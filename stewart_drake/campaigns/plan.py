@@ -16,6 +16,7 @@ from pydantic import Field
 from stewart_drake.campaigns.one_run import Measure
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.named_files import anchor_files
+from stewart_drake.registry import refuse_given
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import NAME, NAME_WORDS, Section, Text
 from stewart_drake.wording import shown
@@ -130,7 +131,7 @@ def vary(base: Scenario, changes: Mapping[str, Any], section: str = "") -> Scena
         section: Goes before the key where a message names it.
 
     Raises:
-        ConfigurationError: The key does not exist, or what comes out is no scenario.
+        ConfigurationError: The key does not exist, or what comes out is no scenario; a part of it was given in Python.
     """
     data = base.to_dict()
     whole: dict[str, Any] = {}
@@ -147,7 +148,9 @@ def vary(base: Scenario, changes: Mapping[str, Any], section: str = "") -> Scena
         for part in inside[:-1]:
             here = here[part]
         here[inside[-1]] = value
-    return base.replace(whole)
+    changed = base.replace(whole)
+    refuse_given(changed)
+    return changed
 
 
 def split_key(key: str, section: str = "distributions.") -> tuple[str | int, ...]:

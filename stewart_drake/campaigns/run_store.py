@@ -14,6 +14,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.registry import refuse_given
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
 
@@ -26,8 +27,9 @@ def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None
         versions: From `collect_versions`; None collects them.
 
     Raises:
-        ConfigurationError: The tuner's weights file cannot be read.
+        ConfigurationError: The tuner's weights file cannot be read; a part was given in Python as a class or an object.
     """
+    refuse_given(scenario)
     data = scenario.to_dict()
     data.pop("name")
     return checksum(identity(data, [scenario.tuner], versions))[:24]

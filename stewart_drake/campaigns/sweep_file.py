@@ -18,6 +18,7 @@ from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distrib
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, split_key, value_at, vary
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.registry import refuse_given
 from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
@@ -72,6 +73,7 @@ class Sweep(Plan):
         if "log_period" in self.distributions:
             allowed = "a key that figures depend on: a sweep keeps no logs and looks at every tick"
             raise ConfigurationError("distributions.log_period", "log_period", allowed)
+        refuse_given(self.base)
         data = self.base.to_dict()
         paths = [split_key(key) for key in self.distributions]
         for key, path in zip(self.distributions, paths, strict=True):

@@ -46,9 +46,9 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             read_checked(source.file, f"controller file {source.file}", MAX_BYTES)
     if user_sources((loaded.reference, loaded.safety)):
         if scale or retime:
-            allowed = "a motion and monitors of the package, for --scale and --retime: nobody's code is run here"
+            allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"
             raise ConfigurationError("SCENARIO", scenario, allowed)
-        click.echo("this code says what the motion is or whether it will do, so it is checked when it is run")
+        click.echo("the motion or a monitor is a user's code, which check does not run: `run` checks the motion first")
         return
     report = motion_report(loaded)
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)

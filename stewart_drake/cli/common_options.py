@@ -84,7 +84,9 @@ def workplace(workers: int | None, scheduler: str | None) -> Workplace:
     if scheduler is None:
         return LocalProcesses(workers)
     if workers is not None:
-        raise ConfigurationError("--workers", workers, "nothing beside --scheduler: a cluster has the workers it has")
+        raise ConfigurationError(
+            "--workers", workers, "no value with --scheduler: the cluster sets the number of workers"
+        )
     cluster = DaskCluster(scheduler)
     cluster.connect()
     return cluster

@@ -45,11 +45,12 @@ def anchor_files(data: Any, folder: Path) -> None:
             section[key] = str((folder / path).absolute())
 
 
-def take_code_along(scenario: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, bytes]]:
+def take_code_along(scenario: Mapping[str, Any], folder: str = "") -> tuple[dict[str, Any], dict[str, bytes]]:
     """A scenario that can be run from another folder, although it may run only what lies beside it.
 
     Args:
         scenario: From `Scenario.to_dict`.
+        folder: Relative; where the files will lie.
 
     Returns:
         A copy with the files of the user's classes relative to it, and those files, name -> content.
@@ -67,8 +68,8 @@ def take_code_along(scenario: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
         content = read_checked(path, f"controller file {path}", MAX_BYTES)
         if files.setdefault(path.name, (path, content)) != (path, content):
             raise ConfigurationError(_key(key), section[key], f"a file of another name than {files[path.name][0]}")
-        section[key] = f"{path.name}{name}"
-    return data, {name: content for name, (_, content) in files.items()}
+        section[key] = f"{Path(folder) / path.name}{name}"
+    return data, {str(Path(folder) / name): content for name, (_, content) in files.items()}
 
 
 def _key(key: Any) -> str:

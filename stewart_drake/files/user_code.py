@@ -28,7 +28,7 @@ MAX_BYTES = 1_000_000
 CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
 CLASS_WORDS = "module:Class or path/to/file.py:Class"
 _FILES = "stewart_drake_user"
-"""Package that modules made from a user's files count to; there is none of this name."""
+"""Name of the package that holds modules made from a user's files; it is not on disk."""
 
 
 def path_of(given: Any) -> str:

@@ -14,26 +14,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.metrics import run_metrics, tracking_error
 from stewart_drake.logs.tally import INTEGRAL_TIME
-from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, QUIET, SCALES, TEXT, headline, legend_below, plain
+from stewart_drake.plotting import panels as look
 
 DPI = 150
 """[1/inch] resolution of saved figures."""
 
-_AXIS_COLORS = (ORANGE, GREEN, BLUE)
+_AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)
 """Axis 1, 2, 3 as in RGB triads."""
 LARGEST = 1e9
 """What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
 
 _FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8
-_DASHED: dict[str, Any] = {"color": TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+_DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 2)), "linewidth": 1.0}
 
 
 class _Group(NamedTuple):
@@ -96,10 +96,10 @@ def plot_torques(log: SimulationLog) -> Figure:
     for leg, panel in enumerate(axes.flat):
         rms = np.sqrt(np.mean(applied[:, leg] ** 2))
         _title(panel, f"Motor {leg}", f"RMS {rms:#.3g} N m, peak {peak[leg]:#.3g} N m")
-        panel.axhline(0.0, color=QUIET, linewidth=0.8)
+        panel.axhline(0.0, color=look.QUIET, linewidth=0.8)
         if near:
             for side in (-limit, limit):
-                panel.axhline(side, color=QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
+                panel.axhline(side, color=look.QUIET, linestyle=":", label=_once(side > 0.0, f"limit ±{limit:g} N m"))
         if np.any(commanded[:, leg] != applied[:, leg]):
             # Thinner and underneath: seen only where the two differ.
             _draw(panel, time, commanded[:, leg], color=_AXIS_COLORS[0], label="commanded", held=True, linewidth=1.2)
@@ -116,7 +116,7 @@ def plot_torques(log: SimulationLog) -> Figure:
         handles, labels = panel.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
     if len(entries) > 1:
-        legend_below(figure, list(entries.values()), 3)
+        look.legend_below(figure, list(entries.values()), 3)
     _finish(figure, axes, log)
     return figure
 
@@ -161,7 +161,7 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
     main, others, errors, integrals = panels
     time, unit = log.time, group.unit
     pose, reference, error, integral = (
-        (SCALES * values)[:, group.columns]
+        (look.SCALES * values)[:, group.columns]
         for values in (log["pose"], log["reference"], tracking_error(log), log["integral"])
     )
     for axis, (symbol, color) in enumerate(zip(group.symbols, _AXIS_COLORS, strict=True)):
@@ -189,51 +189,43 @@ def _plot_group(panels: np.ndarray, log: SimulationLog, group: _Group, rmse: lis
         _widen(panel, least)
         _legend(panel)
     for panel in (errors, integrals):
-        panel.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1.0)
+        panel.axhline(0.0, color=look.QUIET, linewidth=0.8, zorder=1.0)
     if time[0] < INTEGRAL_TIME < time[-1]:
-        integrals.axvline(INTEGRAL_TIME, color=QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
+        integrals.axvline(INTEGRAL_TIME, color=look.QUIET, linestyle=":", linewidth=1.2, zorder=1.0)
         _title(integrals, f"Integral state (dotted: {INTEGRAL_TIME:g} s)")
 
 
 def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
-    both, ratio = panels
-    if "weights" not in log.signals:
-        if "block_weights" in log.signals:
-            _plot_block_weights(panels, log)
-        else:
-            for panel in panels:
-                panel.axis("off")
-        return
-    weights = log["weights"]
-    # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
-    for index, (color, width, label) in enumerate(
-        ((_AXIS_COLORS[2], 2.4, r"$\omega_Q$"), (_AXIS_COLORS[0], 1.2, r"$\omega_R$"))
-    ):
-        _draw(both, log.time, weights[:, index], color=color, linewidth=width, label=label, held=True)
-    _draw(ratio, log.time, weights[:, 0] / weights[:, 1], color=TEXT, held=True)
-    _title(both, "Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed")
-    _title(ratio, "Ratio of the weights, on which alone the gain depends")
-    both.set_ylabel("weight [-]")
-    ratio.set_ylabel(r"$\omega_Q\,/\,\omega_R$ [-]")
-    _legend(both)
-    for panel in panels:
-        panel.set_yscale("log")
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter(NullFormatter())
-        _widen(panel, 2.0)
-
-
-def _plot_block_weights(panels: np.ndarray, log: SimulationLog) -> None:
-    blocks = log["block_weights"]
-    for panel, columns, title in ((panels[0], range(3), "Weights of the states"), (panels[1], [3], "Of the torques")):
-        for index in columns:
-            name = SIGNALS["block_weights"].components[index]
-            _draw(panel, log.time, blocks[:, index], color=_AXIS_COLORS[index % 3], label=name, held=True)
+    """What the tuner gives: two weights and their ratio, or block weights; nothing where there is no tuner."""
+    shown: list[tuple[str, str, list[tuple[np.ndarray, dict[str, Any]]]]] = []
+    if "weights" in log.signals:
+        q, r = log["weights"].T
+        # A thin line on a thick one: both are seen where they coincide, as at (1, 1).
+        both = [
+            (q, {"color": _AXIS_COLORS[2], "linewidth": 2.4, "label": r"$\omega_Q$"}),
+            (r, {"color": _AXIS_COLORS[0], "linewidth": 1.2, "label": r"$\omega_R$"}),
+        ]
+        shown += [("Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed", "weight", both)]
+        ratio = "Ratio of the weights, on which alone the gain depends"
+        shown += [(ratio, r"$\omega_Q\,/\,\omega_R$", [(q / r, {"color": look.TEXT})])]
+    elif "block_weights" in log.signals:
+        names = SIGNALS["block_weights"].components
+        blocks = [
+            (values, {"color": _AXIS_COLORS[index % 3], "label": name})
+            for index, (values, name) in enumerate(zip(log["block_weights"].T, names, strict=True))
+        ]
+        shown += [("Weights of the states", "weight", blocks[:3]), ("Of the torques", "weight", blocks[3:])]
+    for panel in panels[len(shown) :]:
+        panel.axis("off")
+    for panel, (title, name, lines) in zip(panels, shown, strict=False):
+        for values, style in lines:
+            _draw(panel, log.time, values, held=True, **style)
         _title(panel, title)
-        panel.set_ylabel("weight [-]")
-        panel.set_yscale("log")
+        panel.set_ylabel(f"{name} [-]")
+        look.logarithmic(panel, "y")
         _widen(panel, 2.0)
-        _legend(panel)
+        if "label" in lines[0][1]:
+            _legend(panel)
 
 
 def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:
@@ -246,7 +238,7 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
     first, last = log.time[0], max(log.end_time, log.time[-1])
     span = last - first if last > first else log.scenario.effective_log_period
     for panel in axes.flat:
-        plain(panel)
+        look.plain(panel)
         panel.yaxis.set_major_locator(MaxNLocator(5))
     axes[0, 0].set_xlim(first, first + span * (1.0 if log.status == "completed" else 1.04))
     for panel in axes[-1]:
@@ -255,14 +247,14 @@ def _figure(log: SimulationLog, what: str, *, rows: int, height: float, **subplo
     ended, color = _outcome(log)
     style: dict[str, Any] = {"x": 0.01, "ha": "left", "va": "top"}
     figure.suptitle(f"{log.scenario.name}: {ended}", y=top, fontsize=14, fontweight="bold", color=color, **style)
-    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=TEXT, **style)
+    figure.text(y=top - 0.3 / height, s=f"{what}; {_settings(log)}", fontsize=10, color=look.TEXT, **style)
     return figure, axes
 
 
 def _outcome(log: SimulationLog) -> tuple[str, str]:
     """How the run ended, in words, and the colour of the words."""
     if log.status == "completed":
-        return f"completed, {log.end_time:g} s", TEXT
+        return f"completed, {log.end_time:g} s", look.TEXT
     leg = "" if log.leg is None else f", leg {log.leg}"
     end = f"{log.status} at {_decided(log):.3f} s of {log.scenario.duration:g} s"
     return (end if log.reason in (None, log.status) else f"{end}: {log.reason}{leg}"), _FAILURE
@@ -307,13 +299,13 @@ def _finish(figure: Figure, axes: np.ndarray, log: SimulationLog) -> None:
 
 
 def _title(panel: Axes, left: str, right: str = "") -> None:
-    headline(panel, left[0].upper() + left[1:], right)
+    look.headline(panel, left[0].upper() + left[1:], right)
 
 
 def _legend(panel: Axes) -> None:
     """Above the panel, where it hides no data."""
     panel.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=TEXT,
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9, labelcolor=look.TEXT,
         borderaxespad=0.0, handlelength=1.8, columnspacing=1.4,
     )  # fmt: skip
 

@@ -30,7 +30,10 @@ _ROW = 2 * 1100
 """[byte] of a row of a log; it is there twice before a run is done."""
 _MARK = ".stewart-drake"
 """File in a folder under construction: says that it is one, and is locked while a process works there."""
-_DATA = {"log.parquet", "metrics.json", "scenario.yaml", "controller.py"}
+_CODE = "code"
+"""Folder with the files of the user's classes."""
+# Earlier versions kept a user's controller beside the rest.
+_DATA = {"log.parquet", "metrics.json", "scenario.yaml", _CODE, "controller.py"}
 _FILES = {_MARK, *_DATA, "diagram.dot", "diagram.svg", "states.png", "torques.png", "replay.html"}
 """All that a results folder may hold."""
 
@@ -159,7 +162,9 @@ class ResultsFolder:
         text = json.dumps(metrics, indent=2, allow_nan=False) + "\n"
         write_atomically(self.folder / "metrics.json", text.encode())
         for name, content in self._files.items():
-            write_atomically(self.folder / name, content)
+            path = self.folder / name
+            path.parent.mkdir(exist_ok=True)
+            write_atomically(path, content)
         if graph is not None:
             write_atomically(self.folder / "diagram.dot", graph.encode())
             svg = _render_graph(graph)
@@ -226,7 +231,7 @@ class ResultsFolder:
         except OSError as error:
             why = error.strerror or str(error)
             raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
-        others = sorted(names - _FILES if _is_run(place) else names)
+        others = sorted((names - _FILES) | _strange_code(place) if _is_run(place) else names)
         if others:
             allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
             raise ConfigurationError("--out", self._named, allowed)
@@ -247,7 +252,10 @@ class ResultsFolder:
         return scenario == self._files["scenario.yaml"] and before == now
 
     def _put(self) -> None:
-        for path in self.folder.iterdir():
+        for path in self.folder.rglob("*"):
+            if path.is_dir():
+                sync_folder(path)
+                continue
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
         sync_folder(self.folder)
@@ -270,7 +278,7 @@ def write_run(
     """Writes everything about a run into a folder, which appears as a whole.
 
     Files: metrics.json (strict JSON), log.parquet, scenario.yaml, states.png, torques.png, replay.html, diagram.dot;
-    with a controller of the user's from a file controller.py, so that scenario.yaml can be run again. Results of the
+    with classes of the user's from files code/, so that scenario.yaml can be run again. Results of the
     same scenario that are there are replaced.
 
     Args:
@@ -299,6 +307,16 @@ def _is_run(folder: Path) -> bool:
         return False
 
 
+def _strange_code(folder: Path) -> set[str]:
+    """What lies beside the code of a run and is not named in its scenario."""
+    code = folder / _CODE
+    if not code.is_dir():
+        return set()
+    text = read_checked(folder / "scenario.yaml", "scenario.yaml", MAX_BYTES).decode(errors="replace")
+    named = (f"{_CODE}/{path.name}" for path in code.iterdir())
+    return {name for name in named if f"{name}:" not in text}
+
+
 def _replay(log: SimulationLog, path: Path) -> str | None:
     """Writes the replay; where there is nothing to show, or Drake cannot, a line that says so."""
     from stewart_drake.runs.replay import write_replay
@@ -311,14 +329,11 @@ def _replay(log: SimulationLog, path: Path) -> str | None:
 
 
 def _own_files(scenario: Scenario) -> dict[str, bytes]:
-    """The scenario as run, and the controller's file that it runs if it has one."""
+    """The scenario as run, and the files of the user's classes that it runs."""
     data, code = scenario.to_dict(), dict[str, bytes]()
     # Of a log from elsewhere the code may be gone; then its results do without.
     with suppress(ConfigurationError):
-        data, code = take_code_along(data)
-    for content in code.values():
-        kind = data["controller"]["system"].rpartition(":")[2]
-        data["controller"]["system"], code = f"controller.py:{kind}", {"controller.py": content}
+        data, code = take_code_along(data, _CODE)
     return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **code}
 
 

@@ -299,7 +299,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 
 
 def _refuse_early_end(status: SimulatorStatus) -> None:
-    """A run that a system of the user's ended is none that completed."""
+    """A run that a user's system ended did not complete."""
     if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
         raise ControllerStop(" ".join(status.FormatMessage().split()))
 

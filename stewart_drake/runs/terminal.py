@@ -144,7 +144,7 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
     ]
     for metric in METRICS:
         value = metrics[metric.name]
-        # A second half that was not reached is told; weights that there are none of are not.
+        # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("late")):
             rows.append((metric.label, metric.shown(value)))
     rows += [(f"warning: {w['name']}", f"{w['text']}, t = {w['time']:.3f} s") for w in metrics["warnings"]]

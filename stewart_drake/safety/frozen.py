@@ -20,7 +20,8 @@ def frozen_tick(
 ) -> tuple[int | None, np.ndarray]:
     """Looks for a sensor that repeats itself while things move.
 
-    In a robot that stands still nobody can tell: the six encoders of six freedoms contradict each other never.
+    In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never
+    contradict each other.
 
     Args:
         options: Limits.
@@ -34,7 +35,7 @@ def frozen_tick(
         Leg whose encoder is frozen, -1 for the pose as a whole, None for nothing; and the memory (42,) of this tick.
     """
     readings, compared = (pose, reference) if angles is None else (angles, angles)
-    # What is not a number is another monitor's affair, and no repetition.
+    # NaN never equals itself; the monitor `finite` looks for it.
     same = readings == memory[:6]
     if angles is None:
         same[:] = same.all()

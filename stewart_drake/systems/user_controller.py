@@ -40,7 +40,7 @@ def load_user_controller(options: PythonOptions, site: ControllerSite) -> Any:
 def _check(options: PythonOptions, side: str, name: str, size: int, port: Any) -> None:
     wanted = f"a LeafSystem with the {side} port {name} ({size},)"
     if port is None:
-        raise ConfigurationError("controller.system", options.system, f"{wanted}; it has none of that name")
+        raise ConfigurationError("controller.system", options.system, f"{wanted}; it has no such port")
     if port.get_data_type() != PortDataType.kVectorValued:
         raise ConfigurationError("controller.system", options.system, f"{wanted}; its own is abstract")
     if port.size() != size:

@@ -116,7 +116,7 @@ def test_the_same_scenario_with_another_file_of_the_same_name_is_another_one(tmp
         write_run(logs[0], tmp_path / "out", pictures=False)
     with pytest.raises(ConfigurationError, match="--force"):
         write_run(logs[1], tmp_path / "out", pictures=False)
-    assert (tmp_path / "out" / "controller.py").read_text() == "# first\n"
+    assert (tmp_path / "out" / "code" / "mine.py").read_text() == "# first\n"
 
 
 def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
@@ -241,11 +241,14 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     log = made_log(scenario=own)
     log = dataclasses.replace(log, files=file_digests(log.scenario.to_dict()))
     write_run(log, folder, pictures=False)
-    assert names(folder) == ALWAYS | {"controller.py"}
-    assert (folder / "controller.py").read_text() == "one = 1\n"
+    assert names(folder) == ALWAYS | {"code"}
+    assert (folder / "code" / "mine.py").read_text() == "one = 1\n"
     again = load_scenario(folder / "scenario.yaml")
-    assert again.controller.system == f"{folder / 'controller.py'}:Mine"
+    assert again.controller.system == f"{folder / 'code' / 'mine.py'}:Mine"
     write_run(log, folder, pictures=False)
+    (folder / "code" / "notes.py").write_text("mine")
+    with pytest.raises(ConfigurationError, match=r"code/notes\.py would be lost"):
+        write_run(log, folder, pictures=False, force=True)
     code.unlink()
     write_run(made_log(scenario=own), tmp_path / "without", pictures=False)
     assert names(tmp_path / "without") == ALWAYS
