@@ -140,6 +140,7 @@ def test_shipped_comparisons_load_and_their_first_run_works(name):
     assert all(comparison.scenario(index).duration <= 1.6 for index in range(0, comparison.runs, 40))
 
 
+@pytest.mark.slow
 def test_the_shipped_controllers_are_tuned_alike_and_the_nine_are_nine():
     comparison = shipped("controllers")
     by_name = {cell.controller: comparison.scenario(i).controller for i, cell in enumerate(comparison.cells)}
@@ -199,6 +200,7 @@ def test_the_table_has_the_figures_and_failures_of_the_runs(done):
         assert [r["controller"] for r in csv.DictReader(stream)] == [row["controller"] for row in result.rows]
 
 
+@pytest.mark.slow
 def test_best_of_names_the_controller_that_it_is(done):
     _, result, _ = done
     for reference in ("sine", "hold"):
@@ -266,6 +268,7 @@ def test_a_blow_up_is_drawn_within_bounds(done, tmp_path, value):
     assert write_pictures(comparison, dataclasses.replace(result, rows=rows, band_rows=bands), tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_drawn_is_a_line_and_the_others_are_there(done, tmp_path, monkeypatch):
     comparison, result, _ = done
 

@@ -54,6 +54,7 @@ def modified(folder):
 # --- what comes back -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_logs_come_in_the_order_asked_for_and_are_those_of_a_direct_run(tmp_path, workers):
     scenarios = several(3)
@@ -220,6 +221,7 @@ def test_other_code_or_another_drake_gives_another_key(monkeypatch):
 # --- bad input -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_scenario_that_a_worker_refuses_comes_back_as_its_own_error(tmp_path):
     with pytest.raises(InfeasibleReferenceError) as caught:
         RunStore(tmp_path, 2).run_all([*several(2), OUT_OF_REACH])

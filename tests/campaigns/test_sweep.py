@@ -95,6 +95,7 @@ def whole(tmp_path_factory):
 # --- the table -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_row_holds_what_was_drawn_and_the_figures_of_a_direct_run(reference):
     assert outcomes(reference) == dict.fromkeys(range(6), ("completed", None))
     s = sweep()
@@ -385,6 +386,7 @@ def interrupt_at(count):
     return progress
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("code_as_it_is")
 def test_what_is_done_outlives_an_interruption_and_only_the_rest_is_run(whole, tmp_path):
     with pytest.raises(KeyboardInterrupt):
@@ -422,6 +424,7 @@ def test_a_run_that_was_interrupted_is_no_row(tmp_path):
     assert (tmp_path / "rows.jsonl").read_bytes() == b""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("code_as_it_is")
 @pytest.mark.parametrize(
     "tear",

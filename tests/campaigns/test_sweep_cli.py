@@ -144,6 +144,7 @@ def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, tmp_pa
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_another_sweep_in_the_folder_is_refused_until_it_is_thrown_away(call, tmp_path):
     write(tmp_path)
     (tmp_path / "out").mkdir()

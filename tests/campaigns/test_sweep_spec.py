@@ -169,6 +169,7 @@ def test_paths_are_relative_to_the_sweep_file(tmp_path):
     assert s.base.tuner.weights_file == str(tmp_path / "deep" / "w.json")
 
 
+@pytest.mark.slow
 def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
     names = [path.stem for path in shipped_folder("sweeps").glob("*.yaml")]
     assert "initial_offset" in names

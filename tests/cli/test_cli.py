@@ -265,6 +265,7 @@ def contents(folder):
     return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("args", "words"), BAD, ids=[" ".join(args)[:60] for args, _ in BAD])
 def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_files, tmp_path, args, words):
     assert_refused(*call(*args), words)
@@ -357,6 +358,7 @@ def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
     assert load_log(tmp_path / "out").reason == "crank_dead_centre"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_run_without_figures_is_told_all_the_same(call):
     status, out, err = call("run", "exact_fig7", *QUICK, "--set", "link.faults=[{kind: nan, time: 0.02}]")
@@ -384,6 +386,7 @@ def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_quiet_run_that_breaks_still_says_why(call):
     status, out, err = call("run", "paper_fig7_uncompensated", "--quiet")

@@ -15,6 +15,7 @@ def check(call):
     return functools.partial(call, "check")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "paper_fig7"])
 def test_the_shipped_motions_can_be_done_and_every_margin_is_shown(check, tmp_path, name):
     status, out, err = check(name)
@@ -58,6 +59,7 @@ def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes
     assert (status, out, err.count("\n")) == (2, "", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["--scale", "--retime"])
 def test_the_scenario_written_can_be_done(check, how):
     status, out, _ = check("paper_fig7", *FAST, how, "--out", "fit.yaml")

@@ -116,6 +116,7 @@ def test_a_tick_is_numpys_whatever_the_options(
     assert_same_memory(one, other)
 
 
+@pytest.mark.slow
 def test_an_option_is_none_that_changes_nothing():
     """Each of them shows in the compiled tick, so that agreeing with numpy means something."""
     pose = PAPER.home_pose + [0.1, -0.05, 0.08, 0.01, 0.02, -0.005]

@@ -123,6 +123,7 @@ def _flip(content):
     return content[:-40] + bytes([content[-40] ^ 1]) + content[-39:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 @pytest.mark.parametrize(
     "damage", [lambda content: content[: len(content) // 2], lambda _: b"", lambda _: os.urandom(500), _flip]

@@ -66,6 +66,7 @@ def test_a_pose_beyond_all_numbers_is_out_of_reach_by_both():
         kinematics.leg_geometry(PAPER, pose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theta", [np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1]), np.full(6, np.nan)])
 def test_forward_kinematics_says_when_it_has_not_converged(theta):
     pose = PAPER.home_pose.copy()

@@ -48,6 +48,7 @@ def at(pose, robot=ROBOT):
 # --- pose and rate -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @few
 @given(poses(0.8), vectors(6, 0.01), st.booleans())
 def test_the_pose_is_exact_without_quanta_and_stands_still_at_first(pose, away, compiled):

@@ -181,6 +181,7 @@ def test_a_log_of_a_scenario_that_is_not_allowed_is_refused(log, tmp_path):
         load_log(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flipped_bit_anywhere_is_refused(log, tmp_path, seed):
     content, rng = log.to_parquet(), np.random.default_rng(seed)

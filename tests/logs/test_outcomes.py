@@ -162,6 +162,7 @@ def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
     assert verdict(pose=far, ended_by=KeyboardInterrupt()).status == "interrupted"
 
 
+@pytest.mark.slow
 @given(st.integers(1, 60), st.integers(0, 10**6))
 def test_figures_do_not_depend_on_the_parts_they_are_taken_in(parts, seed):
     rng = np.random.default_rng(seed)

@@ -70,6 +70,7 @@ def test_rotation_matrix_is_a_product_of_elementary_rotations_and_not_the_passiv
     np.testing.assert_allclose(rotation_matrix(rpy), z @ y @ x, atol=1e-15)
 
 
+@pytest.mark.slow
 @given(rpy=angles)
 def test_roll_pitch_yaw_inverts_rotation_matrix(rpy):
     np.testing.assert_allclose(roll_pitch_yaw(rotation_matrix(rpy)), rpy, atol=1e-13)
@@ -202,6 +203,7 @@ def test_crank_rates_are_the_jacobian_times_the_pose_rate(pose, rate):
         np.testing.assert_allclose(found[k], expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(pose=poses(0.8))
 def test_twist_jacobian_against_central_differences_along_screws(pose):
     step = 1e-6
@@ -223,6 +225,7 @@ def test_rod_lines_give_the_speed_of_the_platform_joints_along_the_rods(pose, tw
     np.testing.assert_allclose(rod_lines(legs) @ twist, np.sum(legs.e_l * speed, axis=-1), atol=1e-14)
 
 
+@pytest.mark.slow
 @given(at=robots_and_poses())
 def test_leg_vectors_are_unit_and_close_the_loop_of_any_robot(at):
     robot, pose = at

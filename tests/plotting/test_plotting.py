@@ -78,6 +78,7 @@ def texts(figure):
     return found + [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "symbol"), list(enumerate(AXES)))
 def test_each_state_is_drawn_against_its_reference_in_degrees_or_millimetres(axis, symbol):
     log = make_log()
@@ -138,6 +139,7 @@ def test_constant_weights_sit_inside_their_panel():
     assert low <= 0.1 < 1.0 < 10.0 <= high * 1.001
 
 
+@pytest.mark.slow
 def test_panels_share_one_time_axis_in_seconds():
     log = make_log()
     for figure in (plot_states(log), plot_torques(log)):
@@ -219,6 +221,7 @@ def test_interrupted_run_marks_when_it_ended(plot):
     assert "interrupted" in texts(figure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_states, plot_torques])
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_shortest_logs_are_drawn(plot, rows, tmp_path):
@@ -232,6 +235,7 @@ def test_single_row_is_a_visible_dot():
     assert {line.get_marker() for axes in figure.axes for line in axes.lines if len(line.get_xdata()) == 1} == {"o"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_states, plot_torques])
 def test_rows_that_are_not_finite_leave_the_rest_readable(plot, tmp_path):
     log = make_log()
@@ -244,6 +248,7 @@ def test_rows_that_are_not_finite_leave_the_rest_readable(plot, tmp_path):
     assert all(np.isfinite(axes.get_ylim()).all() for axes in figure.axes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_states, plot_torques])
 @pytest.mark.parametrize("value", [1e12, 1e160, -1e308, np.inf, np.nan])
 @pytest.mark.parametrize("rows", [1, 200])
@@ -262,6 +267,7 @@ def test_empty_log_is_refused(plot):
         plot(make_log(rows=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_states, plot_torques])
 def test_png_has_the_figure_s_size_and_is_the_same_every_time(plot, tmp_path):
     for name in ("one.png", "two.png"):
