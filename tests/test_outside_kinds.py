@@ -148,7 +148,7 @@ def test_a_file_beside_the_scenario_is_run_by_its_path_and_no_other_is(tmp_path)
     assert scenario.reference.kind == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
     checked_logged_and_plotted(scenario, tmp_path)
     file.write_text(text.format(tmp_path.parent / "mine.py"))
-    with pytest.raises(ConfigurationError, match=r"^kind: .*a file in .* or below"):
+    with pytest.raises(ConfigurationError, match=r"^reference\.kind: .*a file in .* or below"):
         load_scenario(file)
     for module in ("os:system", "builtins:print", "mine:Rise"):
         file.write_text(text.format("x.py").replace("x.py:Rise", module))

@@ -32,14 +32,14 @@ def anchor_files(data: Any, folder: Path) -> None:
     Raises:
         ConfigurationError: The file of a controller, whose code would be run, lies elsewhere than in `folder` or below.
     """
-    for section, key in _places(data):
+    for section, key, place in _places(data):
         path, name = _split(section[key])
         if name:
             # As written, without `..`, and not where links lead: this very path is what is opened.
             top = os.path.abspath(folder)  # noqa: PTH100 - Path.absolute leaves `..` in
             found = os.path.normpath(os.path.join(top, path))  # noqa: PTH118
             if not Path(found).is_relative_to(top):
-                raise ConfigurationError(_key(key), section[key], f"a file in {top} or below")
+                raise ConfigurationError(place, section[key], f"a file in {top} or below")
             section[key] = f"{found}{name}"
         elif not Path(path).is_absolute():
             section[key] = str((folder / path).absolute())
@@ -60,20 +60,16 @@ def take_code_along(scenario: Mapping[str, Any], folder: str = "") -> tuple[dict
     """
     data: dict[str, Any] = copy.deepcopy(dict(scenario))
     files: dict[str, tuple[Path, bytes]] = {}
-    for section, key in list(_places(data)):
+    for section, key, place in list(_places(data)):
         text, name = _split(section[key])
         if not name:
             continue
         path = Path(text)
         content = read_checked(path, f"controller file {path}", MAX_BYTES)
         if files.setdefault(path.name, (path, content)) != (path, content):
-            raise ConfigurationError(_key(key), section[key], f"a file of another name than {files[path.name][0]}")
+            raise ConfigurationError(place, section[key], f"a file of another name than {files[path.name][0]}")
         section[key] = f"{Path(folder) / path.name}{name}"
     return data, {str(Path(folder) / name): content for name, (_, content) in files.items()}
-
-
-def _key(key: Any) -> str:
-    return str(key) if str(key).rpartition(".")[2] == "kind" else "controller.system"
 
 
 def file_digests(data: Any) -> dict[str, str | None]:
@@ -83,7 +79,7 @@ def file_digests(data: Any) -> dict[str, str | None]:
         data: Plain values: sections, lists, and under dotted keys such as `tuner.weights_file` what a sweep chooses
             from.
     """
-    paths = {_split(section[key])[0] for section, key in _places(data)}
+    paths = {_split(section[key])[0] for section, key, _ in _places(data)}
     return {path: digest(path) for path in sorted(paths)}
 
 
@@ -96,29 +92,30 @@ def digest(path: str | Path) -> str | None:
         return None
 
 
-def _places(data: Any) -> Iterator[tuple[Any, Any]]:
-    """Sections or lists, and the key or index in them, at which a file is named."""
-    waiting: list[tuple[str, Any]] = [("", data)]
+def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
+    """Sections or lists, the key or index in them at which a file is named, and the whole key for messages."""
+    waiting: list[tuple[str, str, Any]] = [("", "", data)]
     seen: set[tuple[str, int]] = set()
     while waiting:
-        name, section = waiting.pop()
+        name, place, section = waiting.pop()
         # Sections made in Python can hold themselves; of one that two keys share, both count.
         if (name, id(section)) in seen:
             continue
         seen.add((name, id(section)))
         if isinstance(section, (list, tuple)):
-            waiting.extend((name, value) for value in section)
+            waiting.extend((name, f"{place}{index}.", value) for index, value in enumerate(section))
         if not isinstance(section, dict):
             continue
         for key, value in section.items():
             leaf = str(key).rpartition(".")[2]
             if _is_file(leaf, value):
-                yield section, key
+                yield section, key, f"{place}{key}"
             # What a sweep chooses from lies in a list under `values`.
             elif leaf == "values" and name in (*FILE_KEYS, *CLASS_KEYS) and isinstance(value, list):
-                yield from ((value, index) for index, path in enumerate(value) if _is_file(name, path))
+                found = (index for index, path in enumerate(value) if _is_file(name, path))
+                yield from ((value, index, f"{place}{key}.{index}") for index in found)
             else:
-                waiting.append((leaf, value))
+                waiting.append((leaf, f"{place}{key}.", value))
 
 
 def _is_file(key: str, value: Any) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import NOT_FINITE
+from stewart_drake.wording import keys_of
 
 if TYPE_CHECKING:
     from stewart_drake.logs.tally import Tally
@@ -192,6 +193,13 @@ METRICS: list[Metric] = [
 
 
 _SHIPPED = len(METRICS)
+_TAKEN = (
+    *("scenario", "safety", "real_time_factor", "git_revision", "versions", "files"),
+    *("index", "seed", "values", "wall_s", "simulation_s", "host", "worker"),
+    *("controller", "chosen", "reference", "condition", "settling_s"),
+    *("frequency_hz", "amplitude", "ratio", "phase_deg", "rest"),
+)
+"""Other keys of metrics.json, and other columns of the tables of sweeps and comparisons."""
 
 
 def add_metric(metric: Metric) -> None:
@@ -203,10 +211,13 @@ def add_metric(metric: Metric) -> None:
     Raises:
         ConfigurationError: Its name, or a column of it, means something already.
     """
+    from stewart_drake.scenario import Scenario
+
     others = [each for each in METRICS[_SHIPPED:] if each.name != metric.name]
     kept = METRICS[:_SHIPPED] + others
     taken = {each.name for each in kept} | {column.name for each in kept for column in each.columns()}
-    taken |= {column.name for column in OUTCOME}
+    # A sweep has a column for each key of the scenario that it varies.
+    taken |= {*_TAKEN, *(column.name for column in OUTCOME), *keys_of(Scenario)}
     for name in (metric.name, *metric.parts):
         if name in taken:
             raise ConfigurationError("metric", name, "a name that no metric or column has")

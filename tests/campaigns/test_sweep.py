@@ -19,12 +19,12 @@ import pytest
 from sweep_functions import deadly, faulty, killed_once, number, slow
 
 from stewart_drake.campaigns import engine
-from stewart_drake.campaigns.comparison_table import table_columns
+from stewart_drake.campaigns.comparison_table import BANDS, table_columns
 from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor, Workplace
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.sweep import run_sweep
 from stewart_drake.campaigns.sweep_file import Sweep
-from stewart_drake.campaigns.sweep_table import INCIDENTAL, summary
+from stewart_drake.campaigns.sweep_table import BEFORE, INCIDENTAL, summary
 from stewart_drake.campaigns.tables import to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import metric_table, versions
@@ -171,7 +171,9 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
     assert result.table.column("way_mm").to_pylist() == [pytest.approx(expected)]
     assert result.table.schema.field("way_mm").metadata[b"unit"] == b"mm"
     assert "way_mm" in [column.name for column in table_columns()]
-    for taken in ("rmse_mm", "rmse_x_mm", "status"):
+    columns = (*BEFORE, *INCIDENTAL, *BANDS, *table_columns())
+    names = {*run_metrics(log), *result.rows[0], *log.scenario.to_dict(), *(column.name for column in columns)}
+    for taken in ("rmse_mm", "rmse_x_mm", *sorted(names - {"way_mm"})):
         with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
             add_metric(dataclasses.replace(mine, name=taken))
     # Rows without it are of another version.

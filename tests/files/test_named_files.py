@@ -48,12 +48,18 @@ WRAPPED = [
 ]
 
 
-@pytest.mark.parametrize("wrap", WRAPPED)
+PLACES = (
+    *("controller.system", "controller.system", "distributions.controller.system.values.1"),
+    *("distributions.controller.values.0.system", "controllers.mine.controller.system"),
+)
+
+
+@pytest.mark.parametrize(("wrap", "place"), list(zip(WRAPPED, PLACES, strict=True)), ids=range(5))
 @pytest.mark.parametrize("system", OUT)
-def test_code_lies_in_the_folder_or_below(wrap, system):
+def test_code_lies_in_the_folder_or_below(wrap, place, system):
     with pytest.raises(ConfigurationError, match="a file in /base or below") as caught:
         anchor_files(wrap(system), Path("/base"))
-    assert (caught.value.key, caught.value.value) == ("controller.system", system)
+    assert (caught.value.key, caught.value.value) == (place, system)
     for inside in ("mine.py:Mine", "a/../b/mine.py:Mine", "/base/c/mine.py:Mine"):
         anchor_files(wrap(inside), Path("/base"))
 
