@@ -82,8 +82,11 @@ def load_dataset(path: str | Path) -> Dataset:
     if version != _VERSION:
         found = "another format" if version is None else f"version {version}"
         raise ConfigurationError(key, found, f"a dataset of version {_VERSION}, written by `collect`")
-    check_value(f"{key}: density", document.get("density", "magnitude"), DensityKind)
-    check_value(f"{key}: window", document.get("window", 1), Window)
+    for name, default, kind in (("density", "magnitude", DensityKind), ("window", 1, Window)):
+        try:
+            check_value(name, document.get(name, default), kind)
+        except ConfigurationError as error:
+            raise error.within(f"{key}: ") from None
     columns = ("time", "run", *_INPUTS, "omega_q", "omega_r")
     missing = [name for name in columns if name not in table]
     rows = len(next(iter(table.values()), ()))

@@ -116,10 +116,10 @@ BAD = [
     ("class Mine: pass\n", "a LeafSystem of pydrake"),
     (GOOD.replace("self.scale = scale", "raise ZeroDivisionError('no')"), "ZeroDivisionError: no"),
     (GOOD.replace("scale=1.0", "needed"), "missing a required argument|missing 1 required"),
-    (GOOD.replace('"measurement", 12', '"measured", 12'), "input port measurement (12,); it has none"),
+    (GOOD.replace('"measurement", 12', '"measured", 12'), "input port measurement (12,); it has no such port"),
     (GOOD.replace('"reference", 18', '"reference", 6'), "input port reference (18,); its own is (6,)"),
     (GOOD.replace('"torque", 6', '"torque", 3'), "output port torque (6,); its own is (3,)"),
-    (GOOD.replace('"torque", 6', '"force", 6'), "output port torque (6,); it has none"),
+    (GOOD.replace('"torque", 6', '"force", 6'), "output port torque (6,); it has no such port"),
     (
         GOOD.replace('DeclareVectorInputPort("reference", 18)', 'DeclareAbstractInputPort("reference", Value(""))'),
         "its own is abstract",
@@ -130,7 +130,7 @@ BAD = [
     ),
     (
         GOOD.replace("    def calc", '        self.DeclareVectorOutputPort("error", 6, self.calc)\n\n    def calc'),
-        "output port integral (6,); it has none",
+        "output port integral (6,); it has no such port",
     ),
 ]  # fmt: skip
 
