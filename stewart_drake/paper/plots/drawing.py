@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, PURPLE, SKY, heatmap
 
@@ -25,15 +24,6 @@ def curves(
         panel.plot(x, values, **{"color": COLORS[index], "linewidth": 1.8, "label": name, **look, **style})
 
 
-def logarithmic(panel: Axes, which: str) -> None:
-    """Logarithmic axes (`x`, `y` or both) with plain numbers at their decades."""
-    for name in which:
-        axis = panel.xaxis if name == "x" else panel.yaxis
-        panel.set(**{f"{name}scale": "log"})
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
-
-
 def contoured(
     figure: Figure, panel: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, unit: str, levels: Any, **kept: Any
 ) -> None:
@@ -41,10 +31,3 @@ def contoured(
     heatmap(figure, panel, x, y, values, unit, cmap="cividis", vmin=0.0, **kept)
     lines = panel.contour(x, y, values, levels=levels, colors="black", linewidths=0.7)
     panel.clabel(lines, fmt="%g", fontsize=8)
-
-
-def legend_below(figure: Figure, panel: Axes, columns: int) -> None:
-    """One legend for all panels, below them: the entries of `panel`."""
-    figure.legend(
-        *panel.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False, fontsize=9
-    )

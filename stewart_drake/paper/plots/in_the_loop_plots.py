@@ -11,9 +11,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator
 
-from stewart_drake.paper.plots.drawing import legend_below, logarithmic
 from stewart_drake.paper.tuner_comparison import Comparison
-from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, QUIET, TEXT, label, legend, panels
+from stewart_drake.plotting.panels import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    QUIET,
+    TEXT,
+    label,
+    legend,
+    legend_below,
+    logarithmic,
+    panels,
+)
 
 _RATIO_COLORS = ("#08306B", "#2171B5", "#6BAED6", "#A6CEE3", "#D2E4F0")
 _SPAN = "#E3E8ED"
@@ -89,7 +99,7 @@ def plot_weights_in_force(
         if index + columns >= len(ratios):
             panel.set_xlabel("time [s]", fontsize=10, color=TEXT)
             panel.tick_params(labelbottom=True)
-    legend_below(figure, axes[0, 0], 3)
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], 3, 9.0)
     return figure
 
 

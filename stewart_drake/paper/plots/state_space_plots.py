@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stewart_drake.paper.plots.drawing import COLORS, curves, legend_below, logarithmic
-from stewart_drake.plotting.panels import QUIET, TEXT, label, legend, panels
+from stewart_drake.paper.plots.drawing import COLORS, curves
+from stewart_drake.plotting.panels import QUIET, TEXT, label, legend, legend_below, logarithmic, panels
 
 STATE_NAMES = (
     r"$\phi$", r"$\dot\phi$", r"$\theta$", r"$\dot\theta$", r"$\psi$", r"$\dot\psi$",
@@ -45,7 +45,7 @@ def plot_singular(approaches: Mapping[str, tuple[np.ndarray, Mapping[str, np.nda
         panel.invert_xaxis()
         label(panel, name, f"distance to the singular pose [{unit}]", "")
     axes[0, 0].set_ylabel("singular values [SI], others [-]", fontsize=10, color=TEXT)
-    legend_below(figure, axes[0, 0], 3)
+    legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], 3, 9.0)
     return figure
 
 
