@@ -56,20 +56,23 @@ def take_code_along(scenario: Mapping[str, Any], folder: str = "") -> tuple[dict
         A copy with the files of the user's classes relative to it, and those files, name -> content.
 
     Raises:
-        ConfigurationError: A file cannot be read, or two have one name.
+        ConfigurationError: A file cannot be read.
     """
     data: dict[str, Any] = copy.deepcopy(dict(scenario))
-    files: dict[str, tuple[Path, bytes]] = {}
-    for section, key, place in list(_places(data)):
-        text, name = _split(section[key])
-        if not name:
+    names: dict[Path, str] = {}
+    files: dict[str, bytes] = {}
+    for section, key, _ in list(_places(data)):
+        text, kind = _split(section[key])
+        if not kind:
             continue
         path = Path(text)
-        content = read_checked(path, f"controller file {path}", MAX_BYTES)
-        if files.setdefault(path.name, (path, content)) != (path, content):
-            raise ConfigurationError(place, section[key], f"a file of another name than {files[path.name][0]}")
-        section[key] = f"{Path(folder) / path.name}{name}"
-    return data, {str(Path(folder) / name): content for name, (_, content) in files.items()}
+        if path not in names:
+            # Of two files of one name the second gets a number.
+            tries = (path.name, *(f"{path.stem}_{count}.py" for count in range(2, len(names) + 2)))
+            names[path] = str(Path(folder) / next(name for name in tries if str(Path(folder) / name) not in files))
+            files[names[path]] = read_checked(path, f"controller file {path}", MAX_BYTES)
+        section[key] = f"{names[path]}{kind}"
+    return data, files
 
 
 def file_digests(data: Any) -> dict[str, str | None]:

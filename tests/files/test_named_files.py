@@ -100,6 +100,17 @@ def test_code_taken_along_makes_a_scenario_that_runs_from_another_folder(tmp_pat
     assert take_code_along(Scenario().to_dict()) == (Scenario().to_dict(), {})
 
 
+def test_two_files_of_one_name_are_both_taken_along(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.py").write_text(f"{folder} = 1\n")
+    kinds = [f"{tmp_path}/{folder}/mine.py:Push" for folder in ("a", "b", "a")]
+    data, files = take_code_along({"disturbances": [{"kind": kind} for kind in kinds]}, "code")
+    assert set(files) == {"code/mine.py", "code/mine_2.py"}
+    for kind, taken in zip(kinds, data["disturbances"], strict=True):
+        assert files[taken["kind"].removesuffix(":Push")] == Path(kind.removesuffix(":Push")).read_bytes()
+
+
 def test_what_is_no_regular_file_has_no_digest(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     assert [digest(path) for path in (tmp_path / "pipe", tmp_path, "/dev/zero", "a\0b")] == [None] * 4
