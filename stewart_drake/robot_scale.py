@@ -90,13 +90,13 @@ def _is_absent(given: Any, marker: OfRobot, default: Any, made: bool) -> bool:
     return given is None if marker.null else given is ... or (made and given == default)
 
 
-def without_own(data: Section, robot: RobotParameters) -> dict[str, Any]:
-    """Plain keys and values of a section, without those that are but this robot's defaults."""
-    plain: dict[str, Any] = given_again(data)
-    for name, field in type(data).__pydantic_fields__.items():
+def without_own(section: Section, data: Mapping[str, Any], robot: RobotParameters) -> dict[str, Any]:
+    """The plain keys and values `data` of a section, without those that are but this robot's defaults."""
+    kept = dict(data)
+    for name, field in section.__pydantic_fields__.items():
         marker = _marker(field)
-        if marker is not None and getattr(data, name) == marker.value(field.default, robot):
-            plain.pop(name)
+        if marker is not None and getattr(section, name) == marker.value(field.default, robot):
+            del kept[name]
             if marker.null:
-                plain[name] = None
-    return plain
+                kept[name] = None
+    return kept

@@ -144,8 +144,8 @@ class Scenario(Section):
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has; what was
-        but a default for the old robot is that for the new one.
+        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
+        another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
@@ -153,12 +153,13 @@ class Scenario(Section):
         Raises:
             ConfigurationError: As for the class.
         """
-        data: dict[str, Any] = {
-            name: without_own(value, self.believed_robot if name in _BELIEVED else self.robot)
-            if isinstance(value := getattr(self, name), Section) and name in _OF_ROBOT
-            else value
-            for name in keys_of(self)
-        }
+        data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
+        for name in _OF_ROBOT:
+            if data[name] is not None:
+                data[name] = given_again(data[name])
+                if any(key in changes for key in ROBOT_KEYS):
+                    robot = self.believed_robot if name in _BELIEVED else self.robot
+                    data[name] = without_own(getattr(self, name), data[name], robot)
         for key, value in changes.items():
             _assign(data, key, value)
         return Scenario.from_dict(data)

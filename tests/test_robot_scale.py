@@ -44,7 +44,11 @@ def test_another_robot_has_lengths_torques_and_home_of_its_own():
 
 
 def test_what_is_given_stays_and_what_is_off_stays_off():
-    given = {"limits": {"clearance": 0.005}, "safety": {"workspace": None}, "reference": {"kind": "hold", "pose": [0] * 6}}
+    given = {
+        "limits": {"clearance": 0.005},
+        "safety": {"workspace": None},
+        "reference": {"kind": "hold", "pose": [0] * 6},
+    }
     scenario = Scenario(robot=HEXAPOD, **given)
     assert (scenario.limits.clearance, scenario.safety.workspace) == (0.005, None)
     assert scenario.reference.pose == (0.0,) * 6
