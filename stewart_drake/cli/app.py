@@ -80,6 +80,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
     from stewart_drake.logs.log_rows import RowsInFile
+    from stewart_drake.logs.outcomes import told
     from stewart_drake.runs.outputs import ResultsFolder
     from stewart_drake.scenario import load_scenario
 
@@ -120,8 +121,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
-        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
-        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
+        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {log.message}", err=True)
     sys.exit(_STATUS[log.status])
 
 

@@ -10,6 +10,7 @@ import hashlib
 import importlib
 import inspect
 import linecache
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -25,10 +26,17 @@ from stewart_drake.files.whole import read_checked
 
 MAX_BYTES = 1_000_000
 """Of a file with a class."""
-CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
+_FILE, _NAME = r".+\.py", r"[A-Za-z_]\w*"
+CLASS_PATH = rf"^({_FILE}|{_NAME}(\.{_NAME})*):{_NAME}$"
 CLASS_WORDS = "module:Class or path/to/file.py:Class"
 _FILES = "stewart_drake_user"
 """Name of the package that holds modules made from a user's files; it is not on disk."""
+
+
+def split_path(path: str) -> tuple[str, str] | None:
+    """File and class of path/to/file.py:Class; None for any other text."""
+    found = re.fullmatch(rf"({_FILE}):({_NAME})", path)
+    return None if found is None else (found[1], found[2])
 
 
 def path_of(given: Any) -> str:
@@ -54,8 +62,8 @@ class UserClass:
     @property
     def file(self) -> Path | None:
         """The file that the class is in; None where it is in a module to import."""
-        file, _, _ = self.path.rpartition(":")
-        return Path(file) if file.endswith(".py") and self.given is None else None
+        found = None if self.given is not None else split_path(self.path)
+        return None if found is None else Path(found[0])
 
     @property
     def code(self) -> str:

@@ -272,7 +272,7 @@ def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
     assert sagged["leg"] in range(6)
     assert sagged["torque_peak"] > 0.0
     assert "dead centre" in sagged["message"]
-    assert dict(summary(result.rows))["rejected: infeasible_reference"] == "2"
+    assert dict(summary(result.rows))["rejected, infeasible_reference"] == "2"
 
 
 @pytest.mark.slow
