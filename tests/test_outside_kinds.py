@@ -1,5 +1,6 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
+import dataclasses
 import json
 from typing import Literal
 
@@ -301,6 +302,18 @@ def test_what_was_given_in_python_is_refused_where_results_are_kept():
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
         with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
             many(own)
+
+
+def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():
+    one, two = ToyReference(0.002), ToyReference(0.003)
+    scenario = Scenario(**SHORT, reference=one)
+    assert scenario == Scenario(**SHORT, reference=one) != Scenario(**SHORT, reference=two)
+    for copy in (dataclasses.replace(scenario, duration=0.2), scenario.replace({"duration": 0.2})):
+        assert copy.reference.made is one
+    assert dataclasses.replace(scenario.reference).made is one
+    controlled = Scenario(**SHORT, controller=ToyController)
+    assert dataclasses.replace(controlled.controller, period=0.002).source.load() is ToyController
+    assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 
 class Nothing:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path
 from stewart_drake.files.user_errors import UserCode
 from stewart_drake.registry import user_sources
 from stewart_drake.section import Positive, Text, check_plain
@@ -28,7 +28,7 @@ class PythonOptions(ControllerOptions):
     """
 
     kind: Literal["python"] = "python"
-    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
     class is a System of pydrake, and its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -44,16 +44,12 @@ class PythonOptions(ControllerOptions):
     @classmethod
     def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
         """Options for a class or object that was given in Python, or an import path."""
-        if isinstance(kind, str):
-            return cls.__pydantic_validator__.validate_python({"system": kind, **rest})
-        made: PythonOptions = cls.__pydantic_validator__.validate_python({"system": path_of(kind), **rest})
-        vars(made)["given"] = kind
-        return made
+        return cls.__pydantic_validator__.validate_python({"system": given_path(kind), **rest})
 
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return _SystemClass(self.system, "controller.system", vars(self).get("given"))
+        return _SystemClass(self.system, "controller.system")
 
     @property
     def file(self) -> Path | None:

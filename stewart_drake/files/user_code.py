@@ -19,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pydantic import WrapValidator
+
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.installed import distribution_of
 from stewart_drake.files.user_errors import describe
@@ -39,10 +41,37 @@ def split_path(path: str) -> tuple[str, str] | None:
     return None if found is None else (found[1], found[2])
 
 
+class GivenPath(str):
+    """An import path with the class or object that was given in Python: of two objects the paths are not equal."""
+
+    given: Any = None
+
+    def __eq__(self, other: object) -> bool:
+        return super().__eq__(other) and (not isinstance(other, GivenPath) or self.given is other.given)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    __hash__ = str.__hash__
+
+
+KEEP_GIVEN = WrapValidator(lambda value, check: value if isinstance(value, GivenPath) else check(value))
+"""Beside the type of a key that may be a `GivenPath`."""
+
+
 def path_of(given: Any) -> str:
     """What stands in a file for a class or an object that was given in Python."""
     kind = given if isinstance(given, type) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
+
+
+def given_path(kind: Any) -> str:
+    """An import path as it is; for a class or an object its path, with it."""
+    if isinstance(kind, str):
+        return kind
+    made = GivenPath(path_of(kind))
+    made.given = kind
+    return made
 
 
 @dataclass(frozen=True)
@@ -52,12 +81,15 @@ class UserClass:
     Attributes:
         path: module:Class, or path/to/file.py:Class.
         key: Key of the scenario that has the path, for messages.
-        given: The class, or an object in its place, where it was given in Python; None for one by its path.
     """
 
     path: str
     key: str
-    given: Any = None
+
+    @property
+    def given(self) -> Any:
+        """The class, or an object in its place, where it was given in Python; None for one by its path."""
+        return getattr(self.path, "given", None)
 
     @property
     def file(self) -> Path | None:
