@@ -31,7 +31,7 @@ Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
 Fraction = Annotated[float, Strict(), Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
-Leg = Annotated[int, Strict(), Field(ge=0, le=5), "leg"]
+LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), "leg"]
 """The text in it is the noun that a message has."""
 Natural = Annotated[int, Strict(), Field(ge=0)]
 Seed = Annotated[int, Strict(), Field(ge=0, le=MAX_SEED)]
@@ -201,7 +201,7 @@ def check_value(key: str, value: Any, kind: Any) -> None:
     Args:
         key: Its name.
         value: What was given.
-        kind: Its type, such as `Leg`, `Vector6` or a `Literal`.
+        kind: Its type, such as `LegNumber`, `Vector6` or a `Literal`.
 
     Raises:
         ConfigurationError: It is not of that type.

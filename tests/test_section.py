@@ -20,7 +20,7 @@ from stewart_drake.section import (
     Count,
     Flag,
     Fraction,
-    Leg,
+    LegNumber,
     Natural,
     NotNegative,
     Positive,
@@ -63,7 +63,7 @@ def sections_in(annotation):
     """Classes of sections in a type, and in theirs."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         kind = annotation.__pydantic_fields__.get("kind")
-        if kind is None or kind.annotation is not str:
+        if kind is None or kind.annotation is not str or kind.metadata:
             yield annotation
         for field in annotation.__pydantic_fields__.values():
             yield from sections_in(field.annotation)
@@ -277,7 +277,7 @@ def test_a_section_is_frozen_hashable_and_comes_back_from_a_file_and_from_a_work
         (Count, (-3,), (1.0, True), "a whole number"),
         (Natural, (0,), (-1, 0.0), "a whole number, zero or positive"),
         (Seed, (0, MAX_SEED), (-1, MAX_SEED + 1), f"a whole number from 0 to {MAX_SEED}"),
-        (Leg, (0, 5), (-1, 6, 1.0), "a leg from 0 to 5"),
+        (LegNumber, (0, 5), (-1, 6, 1.0), "a leg from 0 to 5"),
         (Flag, (True, False), (1, "yes"), "true or false"),
         (Text, ("",), (3, None), "a text"),
         (PositivePair, ([1, 2], np.ones(2)), ((1.0,), 3, (0.0, 1.0)), "positive number"),

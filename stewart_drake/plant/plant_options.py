@@ -9,7 +9,7 @@ from pydantic import Field
 from stewart_drake.leg import LARGEST
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Flag, Leg, NotNegative, Real, Section
+from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section
 
 STICTION_SPEED = 1e-4
 """[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
@@ -24,7 +24,7 @@ Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 class BrokenRod(Section, key="plant.broken_rod"):
     """A rod that comes off the platform and hangs from its crank."""
 
-    leg: Leg
+    leg: LegNumber
     """0 to 5."""
     time: NotNegative
     """[s] when it breaks."""
