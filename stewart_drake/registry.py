@@ -364,9 +364,9 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner",),
-        "ann": ("control.tuners:AnnTuner",),
-        "block": ("control.tuners:BlockTuner",),
+        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights"),
+        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner"),
+        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights"),
     }
 )
 SENSORS = Family(

@@ -275,8 +275,6 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         family = _FAMILIES[parents[0]]
         old, new = family.section_of(section), family.section(value)
         if old is not None and new is not None:
-            # Controllers have keys of one name with other choices.
-            same = set(keys_of(new)) - ({"feedforward", "saturation"} if parents == ["controller"] else set())
-            for name in set(keys_of(old)) - same:
+            for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):
                 section.pop(name, None)
     section[last] = value

@@ -66,6 +66,8 @@ class Section:
     """
 
     section_key: ClassVar[str] = ""
+    own_keys: ClassVar[frozenset[str]] = frozenset()
+    """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]

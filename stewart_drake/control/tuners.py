@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -12,8 +13,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.section import Positive, Section, Text, Window
 
 
-class Tuner(Section, key="tuner"):
-    """What every tuner has."""
+class Tuner(Section, ABC, key="tuner"):
+    """What every tuner has; what runs it, `registry.TUNERS.system`, gives weights for densities."""
 
     kind: str
     density: DensityKind = "magnitude"
@@ -23,9 +24,14 @@ class Tuner(Section, key="tuner"):
     time."""
 
     @property
+    @abstractmethod
     def weights(self) -> tuple[float, ...]:
         """Weights at the start, as the controller takes them."""
-        raise NotImplementedError
+
+    @property
+    def label(self) -> str:
+        """What its weights are, for titles."""
+        return "Weights, held fixed"
 
     def network(self) -> TunerNetwork | None:
         """The network that it asks, or None where the weights stay.
@@ -78,11 +84,16 @@ class BlockTuner(Tuner):
 
 
 class AnnTuner(PairTuner):
-    """Weights from the neural network of Fig. 5."""
+    """Weights from the neural network of Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
 
     kind: Literal["ann"] = "ann"
     weights_file: Text | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
+
+    @property
+    def label(self) -> str:
+        """See `Tuner.label`."""
+        return "Output of the ANN"
 
     def network(self) -> TunerNetwork:
         """See `Tuner.network`."""
