@@ -375,8 +375,25 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
-MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
+OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Those of the user's own, under `safety.monitors`."""
+BUILT_IN_MONITORS = Table(
+    {
+        "measurement_not_finite": "safety.monitors:MEASUREMENT",
+        "sensor_failed": "safety.monitors:SENSOR",
+        "controller_failed": "safety.monitors:CONTROLLER",
+        "command_not_finite": "safety.monitors:COMMAND",
+        "deadline": "safety.monitors:DEADLINE",
+        "workspace": "safety.monitors:WORKSPACE",
+        "serial_singularity": "safety.monitors:SERIAL",
+        "parallel_singularity": "safety.monitors:PARALLEL",
+        "crank_speed": "safety.monitors:CRANK_SPEED",
+        "following_error": "safety.monitors:FOLLOWING",
+        "torque_limit": "safety.monitors:TORQUE_LIMIT",
+        "torque_rate": "safety.monitors:TORQUE_RATE",
+    }
+)
+"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),
