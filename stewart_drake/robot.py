@@ -245,6 +245,20 @@ class RobotParameters(Section, key="robot"):
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
+    def each_leg(self) -> list[dict[str, Any]]:
+        """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
+        of = {
+            "shaft_position": self.shaft_positions.tolist(),
+            "crank_zero_direction": self.crank_zero_directions.tolist(),
+            "crank_quarter_direction": self.crank_quarter_directions.tolist(),
+            "platform_joint": self.platform_joints.tolist(),
+            "crank_length": self.crank_lengths.tolist(),
+            "rod_length": self.rod_lengths.tolist(),
+            "branch": [int(sign) for sign in self.branches],
+            "crank_angle_range": [each.tolist() if np.isfinite(each[0]) else None for each in self.crank_angle_ranges],
+        }
+        return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
+
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.
 

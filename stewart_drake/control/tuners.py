@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.density import DensityKind
-from stewart_drake.control.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.control.network import TunerNetwork, default_network_path, load_network, read_weights
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.section import Positive, Section, Text, Window
 
@@ -39,6 +40,14 @@ class Tuner(Section, ABC, key="tuner"):
         Raises:
             ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
                 the range that it was trained on.
+        """
+        return None
+
+    def content(self) -> str | None:
+        """Text of the file that it depends on, or None where there is none.
+
+        Raises:
+            ConfigurationError: It cannot be read.
         """
         return None
 
@@ -107,3 +116,7 @@ class AnnTuner(PairTuner):
             if not low <= value <= high:
                 raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
         return network
+
+    def content(self) -> str:
+        """See `Tuner.content`."""
+        return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
