@@ -2,7 +2,7 @@ import dataclasses
 import math
 import pickle
 import re
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args, get_origin
 
 import numpy as np
 import pytest
@@ -100,22 +100,7 @@ def test_every_section_is_looked_at():
 @pytest.mark.parametrize(("section", "name"), FIELDS, ids=lambda x: x if isinstance(x, str) else x.__name__)
 def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section, name):
     good, key = valid(section), ".".join(filter(None, (section.section_key, name)))
-    for junk in (
-        math.nan,
-        math.inf,
-        -1e300,
-        "1",
-        True,
-        3,
-        (),
-        ("x",),
-        {},
-        b"1",
-        None,
-        10**400,
-        np.zeros((2, 2)),
-        object(),
-    ):
+    for junk in (math.nan, math.inf, -1e300, "1", True, 3, (), ("x",), {}, b"1", None, 10**400, np.zeros(4), object()):
         try:
             made = dataclasses.replace(good, **{name: junk})
         except ConfigurationError as refused:
@@ -250,6 +235,22 @@ def test_a_bad_entry_of_a_vector_is_named_with_its_place(section, name):
             with pytest.raises(ConfigurationError) as caught:
                 dataclasses.replace(good, **{name: bad})
             assert field_of(caught.value) == key
+
+
+@pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
+def test_a_mistyped_key_or_choice_of_any_section_is_told_what_was_meant(section):
+    good = valid(section).to_dict()
+
+    def meant(word, data):
+        with pytest.raises(ConfigurationError, match=rf"did you mean {re.escape(word)}\?") as caught:
+            section.from_dict({**good, **data})
+        return caught.value.key
+
+    for name, field in section.__pydantic_fields__.items():
+        key = ".".join(filter(None, (section.section_key, name)))
+        assert meant(name, {name + name[-1]: 1}) == key + name[-1]
+        for choice in get_args(field.annotation) if get_origin(field.annotation) is Literal else ():
+            assert not isinstance(choice, str) or meant(choice, {name: choice + choice[-1]}) == key
 
 
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
