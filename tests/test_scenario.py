@@ -28,7 +28,10 @@ from stewart_drake.wording import keys_of
 
 KEYS_OF_ALL = keys_of(Scenario)
 PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
-SHIPPED = (*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path")
+SHIPPED = (
+    *(*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path"),
+    *("hold", "sway", "reachy_nod", "reachy_look_around"),
+)
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
 WHOLE = [
     Scenario(),
