@@ -28,7 +28,7 @@ from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import RAMP
 
 QUICK_MOTIONS = ("hold",)
-_REACTION = "see fault.Reaction; broke where the run ended without the safety layer, else the status where there is no log"
+_REACTION = "see fault.Reaction; broke: the run ended without the safety layer; the status, if there is no log"
 OWN = (
     Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
