@@ -18,7 +18,7 @@ from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
-from stewart_drake.files.named_files import anchor_files
+from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
@@ -32,6 +32,7 @@ from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema, place_users
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot_files import AnyRobot, robot_section
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import (
@@ -72,9 +73,9 @@ class Scenario(Section):
     """[s] simulated time; at most 1e9 steps of the plant. A run ends with the last whole step."""
     gravity: Annotated[NotNegative, Field(le=LARGEST)] = STANDARD_GRAVITY
     """[m/s^2] along -z of B; 0 for none."""
-    robot: RobotParameters = by_default(RobotParameters())
-    """Geometry, masses and limits of the simulated robot."""
-    model_robot: RobotParameters | None = None
+    robot: AnyRobot = by_default(RobotParameters())
+    """Geometry, masses and limits of the simulated robot; or its name, or a YAML file with the same keys."""
+    model_robot: AnyRobot | None = None
     """The robot as the controller believes it to be; null for the truth."""
     plant: PlantOptions = by_default(PlantOptions())
     """The simulated robot."""
@@ -265,6 +266,8 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
     for depth, part in enumerate(parents):
         if section.get(part) is None:
             section[part] = {}
+        elif depth == 0 and part in ROBOT_KEYS and isinstance(section[part], str):
+            section[part] = robot_section(section[part])
         elif dataclasses.is_dataclass(section[part]):
             section[part] = given_again(section[part])
         section = section[part]
