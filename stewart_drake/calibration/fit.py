@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from stewart_drake.calibration.frames import guess_error, located
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
-from stewart_drake.calibration.model import CLOSED, Frame, Model
+from stewart_drake.calibration.model import CLOSED, Frame
 from stewart_drake.calibration.parameters import (
     FRAMES,
     NAMES,
@@ -183,9 +183,7 @@ class Fit:
         return math.sqrt(float(self.white @ self.white) / self.freedom)
 
 
-def _result(
-    fit: Fit, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]
-) -> Calibration:
+def _result(fit: Fit, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]) -> Calibration:
     model, measurements = fit.start.model, fit.start.measurements
     guess, size = model.guess, scales(model.guess)
     # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 
 from stewart_drake.calibration.measurements import Measurements
-from stewart_drake.calibration.model import CLOSED, STILL, Frame, Model
+from stewart_drake.calibration.model import CLOSED, Frame, Model
 from stewart_drake.calibration.parameters import FRAMES, OF_ROBOT, SIZE, FrameName, logarithm
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
@@ -38,7 +38,10 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     free = [6 * FRAMES.index(frame) + axis for frame in FRAMES if frame not in known for axis in range(6)]
     if not free:
         return model
-    made = (_refined(model, start, believed, seen, free, guess.characteristic_length) for start in _starts(believed, seen, known))
+    made = (
+        _refined(model, start, believed, seen, free, guess.characteristic_length)
+        for start in _starts(believed, seen, known)
+    )
     return min(made, key=lambda each: each[1])[0]
 
 
@@ -143,5 +146,6 @@ def _refuse_units(believed: Frame, seen: Frame, source: str) -> None:
     elif turned_too > 0.01 and not 3.0 / degrees < turns < degrees / 3.0:
         key, what = "roll, pitch, yaw", "degrees for radians" if turns > 1.0 else "radians for degrees"
     if what:
-        got = f"poses {moved:.3g} m and {turned:.3g} rad apart where the guess moves {moved_too:.3g} m and {turned_too:.3g} rad"
+        here, there = (f"{way:.3g} m and {turn:.3g} rad" for way, turn in ((moved, turned), (moved_too, turned_too)))
+        got = f"poses {here} apart where the guess moves by {there}"
         raise ConfigurationError(f"{source}: {key}", got, f"motions of that size; perhaps {what}?")

@@ -80,7 +80,9 @@ class Measurements:
                 first = seen.setdefault(values.tobytes(), row)
                 if first != row:
                     allowed = "each measured anew: a tracker never says the same twice"
-                    raise ConfigurationError(self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed)
+                    raise ConfigurationError(
+                        self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed
+                    )
 
     def __len__(self) -> int:
         return len(self.pose)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.calibration.measurements import Measurements, MeasurementNoise
+from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
 from stewart_drake.calibration.parameters import (
     OF_ROBOT,
     PER_LEG,

@@ -50,7 +50,7 @@ OF_LEG = (
     Parameter("homing_offset", "", "rad"),
 )
 """Of one leg: positions in B and P; the motor's axis as a turn of the guess about its crank's directions; the homing
-offset is reading minus true angle, theta being counted from the guess's `crank_zero_direction` as the turn leaves it."""
+offset is reading minus true angle, counted from the guess's `crank_zero_direction` as that turn leaves it."""
 PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
@@ -148,7 +148,7 @@ def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
-    """Size (`SIZE`,) [m, rad] of a change of each parameter that counts as 1: angles of a radian, lengths of the robot's."""
+    """Change (`SIZE`,) [m, rad] of each parameter that counts as 1: a radian, or the robot's characteristic length."""
     length = guess.characteristic_length
     of_leg = [length if each.unit == "m" else 1.0 for each in OF_LEG]
     return np.array(of_leg * LEGS + ([1.0] * 3 + [length] * 3) * 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
 from stewart_drake.planning.limits import Limits, limit_bounds
 from stewart_drake.planning.workspace import measure_poses
-from stewart_drake.planning.workspace_region import governing_limit, utilisation, LIMIT_NAMES
+from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.robot import RobotParameters
 
 CANDIDATES = 1500

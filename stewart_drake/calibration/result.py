@@ -36,7 +36,7 @@ class Calibration:
         known_frames: Frames of the tracker that were those of the robot.
         hold: Parameters that kept their value.
         change: (78,) [m, rad] of the guess's parameters and the tracker's frames, see `parameters`.
-        half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite for what cannot be told.
+        half_width: (78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite for what is not told.
         told: How many independent numbers were estimated.
         untold: What these poses cannot tell, a sentence each.
         base: Pose of B in the tracker's frame.
@@ -112,7 +112,9 @@ class Calibration:
     def __repr__(self) -> str:
         """What was calibrated, how well it fits, and what is not told, in five lines."""
         before, after = self.error_sizes()
-        sizes = " -> ".join(f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad" for position, rotation in (before, after))
+        sizes = " -> ".join(
+            f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad" for position, rotation in (before, after)
+        )
         units = {own.name: own.unit for own in OF_LEG}
         widths = ", ".join(f"{name} {1e3 * width:.2g} m{units[name]}" for name, width in self.widest().items())
         return (

@@ -10,7 +10,7 @@ from stewart_drake.calibration.measurements import MeasurementNoise, Measurement
 from stewart_drake.calibration.model import STILL, Frame
 from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, SIZE, as_robot, exponential
 from stewart_drake.leg import LEGS
-from stewart_drake.mechanics.kinematics import inverse_kinematics, roll_pitch_yaw, rotation_matrix
+from stewart_drake.mechanics.kinematics import forward_kinematics, roll_pitch_yaw, rotation_matrix
 from stewart_drake.robot import RobotParameters
 
 
@@ -30,22 +30,23 @@ def deviating(
 
 def measured(
     robot: RobotParameters,
-    pose: np.ndarray,
+    targets: Measurements,
     noise: MeasurementNoise,
     rng: np.random.Generator,
     base: Frame = STILL,
     marker: Frame = STILL,
 ) -> Measurements:
-    """What tracker and encoders say at poses (n, 6) [rad, m] of P in B.
+    """What tracker and encoders say of a robot whose cranks were brought to the angles of planned poses.
 
     Encoders err by their steps alone, of sqrt(12) times the stated noise.
 
     Raises:
-        UnreachablePoseError, ConfigurationError: As for `inverse_kinematics`.
+        ForwardKinematicsError: The robot cannot be assembled near a planned pose.
     """
+    pose = forward_kinematics(robot, targets.angles, targets.pose)
     step = noise.encoder * math.sqrt(12.0)
-    angles = np.rint(inverse_kinematics(robot, pose) / step) * step
     seen = base.after(Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])).after(marker)
     turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ seen.turn
     place = seen.shift + noise.position * rng.standard_normal((len(pose), 3))
+    angles = np.rint(targets.angles / step) * step
     return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")

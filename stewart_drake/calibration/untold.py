@@ -63,5 +63,3 @@ def _name(at: int) -> str:
         return f"{_FRAMES[frame]} {('turn', 'shift')[axis // 3]} {'xyz'[axis % 3]}"
     parameter = OF_LEG[at % PER_LEG]
     return f"leg {at // PER_LEG} {parameter.name}{f' {parameter.axis}' if parameter.axis else ''}"
-
-
