@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Signed, Signed3, SixLegs, Size, Size3
 from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
@@ -54,7 +54,7 @@ class RobotParameters(Section, key="robot"):
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
-    legs: Legs | None = None
+    legs: SixLegs | None = None
     """Six sections with what each leg has of its own; null for none."""
 
     rod_mass: Size = 0.08

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
@@ -245,6 +246,7 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
     write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
 
 
+cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(faults)

@@ -18,10 +18,12 @@ MAX_BYTES = 100_000_000
 CLASS_KEYS = ("system", "kind")
 """Of a class in a file."""
 FILE_KEYS = ("weights_file", "motion_file")
+ROBOT_KEYS = ("robot", "model_robot")
+"""At these a text is a file where it has a folder or an ending, else the name of a robot."""
 
 
 def anchor_files(data: Any, folder: Path) -> None:
-    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are.
+    """Makes relative paths of files of weights, motions, robots and controllers absolute, from `folder`, at any depth.
 
     Args:
         data: Plain values of a YAML file or a command line; they have not been through here before.
@@ -112,7 +114,7 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
             else:
@@ -123,6 +125,8 @@ def _is_file(key: str, value: Any) -> bool:
     """Whether a value names a file, given the last part of its key."""
     if not isinstance(value, str):
         return False
+    if key in ROBOT_KEYS:
+        return Path(value).name != value or Path(value).suffix != ""
     return key in FILE_KEYS or (key in CLASS_KEYS and split_path(value) is not None)
 
 
