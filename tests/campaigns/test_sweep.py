@@ -181,6 +181,31 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
         run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
 
 
+def broken_gather(done, signals):
+    raise ZeroDivisionError("mine")
+
+
+@pytest.mark.usefixtures("_metrics_as_they_were", "code_as_it_is")
+def test_a_metric_with_another_body_or_one_that_raises_or_that_workers_lack_is_told(tmp_path, monkeypatch):
+    add_metric(Metric("own", "1", "a number", lambda _: 1.0))
+    run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor())
+    run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    add_metric(Metric("own", "1", "a number", lambda _: 2.0))
+    with pytest.raises(ConfigurationError, match="another version"):
+        run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor())
+    for metric in (
+        Metric("own", "1", "a number", lambda _: 1 / 0, "steps"),
+        Metric("own", "1", "a number", lambda _: 1.0, gather=broken_gather),
+    ):
+        add_metric(metric)
+        (row,) = run_sweep(sweep(runs=1), tmp_path / metric.over, SerialExecutor()).rows
+        assert (row["status"], row["reason"]) == ("raised", "metric_raised")
+        assert re.fullmatch(r"metric own: ZeroDivisionError: .* \(test_sweep\.py, line \d+\)", row["message"])
+    monkeypatch.setattr(engine, "METRICS", metric_table.METRICS[:-1])
+    with pytest.raises(StewartDrakeError, match="a worker does not have the metric own"):
+        engine.warm_up("as it is", [metric.name for metric in metric_table.METRICS])
+
+
 # --- the same table from any executor ------------------------------------------------------------------------------
 
 
