@@ -139,6 +139,12 @@ def test_every_template_has_its_blocks(key):
     assert len(render(key, "title").split("\n")) == 1
 
 
+def test_no_two_sections_show_one_picture():
+    sources = [environment().loader.get_source(environment(), f"{key}.md.j2")[0] for key in SECTIONS]
+    names = [name for source in sources for name in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", source)]
+    assert len(names) == len(set(names)) >= 10
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [([True, True], "Holds"), ([True, False], "Holds in part"), ([False, False], "Does not hold"), ([True], "Holds")],
