@@ -1,6 +1,6 @@
 """Writes docs/results/reproduction.md, the report on the paper without its pictures: `make reproduction`.
 
-    python docs/write_reproduction.py runs/reproduction     # a folder that `stewart-drake reproduce` made
+python docs/write_reproduction.py runs/reproduction     # a folder that `stewart-drake reproduce` made
 """
 
 import json
@@ -13,6 +13,7 @@ PICTURE = re.compile(r"\n!\[.*\]\(<figures/[^>]+>\)\n\n\*.*\*\n")
 
 
 def main(folder: Path) -> None:
+    """Writes the text; ends with a line where the report is a quick one."""
     if json.loads((folder / "report.json").read_text())["quick"]:
         sys.exit(f"{folder}: a quick report; call stewart-drake reproduce without --quick")
     title, _, rest = PICTURE.sub("", (folder / "report.md").read_text()).partition("\n")
