@@ -12,13 +12,12 @@ from stewart_drake.paper.dataset_section import (
     label_spread,
     make,
     run_distances,
-    run_experiments,
     same_ratio,
 )
 from stewart_drake.paper.study import Study
 from stewart_drake.scenario import Scenario
 from stewart_drake.training import collect
-from stewart_drake.training.collect import BURST, FREQUENCIES, OMEGAS, SAMPLES_PER_RUN
+from stewart_drake.training.collect import FREQUENCIES, OMEGAS, SAMPLES_PER_RUN
 from stewart_drake.training.dataset import Dataset, load_dataset
 
 BASE = Scenario()
@@ -56,16 +55,6 @@ def asked(monkeypatch, runs_by):
     return runs_by(rule)
 
 
-def test_the_whole_study_has_the_paper_s_number_of_samples_and_all_five_bursts(tmp_path, asked):
-    run_experiments(Study(tmp_path, base=BASE))
-    (wanted,) = asked
-    samples = [round(s.duration / s.controller.period) for s in wanted]
-    assert samples == [SAMPLES_PER_RUN] * 9
-    assert sum(samples) == PAPER_SAMPLES == 14_400
-    assert wanted[0].duration == pytest.approx(BURST * len(FREQUENCIES))
-    assert [(s.tuner.omega_q, s.tuner.omega_r) for s in wanted] == PAIRS
-
-
 # --- what depends on the ratio -------------------------------------------------------------------------------------
 
 
@@ -80,13 +69,7 @@ def test_distances_between_runs_are_the_largest_difference_of_any_density_at_any
             abs(x - y) for x, y in zip(data.inputs[data.run == a].flat, data.inputs[data.run == b].flat, strict=True)
         )
         assert distances[a, b] == expected
-
-
-def test_runs_of_one_ratio_are_told_from_others():
-    equal = same_ratio(made_up())
-    for a, b in itertools.product(range(9), range(9)):
-        assert equal[a, b] == (PAIRS[a][0] * PAIRS[b][1] == pytest.approx(PAIRS[b][0] * PAIRS[a][1]))
-    assert equal.sum() == 9 + 4 * 1 + 6
+        assert same_ratio(data)[a, b] == (PAIRS[a][0] * PAIRS[b][1] == pytest.approx(PAIRS[b][0] * PAIRS[a][1]))
 
 
 def test_the_spread_counts_runs_of_one_ratio_alone():
@@ -118,17 +101,17 @@ def test_the_limit_that_binds_is_found_around_the_robot_s_own_home():
 # --- the section ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("quick", "bursts"), [(True, 2), (False, 5)])
 @pytest.mark.usefixtures("no_pictures")
-def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, asked, quick, bursts):
-    section = make(Study(tmp_path, quick, BASE))
-    assert len(asked) == 1
-    n = section.numbers
-    file = "dataset-quick.parquet" if quick else "dataset.parquet"
+def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, asked):
+    section = make(Study(tmp_path, False, BASE.replace({"limits.clearance": None, "limits.euler_pitch": None})))
+    (wanted,) = asked
+    assert [round(s.duration / s.controller.period) for s in wanted] == [SAMPLES_PER_RUN] * 9
+    assert [(s.tuner.omega_q, s.tuner.omega_r) for s in wanted] == PAIRS
+    n, file = section.numbers, "dataset.parquet"
     assert section.files[1:] == [file]
     data = load_dataset(tmp_path / file)
     assert data.digest() == n["sha256"]
-    assert n["samples"] == len(data.run) == 9 * (640 if quick else 1600)
+    assert n["samples"] == len(data.run) == PAPER_SAMPLES == 14_400
     assert data.metadata["density"] == BASE.tuner.density
     assert n["largest_amplitude"] == [list(row) for row in LARGEST]
     np.testing.assert_allclose(n["amplitude"], 0.8 * np.array(LARGEST), atol=1e-6)
@@ -140,17 +123,12 @@ def test_the_section_s_numbers_are_those_of_the_file_that_it_leaves(tmp_path, as
     assert n["share_of_paper_amplitudes_feasible"] == pytest.approx(feasible / 30)
     # Only bursts that were run are listed as run.
     rows = {line.split(" | ")[0][2:]: line for line in section.body.split("\n") if line.startswith("| ")}
-    assert [name for name in rows if name.endswith("as run")] == [f"{f:g} Hz, as run" for f in FREQUENCIES[:bursts]]
+    assert [name for name in rows if name.endswith("as run")] == [f"{f:g} Hz, as run" for f in FREQUENCIES]
     assert [name for name in rows if name.endswith("alone")] == [f"{f:g} Hz, each axis alone" for f in FREQUENCIES]
     assert rows["1 Hz, as run"].endswith("| 27.5 deg | 22.9 deg | 18.3 deg | 80.0 mm | 80.0 mm | 40.0 mm |")
     assert "| 50.0 mm (" in rows["2 Hz, each axis alone"]
     assert rows["paper, 1 to 5 Hz"].endswith("| 30.0 deg | 30.0 deg | 30.0 deg | 300.0 mm | 300.0 mm | 300.0 mm |")
-    assert f"the bursts of 1 to {bursts} Hz" in section.body
+    assert "the bursts of 1 to 5 Hz" in section.body
     assert "0.3 m at 5 Hz alone is 296 m/s^2" in section.body
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_only_the_limits_that_are_on_are_named(tmp_path, asked):
-    section = make(Study(tmp_path, True, BASE.replace({"limits.clearance": None, "limits.euler_pitch": None})))
-    assert len(asked) == 1
+    # Only the limits that are on are named.
     assert "reach, conditioning, transmission, joint swing, crank speed, torque;" in section.body

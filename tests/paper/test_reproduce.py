@@ -95,17 +95,6 @@ def test_a_report_holds_every_section_and_its_numbers(tmp_path, made):
     assert made == [(key, False) for key in KEYS]
 
 
-def test_progress_rises_from_zero_to_one_and_names_the_section(tmp_path, made):
-    calls = []
-    reproduce(tmp_path, base=BASE, progress=lambda key, share: calls.append((key, share)))
-    shares = [share for _, share in calls]
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert calls[1] == ("first", pytest.approx(1 / 6))
-    assert [key for key, _ in calls] == [key for key in KEYS for _ in range(3)]
-    assert len(made) == 3
-
-
 def test_each_section_is_handed_on_as_soon_as_it_is_there(tmp_path, made):
     seen = []
     sections = reproduce(tmp_path, base=BASE, finished=lambda section: seen.append((section, len(made))))

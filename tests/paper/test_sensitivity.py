@@ -84,19 +84,6 @@ def test_each_change_touches_nothing_but_its_own(tmp_path):
     assert seen == {*keys, "masses", "inertias", "rod length"}
 
 
-def test_the_levels_are_those_that_were_asked_for(tmp_path):
-    labels = {}
-    for change in changes(Scenario(tuner=AnnTuner()), tmp_path):
-        labels.setdefault(change.factor, []).append(change.label)
-    assert {"-20 %", "+20 %"} <= set(labels["masses"])
-    assert labels["inertias"] == ["-20 %", "+20 %"]
-    assert labels["rod length"] == ["-1 mm", "+1 mm"]
-    assert labels["motor friction"] == ["0 N m", "0.02 N m", "0.05 N m"]
-    assert labels["sample time"] == ["1 ms", "2 ms", "5 ms", "10 ms"]
-    assert labels["window m"] == ["10", "25", "49", "100", "200"]
-    assert labels["omega_Q"] == labels["omega_R"] == ["-50 %", "+50 %"]
-
-
 def test_under_a_network_a_weight_is_changed_at_its_output(tmp_path):
     base = Scenario(tuner=AnnTuner())
     half = applied(base, tmp_path / "new")["omega_R", "-50 %"]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, state_matrix
+from stewart_drake.control.state_space import acceleration_map
 from stewart_drake.mechanics.kinematics import leg_geometry, rod_lines
 from stewart_drake.paper.as_printed import matrices_21_22_24
 from stewart_drake.paper.lqi_poles import (
@@ -125,13 +125,6 @@ def test_drakes_gain_solves_the_standard_equation():
 
 def test_undiscretised_matrices_give_no_gain_at_all():
     assert np.abs(gain_without_discretisation(AT_HOME, 1.0)).max() < 1e-14
-
-
-def test_closed_loop_is_the_sampled_system():
-    gain = gain_of_ratio(AT_HOME, 0.01, 1.0)
-    a, b = discretize(state_matrix(), input_matrix(AT_HOME), 0.01)
-    expected = np.sort_complex(np.linalg.eigvals(a - b @ gain))
-    np.testing.assert_allclose(np.sort_complex(closed_loop(AT_HOME, gain, 0.01)), expected, atol=1e-9)
 
 
 def test_euler_differs_in_first_order_of_the_period():

@@ -7,17 +7,13 @@ from conftest import make_network
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.control.network import load_network
-from stewart_drake.paper import training_section as section_module
-from stewart_drake.paper.study import Study
+from stewart_drake.paper.rendering import render
 from stewart_drake.paper.training_section import (
     best_possible_scores,
     labels_apart,
-    make,
     rounding_of_training,
     scores_of,
 )
-from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import OMEGAS
 from stewart_drake.training.dataset import Dataset
 from stewart_drake.training.train import TrainingOptions, TrainingResult, r_squared, split_samples, train_network
@@ -115,23 +111,9 @@ def test_training_again_is_compared_with_the_network_that_is_given():
     assert expected > 1e-3
 
 
-# --- the section ---------------------------------------------------------------------------------------------------
-
-
-def test_the_section_says_so_where_training_does_not_repeat(tmp_path, monkeypatch):
-    calls = itertools.count()
-
-    def unsteady(dataset, options, progress=None):
-        assert progress is None
-        result = train_network(dataset, options)
-        result.network.output_bias[0] += 1e-3 * next(calls)
-        return result
-
-    monkeypatch.setattr(section_module, "run_experiments", lambda _: (None, None))
-    monkeypatch.setattr(section_module, "dataset_of", lambda *given: made_up(10, density=given[-1]))
-    monkeypatch.setattr(section_module, "train_network", unsteady)
-    made = make(Study(tmp_path, True, Scenario()))
-    assert made.numbers["repeatable"] is False
-    assert "gave different weights files" in made.body
-    assert made.files[-1] == "tuner-quick.json"
-    assert load_network(tmp_path / "tuner-quick.json").density == "magnitude"
+@pytest.mark.parametrize(("repeatable", "words"), [(True, "the same weights file to the byte"), (False, "different")])
+def test_whether_training_repeats_is_said(repeatable, words):
+    numbers = {"repeatable": repeatable, "rounding_of_training": 1e-5}
+    said = render("training", "repeatability", n=numbers, epochs=300)
+    assert f"gave {words}" in said
+    assert "up to 1.0e-05 apart" in said
