@@ -42,23 +42,6 @@ def scenario(**changes):
     return Scenario.from_dict(BASE | changes)
 
 
-def test_ports():
-    layer = SafetyLayer(ROBOT, SafetyOptions(), 9.81, 0.001, np.zeros(6))
-    inputs = {
-        layer.get_input_port(i).get_name(): layer.get_input_port(i).size() for i in range(layer.num_input_ports())
-    }
-    assert inputs == {
-        "command": 6,
-        "measurement": 12,
-        "reference": 18,
-        "age": 1,
-        "sensor_health": 2,
-        "controller_health": 2,
-        "angles": 6,
-    }
-    assert (layer.GetOutputPort("torque").size(), layer.GetOutputPort("state").size()) == (6, 3)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("sensors", ["ideal", "encoders"])
