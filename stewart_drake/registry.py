@@ -1,7 +1,8 @@
-"""Every kind of controller, tuner, sensor, reference, disturbance: its section, and the LeafSystem that runs it.
+"""Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
-A kind is one line here. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor
-what the scenario does not name. `Family.add` takes a kind from outside of the package.
+A kind is one line here: its section and the LeafSystem that runs it; for faults and monitors one object. Names are
+texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not name.
+`Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
 """
 
 from __future__ import annotations
@@ -143,6 +144,52 @@ class Family:
         # What `json_schema` makes references of: pydantic knows only those that it made itself.
         own = {} if self._own is None else {"": self._own_section}
         return {"kinds": {kind: self.section(kind) for kind in self.kinds} | own, "default kind": self.default}
+
+
+class Table:
+    """Objects by name, in `Annotated` the type of a key that holds such a name.
+
+    Args:
+        lines: Name -> `module:name` in this package, or the object itself.
+    """
+
+    def __init__(self, lines: dict[str, Any]) -> None:
+        self._lines = lines
+
+    @property
+    def names(self) -> list[str]:
+        """In the order of the lines."""
+        return list(self._lines)
+
+    words = names
+
+    def __getitem__(self, name: str) -> Any:
+        """The object of a name."""
+        found = self._lines[name]
+        if isinstance(found, str):
+            found = self._lines[name] = _import(found)
+        return found
+
+    def add(self, name: str, made: Any) -> None:
+        """Adds an object.
+
+        Raises:
+            ConfigurationError: The name means something already.
+        """
+        if name in self._lines:
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
+        self._lines[name] = made
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, str) and value in self._lines:
+            return value
+        raise as_problem(ConfigurationError("", value, chosen(value, self.names)))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": self.names, "type": "string"}
 
 
 class UserMade(Section):
@@ -317,9 +364,9 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner",),
-        "ann": ("control.tuners:AnnTuner",),
-        "block": ("control.tuners:BlockTuner",),
+        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights"),
+        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner"),
+        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights"),
     }
 )
 SENSORS = Family(
@@ -328,8 +375,25 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
-MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
+OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Those of the user's own, under `safety.monitors`."""
+BUILT_IN_MONITORS = Table(
+    {
+        "measurement_not_finite": "safety.monitors:MEASUREMENT",
+        "sensor_failed": "safety.monitors:SENSOR",
+        "controller_failed": "safety.monitors:CONTROLLER",
+        "command_not_finite": "safety.monitors:COMMAND",
+        "deadline": "safety.monitors:DEADLINE",
+        "workspace": "safety.monitors:WORKSPACE",
+        "serial_singularity": "safety.monitors:SERIAL",
+        "parallel_singularity": "safety.monitors:PARALLEL",
+        "crank_speed": "safety.monitors:CRANK_SPEED",
+        "following_error": "safety.monitors:FOLLOWING",
+        "torque_limit": "safety.monitors:TORQUE_LIMIT",
+        "torque_rate": "safety.monitors:TORQUE_RATE",
+    }
+)
+"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),
@@ -341,3 +405,31 @@ DISTURBANCES = Family(
     own="hardware.disturbances:UserDisturbance",
     method="evaluate",
 )
+ENCODER_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "jump": "hardware.sensor_faults:JUMP",
+        "late": "hardware.sensor_faults:LATE",
+        "drift": "hardware.sensor_faults:DRIFT",
+        "reversed": "hardware.sensor_faults:REVERSED",
+        "inverted": "hardware.sensor_faults:INVERTED",
+        "swapped": "hardware.sensor_faults:SWAPPED",
+    }
+)
+POSE_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "late": "hardware.sensor_faults:LATE",
+    }
+)
+COMMAND_FAULTS = Table(
+    {
+        "nan": "hardware.command_link:NAN",
+        "inf": "hardware.command_link:INF",
+        "offset": "hardware.command_link:OFFSET",
+        "chatter": "hardware.command_link:CHATTER",
+    }
+)
+MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})

@@ -15,11 +15,12 @@ from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.hardware.sensor_faults import SensorOptions
+from stewart_drake.hardware.faults import FaultKind
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
-from stewart_drake.registry import CONTROLLERS, SENSORS
+from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.section import NotNegative, Positive
@@ -240,6 +241,25 @@ def test_a_sensor_and_a_controller_with_sections_of_their_own(tmp_path):
     with pytest.raises(ConfigurationError, match=r"did you mean toy_law\?"):
         scenario.replace({"controller": {"kind": "toy_lw"}})
     assert "ToySensorOptions" in json.dumps(scenario_schema())
+
+
+@pytest.fixture
+def added_fault(monkeypatch):
+    monkeypatch.setattr(ENCODER_FAULTS, "_lines", dict(ENCODER_FAULTS._lines))
+    ENCODER_FAULTS.add("doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 2.0)))
+
+
+@pytest.mark.usefixtures("added_fault")
+def test_a_kind_of_fault():
+    sensors = {"kind": "encoders", "faults": [{"kind": "doubled", "leg": 2, "time": 0.05}]}
+    scenario = Scenario.from_dict({**SHORT, "reference": {"kind": "hold"}, "sensors": sensors, "safety": {}})
+    trip = run(scenario).safety
+    assert trip is not None
+    assert trip["time"] == pytest.approx(0.05, abs=0.011)
+    with pytest.raises(ConfigurationError, match=r"did you mean doubled\?"):
+        EncoderFault(kind="dubled", leg=0)
+    with pytest.raises(ConfigurationError, match="no kind has"):
+        ENCODER_FAULTS.add("freeze", FaultKind(print))
 
 
 class ToyMonitor:

@@ -2,7 +2,7 @@ import dataclasses
 import math
 import pickle
 import re
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args, get_origin
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from stewart_drake.section import (
     Count,
     Flag,
     Fraction,
-    Leg,
+    LegNumber,
     Natural,
     NotNegative,
     Positive,
@@ -64,7 +64,7 @@ def sections_in(annotation):
     """Classes of sections in a type, and in theirs."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         kind = annotation.__pydantic_fields__.get("kind")
-        if kind is None or kind.annotation is not str:
+        if kind is None or kind.annotation is not str or kind.metadata:
             yield annotation
         for field in annotation.__pydantic_fields__.values():
             yield from sections_in(field.annotation)
@@ -101,22 +101,7 @@ def test_every_section_is_looked_at():
 @pytest.mark.parametrize(("section", "name"), FIELDS, ids=lambda x: x if isinstance(x, str) else x.__name__)
 def test_every_field_refuses_what_means_nothing_there_under_its_own_name(section, name):
     good, key = valid(section), ".".join(filter(None, (section.section_key, name)))
-    for junk in (
-        math.nan,
-        math.inf,
-        -1e300,
-        "1",
-        True,
-        3,
-        (),
-        ("x",),
-        {},
-        b"1",
-        None,
-        10**400,
-        np.zeros((2, 2)),
-        object(),
-    ):
+    for junk in (math.nan, math.inf, -1e300, "1", True, 3, (), ("x",), {}, b"1", None, 10**400, np.zeros(4), object()):
         try:
             made = dataclasses.replace(good, **{name: junk})
         except ConfigurationError as refused:
@@ -257,6 +242,22 @@ def test_a_bad_entry_of_a_vector_is_named_with_its_place(section, name):
 
 
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
+def test_a_mistyped_key_or_choice_of_any_section_is_told_what_was_meant(section):
+    good = valid(section).to_dict()
+
+    def meant(word, data):
+        with pytest.raises(ConfigurationError, match=rf"did you mean {re.escape(word)}\?") as caught:
+            section.from_dict({**good, **data})
+        return caught.value.key
+
+    for name, field in section.__pydantic_fields__.items():
+        key = ".".join(filter(None, (section.section_key, name)))
+        assert meant(name, {name + name[-1]: 1}) == key + name[-1]
+        for choice in get_args(field.annotation) if get_origin(field.annotation) is Literal else ():
+            assert not isinstance(choice, str) or meant(choice, {name: choice + choice[-1]}) == key
+
+
+@pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
 def test_a_section_is_frozen_hashable_and_comes_back_from_a_file_and_from_a_worker(section):
     made = valid(section)
     with pytest.raises(Exception, match=r"frozen|immutable|cannot assign"):
@@ -281,7 +282,7 @@ def test_a_section_is_frozen_hashable_and_comes_back_from_a_file_and_from_a_work
         (Count, (-3,), (1.0, True), "a whole number"),
         (Natural, (0,), (-1, 0.0), "a whole number, zero or positive"),
         (Seed, (0, MAX_SEED), (-1, MAX_SEED + 1), f"a whole number from 0 to {MAX_SEED}"),
-        (Leg, (0, 5), (-1, 6, 1.0), "a leg from 0 to 5"),
+        (LegNumber, (0, 5), (-1, 6, 1.0), "a leg from 0 to 5"),
         (Flag, (True, False), (1, "yes"), "true or false"),
         (Text, ("",), (3, None), "a text"),
         (PositivePair, ([1, 2], np.ones(2)), ((1.0,), 3, (0.0, 1.0)), "positive number"),

@@ -53,7 +53,7 @@ class PythonOptions(ControllerOptions):
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return UserClass(self.system, "controller.system", vars(self).get("given"))
+        return _SystemClass(self.system, "controller.system", vars(self).get("given"))
 
     @property
     def file(self) -> Path | None:
@@ -66,18 +66,26 @@ class PythonOptions(ControllerOptions):
         return self.source.code
 
 
+class _SystemClass(UserClass):
+    """A class that must be a System of pydrake."""
+
+    def load(self) -> type:
+        """See `UserClass.load`."""
+        from pydrake.systems.framework import System
+
+        found = super().load()
+        if not issubclass(found, System):
+            raise ConfigurationError(self.key, self.path, "a LeafSystem of pydrake")
+        return found
+
+
 def load_class(options: PythonOptions) -> type:
     """The class that `options` name; it is not called.
 
     Raises:
         ConfigurationError: See `UserClass.load`; it is no System of pydrake.
     """
-    from pydrake.systems.framework import System
-
-    found = options.source.load()
-    if not issubclass(found, System):
-        raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
-    return found
+    return options.source.load()
 
 
 def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
@@ -86,7 +94,6 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     Raises:
         ConfigurationError: See `load_class`; the constructor raises.
     """
-    load_class(options)
     return options.source.construct(options.arguments, offered)
 
 

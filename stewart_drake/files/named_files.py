@@ -20,10 +20,12 @@ _CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
 """A class in a file, as `kind` and `controller.system` have it."""
 CLASS_KEYS = ("system", "kind")
 FILE_KEYS = ("weights_file", "motion_file")
+ROBOT_KEYS = ("robot", "model_robot")
+"""At these a text is a file where it has a folder or an ending, else the name of a robot."""
 
 
 def anchor_files(data: Any, folder: Path) -> None:
-    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are.
+    """Makes relative paths of files of weights, motions, robots and controllers absolute, from `folder`, at any depth.
 
     Args:
         data: Plain values of a YAML file or a command line; they have not been through here before.
@@ -114,7 +116,7 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
             else:
@@ -125,6 +127,8 @@ def _is_file(key: str, value: Any) -> bool:
     """Whether a value names a file, given the last part of its key."""
     if not isinstance(value, str):
         return False
+    if key in ROBOT_KEYS:
+        return Path(value).name != value or Path(value).suffix != ""
     return key in FILE_KEYS or (key in CLASS_KEYS and _CLASS.fullmatch(value) is not None)
 
 

@@ -117,9 +117,9 @@ class UserClass:
         Raises:
             ConfigurationError: See `load`; the constructor raises.
         """
+        kind = self.load()
         if self.given is not None and not isinstance(self.given, type):
             return self.given
-        kind = self.load()
         section = self.key.rpartition(".")[0]
         keywords = dict(arguments)
         with self._refused(f"a constructor that takes {section}.arguments and does not raise"):

@@ -34,7 +34,7 @@ from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import Leg, check_value, is_finite
+from stewart_drake.section import LegNumber, check_value, is_finite
 
 
 class StewartPlant(StateMap):
@@ -84,7 +84,7 @@ class StewartPlant(StateMap):
             ConfigurationError: Another leg.
             DrakeCheckError: The Context is not that of the Diagram around this plant.
         """
-        check_value("leg", leg, Leg)
+        check_value("leg", leg, LegNumber)
         with drake_guard("breaking a rod"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
             self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)

@@ -12,7 +12,7 @@ from stewart_drake.leg import LARGEST, LEGS, Size
 from stewart_drake.mechanics.friction import FrictionLaw, friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Flag, Leg, NotNegative, Real, Section, check_value
+from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section, check_value
 from stewart_drake.wording import as_problem
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
@@ -25,7 +25,7 @@ Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 class BrokenRod(Section, key="plant.broken_rod"):
     """A rod that comes off the platform and hangs from its crank."""
 
-    leg: Leg
+    leg: LegNumber
     """0 to 5."""
     time: NotNegative
     """[s] when it breaks."""

@@ -186,12 +186,12 @@ def test_the_content_of_the_weights_file_is_in_the_key(tmp_path):
 
 
 def test_the_package_s_own_weights_are_in_the_key(tmp_path, monkeypatch):
-    from stewart_drake.campaigns import identity
+    from stewart_drake.control import tuners
 
     ann = SHORT.replace({"tuner": {"kind": "ann"}})
     before, fixed = run_key(ann), run_key(SHORT)
     make_network().save(tmp_path / "other.json")
-    monkeypatch.setattr(identity, "default_network_path", lambda: tmp_path / "other.json")
+    monkeypatch.setattr(tuners, "default_network_path", lambda: tmp_path / "other.json")
     assert run_key(ann) != before
     assert run_key(SHORT) == fixed
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import alive
 
-from stewart_drake.campaigns.sweep_table import INCIDENTAL
+from stewart_drake.campaigns.tables import INCIDENTAL
 
 ROOT = Path(__file__).parent.parent.parent
 TINY = """

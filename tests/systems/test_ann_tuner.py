@@ -7,7 +7,7 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.sampling import on_grid
-from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems import AnnTuner
 
 PERIOD = 0.005
 
