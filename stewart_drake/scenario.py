@@ -24,6 +24,7 @@ from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.keys import set_component
 from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
@@ -148,12 +149,14 @@ class Scenario(Section):
         another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
 
         Args:
-            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
+            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
+                `initial_offset[5]` or `robot.legs[2].rod_length`, come last.
 
         Raises:
             ConfigurationError: As for the class.
         """
         data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
+        components = {key: value for key, value in changes.items() if "[" in key}
         for name in _OF_ROBOT:
             if data[name] is not None:
                 data[name] = given_again(data[name])
@@ -161,8 +164,21 @@ class Scenario(Section):
                     robot = self.believed_robot if name in _BELIEVED else self.robot
                     data[name] = without_own(getattr(self, name), data[name], robot)
         for key, value in changes.items():
-            _assign(data, key, value)
+            if key not in components:
+                _assign(data, key, value)
+        made = Scenario.from_dict(data)
+        if not components:
+            return made
+        data, full = given_again(made), made.in_full()
+        for key, value in components.items():
+            set_component(data, full, key, value)
         return Scenario.from_dict(data)
+
+    def in_full(self) -> dict[str, Any]:
+        """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""
+        robots = {name: each for name in ("robot", "model_robot") if (each := getattr(self, name)) is not None}
+        filled = {name: {**each.to_dict(), "legs": each.each_leg()} for name, each in robots.items()}
+        return {**self.to_dict(), **filled}
 
     def to_yaml(self) -> str:
         """The whole scenario, defaults included, as YAML that `load_scenario` reads back."""
@@ -248,7 +264,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
             last lies in it or below. A bare name such as `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
             others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
-            keys that only the old kind has.
+            keys that only the old kind has. Components of lists come last, see `Scenario.replace`.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -256,14 +272,19 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
+    components = {}
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
         change = {key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}
         anchor_files(change, Path())
-        _assign(data, key.strip(), change[key.strip()])
-    return Scenario.from_dict(data)
+        if "[" in key:
+            components |= change
+        else:
+            _assign(data, key.strip(), change[key.strip()])
+    made = Scenario.from_dict(data)
+    return made.replace(components) if components else made
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -328,8 +349,6 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         family = _FAMILIES[parents[0]]
         old, new = family.section_of(section), family.section(value)
         if old is not None and new is not None:
-            # Controllers have keys of one name with other choices.
-            same = set(keys_of(new)) - ({"feedforward", "saturation"} if parents == ["controller"] else set())
-            for name in set(keys_of(old)) - same:
+            for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):
                 section.pop(name, None)
     section[last] = value

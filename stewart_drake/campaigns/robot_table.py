@@ -56,8 +56,8 @@ def robots_page(rows: list[tuple[str, ...]]) -> str:
         f" orientations without moving, {SAMPLES:,} poses each. Free in every direction: the largest ball of positions "
         "and of Euler angles. Conditioning: smallest over largest singular value of the rods' lines, at home and at "
         f"the worst of these positions. In motion: `{SCENARIO}`, {base.duration:g} s of roll 6 deg, pitch 3 deg and "
-        "heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized by the robot; RMSE "
-        "of the second half."
+        "heave 4 mm at 3 rad/s by the exact-model LQI at 1 kHz, encoders of 17 bits, all weights sized by the robot; "
+        "RMSE of the second half."
     )
     page = [
         "# Robots side by side",

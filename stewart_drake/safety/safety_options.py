@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import MONITORS as MONITORS_OF_USERS
+from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.memory import MONITORS
@@ -66,7 +66,7 @@ class SafetyOptions(Section, key="safety"):
     """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
-    monitors: tuple[Annotated[Any, MONITORS_OF_USERS], ...] = ()
+    monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
     runaway: Annotated[Real, Field(ge=1.0)] = 2.0
     """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:
