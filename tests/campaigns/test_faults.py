@@ -166,7 +166,7 @@ def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
 @pytest.mark.slow
 def test_a_rows_figures_are_those_of_its_log():
     fault = BY_NAME["command_nan"]
-    log = run(base().replace(fault.in_motion("paper")))
+    log = run(base().replace(fault.in_motion("paper", base())))
     row = measure_fault(log, fault)
     after, taken = log.time >= ONSET - 1e-9, log["safety"][:, 0] >= 2
     error = np.linalg.norm(log["pose"][:, 3:] - log["reference"][:, 3:], axis=1)
@@ -181,7 +181,7 @@ def test_a_rows_figures_are_those_of_its_log():
 @pytest.mark.slow
 def test_a_run_that_breaks_without_the_layer_is_told_apart():
     fault = BY_NAME["command_nan"]
-    log = run(base().replace({**fault.in_motion("hold"), "safety": None}))
+    log = run(base().replace({**fault.in_motion("hold", base()), "safety": None}))
     assert measure_fault(log, fault)["reaction"] == "broke"
 
 
