@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test check lint bench picture plan reproduction format clean
+.PHONY: demo install test check lint bench picture robots plan reproduction format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -39,6 +39,14 @@ bench: install
 picture: install
 	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.runs.replay import render_png; \
 	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
+
+# The robots that are shipped, and that of docs/your_robot.md.
+robots: install
+	$(BIN)/stewart-drake robots --out docs/images/robots
+	$(BIN)/stewart-drake robots from-table docs/your_robot.csv --unit mm --cranks towards --set crank_length=30 \
+	  --set rod_length=180 --out docs/your_robot.yaml
+	$(BIN)/stewart-drake robots show docs/your_robot.yaml --picture docs/images/robots/your_robot.png
+	rm docs/your_robot.yaml
 
 # The README's plan of the rooms.
 plan: install
