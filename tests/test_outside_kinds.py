@@ -18,6 +18,8 @@ from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.faults import FaultKind
 from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.logs.log import load_log
+from stewart_drake.logs.metric_table import Metric
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
@@ -314,6 +316,42 @@ def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path,
             (tmp_path / name).unlink(missing_ok=True)
     one, two = (load_log(tmp_path / out) for out in ("out", "again"))
     np.testing.assert_array_equal(one["pose"], two["pose"])
+
+
+METRIC = """
+from stewart_drake import Metric
+
+height = Metric("height", "m", "largest height", lambda t: t.gathered["height"], "steps",
+                gather=lambda before, rows: max([*rows["pose"][:, 5].tolist(), before or 0.0]))
+broken = Metric("broken", "", "raises", lambda t: 1 / 0, "steps")
+other = 3
+"""
+
+
+def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(METRIC)
+    text = "duration: 0.05\ntuner: {{kind: fixed}}\nreference: {{kind: hold}}\nmetrics: ['mine.py:{}']\n"
+    (tmp_path / "s.yaml").write_text(text.format("height"))
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: s.yaml\nruns: 2\ndistributions: {robot.platform_mass: {kind: uniform, low: 0.9, high: 1.1}}\n"
+    )
+    for command, file in (("run", "s.yaml"), ("sweep", "sweep.yaml"), ("run", "one/scenario.yaml")):
+        out = "again" if file.startswith("one") else {"run": "one", "sweep": "many"}[command]
+        done = CliRunner().invoke(cli, [command, file, "--out", out, "--quiet"])
+        assert done.exit_code == 0, done.output
+    for out in ("one", "again"):
+        assert json.loads((tmp_path / out / "metrics.json").read_text())["height"] == pytest.approx(0.3, abs=1e-3)
+    assert "height" in (tmp_path / "many" / "sweep.csv").read_text().splitlines()[0]
+    assert "height" not in run_metrics(run(Scenario(**SHORT)))
+    scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"])
+    log = run(scenario)
+    assert (log.status, run_metrics(log)["broken"]) == ("completed", None)
+    assert log.warnings[-1]["text"] == "broken: ZeroDivisionError: division by zero (mine.py, line 6)"
+    with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric, not of a int"):
+        run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"]))
+    mine = Metric("mine", "1", "a number", lambda t: float(t.steps), "steps")
+    assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
 
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():

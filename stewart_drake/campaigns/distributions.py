@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.metric_table import Kind
-from stewart_drake.registry import Family
+from stewart_drake.families import Family
+from stewart_drake.logs.metric_table import ValueKind
 from stewart_drake.section import Count, Flag, Positive, Real, Section, check_plain
 
 LARGEST = 1e100
@@ -29,7 +29,7 @@ class _Distribution(Section):
     """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
     where it is a list."""
 
-    column: ClassVar[Kind] = "number"
+    column: ClassVar[ValueKind] = "number"
 
     @abstractmethod
     def at(self, quantile: float) -> Any:
@@ -120,7 +120,7 @@ class Integers(_Between):
     low: Whole
     high: Whole
 
-    column: ClassVar[Kind] = "whole"
+    column: ClassVar[ValueKind] = "whole"
 
     def at(self, quantile: float) -> int:
         """See `_Distribution.at`."""

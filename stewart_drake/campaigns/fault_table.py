@@ -28,7 +28,9 @@ from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import RAMP
 
 QUICK_MOTIONS = ("hold",)
-_REACTION = "see fault.Reaction; broke where the run ended without the safety layer, else the status where there is no log"
+_REACTION = (
+    "see fault.Reaction; broke where the run ended without the safety layer, else the status where there is no log"
+)
 OWN = (
     Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
@@ -245,7 +247,9 @@ def holdable_lines(rows: Sequence[Row]) -> list[str]:
     """What five motors hold, a line per dead motor and motion."""
     lines = []
     for row in rows:
-        held = "none: not even the weight; smallest force from outside with which it would stand: {support_newton:.1f} N"
+        held = (
+            "none: not even the weight; smallest force from outside with which it would stand: {support_newton:.1f} N"
+        )
         if row.get("holds_weight"):
             held = "{force_newton:.0f} N or {moment_newton_metre:.1f} N m"
         if row.get("support_newton") is not None:
@@ -281,7 +285,9 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    return ((name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows))
+    return (
+        (name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows)
+    )
 
 
 def _told(fault: Fault) -> str:

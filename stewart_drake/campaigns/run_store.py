@@ -11,10 +11,10 @@ from stewart_drake.campaigns.executors import PROCESSES, Given, LocalProcesses, 
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import refuse_given
 from stewart_drake.files.whole import checksum, locked_folder
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.registry import refuse_given
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
 

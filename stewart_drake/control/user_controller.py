@@ -10,9 +10,9 @@ from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import user_sources
 from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
 from stewart_drake.files.user_errors import UserCode
-from stewart_drake.registry import user_sources
 from stewart_drake.section import Positive, Text, check_plain
 
 

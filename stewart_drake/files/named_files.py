@@ -18,7 +18,11 @@ MAX_BYTES = 100_000_000
 
 _CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
 """A class in a file, as `kind` and `controller.system` have it."""
-CLASS_KEYS = ("system", "kind")
+CLASS_KEYS = (
+    *("system", "kind", "controller", "reference", "motion"),
+    *("disturbances", "metrics", "monitors", "parts"),
+)
+"""Those of the last line have lists of them."""
 FILE_KEYS = ("weights_file", "motion_file")
 ROBOT_KEYS = ("robot", "model_robot")
 """At these a text is a file where it has a folder or an ending, else the name of a robot."""
@@ -109,6 +113,8 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
         seen.add((name, id(section)))
         if isinstance(section, (list, tuple)):
             waiting.extend((name, f"{place}{index}.", value) for index, value in enumerate(section))
+            found = (index for index, value in enumerate(section) if name in CLASS_KEYS and _is_file(name, value))
+            yield from ((section, index, f"{place}{index}") for index in found)
         if not isinstance(section, dict):
             continue
         for key, value in section.items():

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.logs.log import AXES, SimulationLog
+from stewart_drake.logs.log import AXIS_NAMES, SimulationLog
 from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.paper.study import Study
@@ -50,7 +50,7 @@ def controlled_motions(study: Study) -> dict[str, Scenario]:
     for axis in study.pick((1, 2, 3, 4), (4,)):
         largest = largest_amplitude(robot, limits, axis, 1.0, base.gravity)
         reference = _sine(base, AMPLITUDE_SHARE * largest * np.eye(6)[axis], np.full(6, ONE_HERTZ))
-        name = AXES[axis] if axis < 3 else AXES[axis].upper()
+        name = AXIS_NAMES[axis] if axis < 3 else AXIS_NAMES[axis].upper()
         motions[f"{name} at 1 Hz"] = base.replace(short | _as_change(reference))
 
     def all_axes(scale: float) -> SineReference:
