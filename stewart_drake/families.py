@@ -137,8 +137,8 @@ class Family:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         # What `json_schema` makes references of: pydantic knows only those that it made itself.
-        own = {} if self._own is None else {"": self._own_section}
-        return {"kinds": {kind: self.section(kind) for kind in self.kinds} | own, "default kind": self.default}
+        kinds = {kind: self.section(kind) for kind in self.kinds}
+        return {"kinds": kinds, "default kind": self.default, "own": self._own_section}
 
 
 class Table:
@@ -194,6 +194,8 @@ class UserMade(Section):
     place of the whole section.
     """
 
+    path_key: ClassVar[str] = "kind"
+    """Key under which the path of the class is kept."""
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
@@ -308,17 +310,31 @@ def json_schema(root: Any) -> dict[str, Any]:
             return part
         if "kinds" not in part:
             return {key: with_references(value) for key, value in part.items()}
-        rest = {key: value for key, value in part.items() if key not in ("kinds", "default kind")}
-        return {**rest, "anyOf": [reference(kind, each, part["default kind"]) for kind, each in part["kinds"].items()]}
+        rest = {key: value for key, value in part.items() if key not in ("kinds", "default kind", "own")}
+        ways = [reference(each, kind == part["default kind"]) for kind, each in part["kinds"].items()]
+        if part["own"] is not None:
+            ways += [by_path(part["own"]), {"type": "string", "pattern": CLASS_PATH}]
+        return {**rest, "anyOf": ways}
 
-    def reference(kind: str, section: Any, default: str | None) -> dict[str, Any]:
+    def reference(section: Any, default: bool = False) -> dict[str, Any]:
         name = section.__name__
         if name not in definitions:
             definitions[name] = {}
             made = TypeAdapter(section).json_schema()
             definitions.update({each: with_references(value) for each, value in made.pop("$defs", {}).items()})
             definitions[name] = with_references(made)
-        return {"$ref": f"#/$defs/{name}", **({} if kind == default else {"required": ["kind"]})}
+        return {"$ref": f"#/$defs/{name}", **({} if default else {"required": ["kind"]})}
+
+    def by_path(section: Any) -> dict[str, Any]:
+        """The section of a user's class, whose path stands under `kind`."""
+        found, key = reference(section), section.path_key
+        if key == "kind":
+            return found
+        name = f"{section.__name__}ByPath"
+        properties = dict(definitions[section.__name__]["properties"])
+        properties["kind"] = properties.pop(key)
+        definitions[name] = {**definitions[section.__name__], "properties": properties, "required": ["kind"]}
+        return {"$ref": f"#/$defs/{name}"}
 
     inner = list(definitions)
     schema = with_references({key: value for key, value in schema.items() if key != "$defs"})

@@ -163,7 +163,7 @@ DISTRIBUTIONS = Family(
 )
 
 
-def column_of(distribution: Distribution) -> Kind:
+def column_of(distribution: Distribution) -> ValueKind:
     """What a column must be to hold the values of a distribution as they are."""
     if not isinstance(distribution, Choice):
         return distribution.column

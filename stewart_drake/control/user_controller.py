@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -27,6 +27,7 @@ class PythonOptions(ControllerOptions):
     step; time constants below a 25th of that step diverge.
     """
 
+    path_key: ClassVar[str] = "system"
     kind: Literal["python"] = "python"
     system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The

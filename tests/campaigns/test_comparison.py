@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.campaigns.comparison import run_comparison, write_pictures
-from stewart_drake.campaigns.comparison_file import AXES, Comparison, load_comparison
+from stewart_drake.campaigns.comparison_file import AXIS_NUMBERS, Comparison, load_comparison
 from stewart_drake.campaigns.comparison_table import BANDS, number, sheets, table_columns, table_rows
 from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor
 from stewart_drake.control.computed_torque import ComputedTorqueOptions
@@ -168,7 +168,7 @@ def test_bands_move_one_axis_by_what_is_feasible_over_whole_periods():
         assert scenario.duration == pytest.approx(1.0 + cell.window)
         assert cell.window * cell.frequency == pytest.approx(round(cell.window * cell.frequency))
         assert cell.window >= 0.7
-        axis = AXES[cell.reference]
+        axis = AXIS_NUMBERS[cell.reference]
         most = largest_amplitude(scenario.robot, scenario.limits, axis, cell.frequency, 9.81)
         assert cell.amplitude == pytest.approx(min(0.005 if axis == 5 else 0.05, 0.5 * most))
         assert np.flatnonzero(scenario.reference.amplitude).tolist() == [axis]
