@@ -37,8 +37,7 @@ bench: install
 
 # The README's picture of the robot.
 picture: install
-	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.runs.replay import render_png; \
-	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
+	$(BIN)/python docs/draw_robot.py
 
 # The README's plan of the rooms.
 plan: install

@@ -26,13 +26,8 @@ class LqiController(TrackingController):
         guarded: See `TickedSystem`.
         compiled: See `Scenario.compiled`.
 
-    Ports:
-        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+    Ports, beside those of `TrackingController`:
         weights: in (2,), omega_Q, omega_R, or (4,), q_e, q_v, q_z, r; all > 0.
-        torque: out (6,) [N m], within the motors' limits where `saturation` says so.
-        error: out (6,) [rad, m], pose minus reference at the tick.
-        integral: out (6,) [rad s, m s], z after the tick.
     """
 
     def __init__(
@@ -46,12 +41,10 @@ class LqiController(TrackingController):
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(options.period, MEMORY_SIZE, guarded)
+        super().__init__(options, MEMORY_SIZE, guarded)
         self._tick = flat_tick(robot, options, gravity, compiled)
         self.weights = self.DeclareVectorInputPort("weights", weights)
-        self._declare_torque()
-        self.error = self._declare_output("error", 6, 6)
-        self.integral = self._declare_output("integral", 12, 6)
+        self._declare_results(options)
 
     @classmethod
     def build(cls, options: LqiOptions, site: ControllerSite) -> LqiController:
