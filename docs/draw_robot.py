@@ -50,14 +50,9 @@ def render_png(
         height: [px].
         passes: Pictures under different lights that are averaged; more give softer shadows and smoother edges.
     """
-    for name, value in (("width", width), ("height", height), ("passes", passes)):
-        if value < 1:
-            raise ConfigurationError(name, value, "a whole number, at least 1")
-    with drake_guard("rendering the picture"):
-        image = ImageRgba8U(width, height)
-        image.mutable_data[:] = _render(robot, np.asarray(pose, dtype=float), width, height, passes)
-        content = ImageIo().Save(image, ImageFileFormat.kPng)
-    write_atomically(Path(path), content)
+    image = ImageRgba8U(width, height)
+    image.mutable_data[:] = _render(robot, pose, width, height, passes)
+    path.write_bytes(ImageIo().Save(image, ImageFileFormat.kPng))
 
 
 def _render(robot: RobotParameters, pose: np.ndarray, width: int, height: int, passes: int) -> np.ndarray:
@@ -146,9 +141,5 @@ def _look_at(camera: np.ndarray, target: np.ndarray) -> RigidTransform:
 
 
 if __name__ == "__main__":
-    render_png(
-        RobotParameters(),
-        np.array([np.radians(20), 0, 0, 0, 0, 0.33]),
-        Path(__file__).parent / "images" / "robot.png",
-        passes=32,
-    )
+    picture = Path(__file__).parent / "images" / "robot.png"
+    render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), picture, passes=32)
