@@ -209,7 +209,7 @@ class UserMade(Section):
     def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
         """The section of a class or object that was given in Python, or of an import path."""
         path = kind if isinstance(kind, str) else path_of(kind)
-        made: Self = cls.__pydantic_validator__.validate_python({"kind": path, **rest})
+        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: path, **rest})
         if not isinstance(kind, str):
             vars(made)["given"] = kind
         return made
@@ -222,7 +222,7 @@ class UserMade(Section):
     def source(self) -> UserClass:
         """Where the class comes from."""
         place = vars(self).get("place", self.section_key)
-        return UserClass(self.kind, f"{place}.kind", vars(self).get("given"))
+        return UserClass(getattr(self, self.path_key), f"{place}.{self.path_key}", vars(self).get("given"))
 
     @cached_property
     def made(self) -> Any:

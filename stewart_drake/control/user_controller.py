@@ -10,13 +10,13 @@ from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import user_sources
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.families import UserMade, user_sources
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass
 from stewart_drake.files.user_errors import UserCode
-from stewart_drake.section import Positive, Text, check_plain
+from stewart_drake.section import Positive, Text
 
 
-class PythonOptions(ControllerOptions):
+class PythonOptions(ControllerOptions, UserMade):
     """A user's LeafSystem by import path; `kind` may be that path itself.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -38,23 +38,11 @@ class PythonOptions(ControllerOptions):
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        check_plain("arguments", self.arguments)
-
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
-        """Options for a class or object that was given in Python, or an import path."""
-        if isinstance(kind, str):
-            return cls.__pydantic_validator__.validate_python({"system": kind, **rest})
-        made: PythonOptions = cls.__pydantic_validator__.validate_python({"system": path_of(kind), **rest})
-        vars(made)["given"] = kind
-        return made
-
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return _SystemClass(self.system, "controller.system", vars(self).get("given"))
+        found = super().source
+        return _SystemClass(found.path, found.key, found.given)
 
     @property
     def file(self) -> Path | None:

@@ -18,11 +18,9 @@ MAX_BYTES = 100_000_000
 
 _CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
 """A class in a file, as `kind` and `controller.system` have it."""
-CLASS_KEYS = (
-    *("system", "kind", "controller", "reference", "motion"),
-    *("disturbances", "metrics", "monitors", "parts"),
-)
-"""Those of the last line have lists of them."""
+CLASS_LISTS = ("disturbances", "metrics", "monitors", "parts")
+"""Keys of lists in which a class may stand by its path alone."""
+CLASS_KEYS = ("system", "kind", "controller", "reference", "motion", *CLASS_LISTS)
 FILE_KEYS = ("weights_file", "motion_file")
 ROBOT_KEYS = ("robot", "model_robot")
 """At these a text is a file where it has a folder or an ending, else the name of a robot."""
@@ -113,7 +111,7 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
         seen.add((name, id(section)))
         if isinstance(section, (list, tuple)):
             waiting.extend((name, f"{place}{index}.", value) for index, value in enumerate(section))
-            found = (index for index, value in enumerate(section) if name in CLASS_KEYS and _is_file(name, value))
+            found = (index for index, value in enumerate(section) if name in CLASS_LISTS and _is_file(name, value))
             yield from ((section, index, f"{place}{index}") for index in found)
         if not isinstance(section, dict):
             continue

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from stewart_drake.control.joint_pid import PidMemory, pid_tick
-from stewart_drake.systems.tracking_controller import PureController
+from stewart_drake.systems.tracking_controller import TrackingController
 
 
-class JointPid(PureController):
-    """PID on the crank angles, see `joint_pid.pid_tick`; its integral lives in the Context."""
+class JointPid(TrackingController):
+    """PID on the crank angles, see `joint_pid.pid_tick`; its integral lives in the Context.
+
+    Ports:
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        torque: out (6,) [N m].
+    """
 
     law = staticmethod(pid_tick)
     memory = PidMemory

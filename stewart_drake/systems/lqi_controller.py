@@ -26,8 +26,13 @@ class LqiController(TrackingController):
         guarded: See `TickedSystem`.
         compiled: See `Scenario.compiled`.
 
-    Ports, beside those of `TrackingController`:
+    Ports:
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         weights: in (2,), omega_Q, omega_R, or (4,), q_e, q_v, q_z, r; all > 0.
+        torque: out (6,) [N m], within the motors' limits where `saturation` says so.
+        error: out (6,) [rad, m], pose minus reference at the tick.
+        integral: out (6,) [rad s, m s], z after the tick.
     """
 
     def __init__(
@@ -41,15 +46,21 @@ class LqiController(TrackingController):
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(options, MEMORY_SIZE, guarded)
+        self._weights = weights
+        super().__init__(robot, options, gravity, guarded)
         self._tick = flat_tick(robot, options, gravity, compiled)
-        self.weights = self.DeclareVectorInputPort("weights", weights)
-        self._declare_results(options)
 
     @classmethod
     def build(cls, options: LqiOptions, site: ControllerSite) -> LqiController:
         """See `TrackingController.build`."""
         return cls(site.robot, options, site.gravity, site.weights, site.guarded, site.compiled)
+
+    @classmethod
+    def _memory_size(cls) -> int:
+        return MEMORY_SIZE
+
+    def _declare_more(self) -> None:
+        self.weights = self.DeclareVectorInputPort("weights", self._weights)
 
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `lqi.held_tick`."""
