@@ -119,12 +119,12 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
             leaf = str(key).rpartition(".")[2]
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
+                continue
+            waiting.append((leaf, f"{place}{key}.", value))
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            if leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
-            else:
-                waiting.append((leaf, f"{place}{key}.", value))
 
 
 def _is_file(key: str, value: Any) -> bool:
