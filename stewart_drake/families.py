@@ -13,7 +13,7 @@ from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path, path_of
 from stewart_drake.section import Section, Text, check_plain, to_plain
 from stewart_drake.wording import as_problem, chosen, either
 
@@ -199,7 +199,7 @@ class UserMade(Section):
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
-    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
     code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -208,10 +208,7 @@ class UserMade(Section):
     @classmethod
     def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
         """The section of a class or object that was given in Python, or of an import path."""
-        path = kind if isinstance(kind, str) else path_of(kind)
-        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: path, **rest})
-        if not isinstance(kind, str):
-            vars(made)["given"] = kind
+        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: given_path(kind), **rest})
         return made
 
     def rules(self) -> None:
@@ -222,7 +219,7 @@ class UserMade(Section):
     def source(self) -> UserClass:
         """Where the class comes from."""
         place = vars(self).get("place", self.section_key)
-        return UserClass(getattr(self, self.path_key), f"{place}.{self.path_key}", vars(self).get("given"))
+        return UserClass(getattr(self, self.path_key), f"{place}.{self.path_key}")
 
     @cached_property
     def made(self) -> Any:
@@ -260,8 +257,9 @@ def given_again(section: Any) -> Any:
     if not isinstance(section, Section):
         return to_plain(section)
     data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
-    if "given" in vars(section):
-        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": vars(section)["given"]}
+    source = getattr(section, "source", None)
+    if isinstance(source, UserClass) and source.given is not None:
+        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": source.given}
     return data
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
@@ -32,9 +32,10 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, OWN_METRICS, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot_files import AnyRobot, robot_section
+from stewart_drake.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import (
@@ -126,12 +127,20 @@ class Scenario(Section):
                 raise ConfigurationError("controller.compiled", older, allowed)
             data = {**data, "compiled": older}
             data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
-        return data
+        try:
+            robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
+        except (ValidationError, ConfigurationError):
+            # The checks will say what is wrong with it.
+            return data
+        data = data if robot is None else {**data, "robot": robot}
+        robot = robot or PAPER
+        return _with_defaults(data, robot, believed or robot)
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has.
+        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
+        another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
@@ -142,6 +151,12 @@ class Scenario(Section):
         """
         data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
         components = {key: value for key, value in changes.items() if "[" in key}
+        for name in _OF_ROBOT:
+            if data[name] is not None:
+                data[name] = given_again(data[name])
+                if any(key in changes for key in ROBOT_KEYS):
+                    robot = self.believed_robot if name in _BELIEVED else self.robot
+                    data[name] = without_own(getattr(self, name), data[name], robot)
         for key, value in changes.items():
             if key not in components:
                 _assign(data, key, value)
@@ -279,6 +294,32 @@ _FAMILIES: Mapping[str, Family] = {
     for each in field.metadata
     if isinstance(each, Family)
 }
+
+
+_ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
+_BELIEVED = {"controller", "tuner", "sensors", "safety"}
+"""Sections that go by the robot as believed."""
+
+
+def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
+    """The keys of a scenario with those defaults that another robot than the paper's has."""
+    found = {}
+    for name, absent in _OF_ROBOT.items():
+        given = data.get(name, absent)
+        section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
+        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS)
+        if made is not given:
+            found[name] = made
+    return {**data, **found}
+
+
+_OF_NO_FAMILY: Mapping[str, type[Section]] = {"safety": SafetyOptions, "bounds": Bounds, "limits": Limits}
+_OF_ROBOT: Mapping[str, Section | None] = {
+    name: Scenario.__pydantic_fields__[name].get_default(call_default_factory=True)
+    for name in ("reference", "controller", "tuner", "sensors", *_OF_NO_FAMILY)
+}
+"""Sections with defaults that come from the robot, as they are where they are absent."""
+_PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:

@@ -1,5 +1,6 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
+import dataclasses
 import json
 from typing import Literal
 
@@ -18,7 +19,7 @@ from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.faults import FaultKind
 from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.logs.log import load_log
-from stewart_drake.logs.metric_table import Metric
+from stewart_drake.logs.metric_table import Metric, MetricError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
@@ -319,7 +320,7 @@ def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path,
 
 
 METRIC = """
-from stewart_drake import Metric
+from stewart_drake import Metric, MetricError
 
 height = Metric("height", "m", "largest height", lambda t: t.gathered["height"], "steps",
                 gather=lambda before, rows: max([*rows["pose"][:, 5].tolist(), before or 0.0]))
@@ -345,9 +346,8 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     assert "height" in (tmp_path / "many" / "sweep.csv").read_text().splitlines()[0]
     assert "height" not in run_metrics(run(Scenario(**SHORT)))
     scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"])
-    log = run(scenario)
-    assert (log.status, run_metrics(log)["broken"]) == ("completed", None)
-    assert log.warnings[-1]["text"] == "broken: ZeroDivisionError: division by zero (mine.py, line 6)"
+    with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 6\)"):
+        run(scenario)
     with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric, not of a int"):
         run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"]))
     mine = Metric("mine", "1", "a number", lambda t: float(t.steps), "steps")
@@ -359,6 +359,18 @@ def test_what_was_given_in_python_is_refused_where_results_are_kept():
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
         with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
             many(own)
+
+
+def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():
+    one, two = ToyReference(0.002), ToyReference(0.003)
+    scenario = Scenario(**SHORT, reference=one)
+    assert scenario == Scenario(**SHORT, reference=one) != Scenario(**SHORT, reference=two)
+    for copy in (dataclasses.replace(scenario, duration=0.2), scenario.replace({"duration": 0.2})):
+        assert copy.reference.made is one
+    assert dataclasses.replace(scenario.reference).made is one
+    controlled = Scenario(**SHORT, controller=ToyController)
+    assert dataclasses.replace(controlled.controller, period=0.002).source.load() is ToyController
+    assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 
 class Nothing:

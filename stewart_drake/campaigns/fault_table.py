@@ -28,9 +28,7 @@ from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import RAMP
 
 QUICK_MOTIONS = ("hold",)
-_REACTION = (
-    "see fault.Reaction; broke where the run ended without the safety layer, else the status where there is no log"
-)
+_REACTION = "see fault.Reaction; broke: the run ended without the safety layer; the status, if there is no log"
 OWN = (
     Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
@@ -247,9 +245,7 @@ def holdable_lines(rows: Sequence[Row]) -> list[str]:
     """What five motors hold, a line per dead motor and motion."""
     lines = []
     for row in rows:
-        held = (
-            "none: not even the weight; smallest force from outside with which it would stand: {support_newton:.1f} N"
-        )
+        held = "none: not even the weight; the smallest outside force with which it stands: {support_newton:.1f} N"
         if row.get("holds_weight"):
             held = "{force_newton:.0f} N or {moment_newton_metre:.1f} N m"
         if row.get("support_newton") is not None:

@@ -23,7 +23,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import refuse_given, user_sources
 from stewart_drake.files.named_files import anchor_files, file_digests
 from stewart_drake.files.whole import checksum, write_atomically
-from stewart_drake.logs.metric_table import Column, columns
+from stewart_drake.logs.metric_table import Column, added_code, columns
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import NAME, NAME_WORDS, Section, Text
@@ -286,7 +286,7 @@ def identity(
         **work,
         "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
+        "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
@@ -80,6 +81,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
     from stewart_drake.logs.log_rows import RowsInFile
+    from stewart_drake.logs.outcomes import told
     from stewart_drake.runs.outputs import ResultsFolder
     from stewart_drake.scenario import load_scenario
 
@@ -120,8 +122,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
-        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
-        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
+        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {log.message}", err=True)
     sys.exit(_STATUS[log.status])
 
 
@@ -245,6 +246,7 @@ def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...
     write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
 
 
+cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(faults)

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from stewart_drake.control.density import DensityKind
 from stewart_drake.control.network import TunerNetwork, default_network_path, load_network, read_weights
+from stewart_drake.control.robot_gains import WEIGHT
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.section import Positive, Section, Text, Window
 
@@ -74,14 +75,18 @@ class FixedTuner(PairTuner):
 
 
 class BlockTuner(Tuner):
-    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`."""
+    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`.
+
+    The defaults are for the paper's robot; for any other a scenario scales them by what a torque does there, so that
+    the loop is as fast.
+    """
 
     kind: Literal["block"] = "block"
-    q_pose: Positive
+    q_pose: Annotated[Positive, WEIGHT] = 4.0e5
     """Weight of the pose's error."""
-    q_rate: Positive
+    q_rate: Annotated[Positive, WEIGHT] = 30.0
     """Weight of its rate."""
-    q_integral: Positive
+    q_integral: Annotated[Positive, WEIGHT] = 4.0e7
     """Weight of its integral."""
     r: Positive = 1.0
     """Weight of the torques."""

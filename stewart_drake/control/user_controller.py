@@ -11,7 +11,7 @@ from pydantic import Field
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade, user_sources
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass
 from stewart_drake.files.user_errors import UserCode
 from stewart_drake.section import Positive, Text
 
@@ -29,7 +29,7 @@ class PythonOptions(ControllerOptions, UserMade):
 
     path_key: ClassVar[str] = "system"
     kind: Literal["python"] = "python"
-    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
     class is a System of pydrake, and its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -41,8 +41,7 @@ class PythonOptions(ControllerOptions, UserMade):
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        found = super().source
-        return _SystemClass(found.path, found.key, found.given)
+        return _SystemClass(self.system, super().source.key)
 
     @property
     def file(self) -> Path | None:

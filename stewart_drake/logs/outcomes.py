@@ -40,6 +40,12 @@ class Outcome:
     leg: int | None = None
 
 
+def told(status: str, reason: str | None, time: float | None = None) -> str:
+    """How a run ended in a few words, such as `failed, crank_dead_centre at t = 0.650 s`."""
+    words = status if reason in (None, status) else f"{status}, {reason}"
+    return words if time is None else f"{words} at t = {time:.3f} s"
+
+
 def judge(
     bounds: Bounds,
     figures: Mapping[str, Any],
@@ -89,7 +95,6 @@ def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) ->
     Returns:
         name, time [s], number and text of each. safety_intervention: the safety layer took over and gave back, so many
         times. saturation: share of torques at the limit. loop_gap: largest gap over the RMSE of the position.
-        metric_raised: a metric of the user's own did.
     """
     found: list[dict[str, Any]] = []
 
@@ -105,6 +110,4 @@ def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) ->
     if gap is not None and rmse is not None and gap > LARGE_GAP * 1e-3 * rmse:
         ratio = gap / (1e-3 * rmse) if rmse > 0.0 else math.inf
         warn("loop_gap", events["gap_at"], ratio, f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position")
-    for number, (name, text) in enumerate(events.get("raised", {}).items(), 1):
-        warn("metric_raised", 0.0, number, f"{name}: {text}")
     return tuple(found)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.errors import raised_at
-from stewart_drake.logs.metric_table import SHIPPED, Metric, metrics_of
+from stewart_drake.logs.metric_table import metrics_of
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
 from stewart_drake.sampling import steps_per
@@ -77,7 +76,6 @@ class Tally:
     def __post_init__(self) -> None:
         scenario = self.scenario
         self._metrics = metrics_of(scenario)
-        self._raised: dict[str, str] = {}
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self._monitors = MONITORS if scenario.safety is None else scenario.safety.monitor_names
         self._limit = scenario.controller.limit(scenario.robot)
@@ -116,9 +114,7 @@ class Tally:
             self._add_motion(signals["reference"], signals["pose"], tick & late & in_charge)
             self._add_weights(signals, tick)
             for metric in self._metrics:
-                if metric.gather is not None:
-                    before, gather = self.gathered.get(metric.name), metric.gather
-                    self.gathered[metric.name] = self._asked(metric, partial(gather, before, signals))
+                self.gathered[metric.name] = metric.gathered(self.gathered.get(metric.name), signals)
         self._add_interventions(signals, time)
         by_then = np.flatnonzero(tick & (time <= INTEGRAL_TIME + 1e-9))
         if len(by_then):
@@ -135,7 +131,7 @@ class Tally:
             Those of `metric_table.metrics_of`, and events: when and where, for `outcomes.judge`.
         """
         with np.errstate(all="ignore"):
-            figures = {metric.name: self._asked(metric, partial(metric.value, self)) for metric in self._metrics}
+            figures = {metric.name: metric.value(self) for metric in self._metrics}
         bounds = self.scenario.bounds
         never = {
             name: {"time": 0.0, "worst": self.largest[name], "leg": None}
@@ -148,21 +144,8 @@ class Tally:
             "held": self._held,
             "saturated_at": self._saturated_at,
             "gap_at": self._gap_at,
-            "raised": dict(self._raised),
         }
         return figures
-
-    def _asked(self, metric: Metric, ask: Callable[[], Any]) -> Any:
-        """What a metric says; None for one of the user's own that raised, which is told and never asked again."""
-        if metric.name in self._raised:
-            return None
-        try:
-            return ask()
-        except Exception as error:
-            if metric.name in SHIPPED:
-                raise
-            self._raised[metric.name] = f"{type(error).__name__}: {error}{raised_at(error)}"
-            return None
 
     @property
     def late_rms(self) -> np.ndarray:

@@ -40,7 +40,7 @@ class UserMetric(UserMade, key="metrics"):
     def source(self) -> UserClass:
         """Where it comes from."""
         inner = super().source
-        return _MetricSource(inner.path, inner.key, inner.given)
+        return _MetricSource(inner.path, inner.key)
 
     @property
     def made(self) -> Metric:
