@@ -320,7 +320,7 @@ def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path,
 
 
 METRIC = """
-from stewart_drake import Metric, MetricError
+from stewart_drake import Metric
 
 height = Metric("height", "m", "largest height", lambda t: t.gathered["height"], "steps",
                 gather=lambda before, rows: max([*rows["pose"][:, 5].tolist(), before or 0.0]))
