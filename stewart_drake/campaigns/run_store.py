@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import PROCESSES, Given, LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.executors import PROCESSES, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
@@ -85,7 +85,7 @@ class RunStore:
             if progress is not None:
                 progress(done / len(logs))
 
-        where = LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else Given(SerialExecutor())
+        where = LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else SerialExecutor()
 
         def work(path: Path) -> Work:
             return _run_and_keep, (missing[path], path, check)

@@ -6,9 +6,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from stewart_drake.campaigns import engine, executors
+from stewart_drake.campaigns import engine, executors, plan
 from stewart_drake.campaigns import fault_table as table_module
-from stewart_drake.campaigns import plan
 from stewart_drake.campaigns.executors import Given, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
 from stewart_drake.campaigns.fault_table import (
