@@ -91,7 +91,7 @@ def at_rest(angles: Array) -> Bristles:
 
 
 def level(law: FrictionLaw, slip: Array) -> Array:
-    """g (..., 6) [N m] at speeds (..., 6) [rad/s] of the anchors."""
+    """Levels g (..., 6) [N m] at speeds (..., 6) [rad/s] of the anchors."""
     xp, ratio = namespace(slip), slip / law.stribeck_rate
     return law.coulomb + (law.break_away - law.coulomb) * xp.exp(-ratio * ratio)
 
@@ -168,7 +168,7 @@ def implicit_torque(
 
 
 def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
-    """Between -bound and bound; with corners rounded over `width`, which takes up to 7 % of it off there."""
+    """Between -bound and bound; with corners rounded over `width`, which takes up to half of it off there."""
     xp = namespace(value)
     if isinstance(width, float) and width == 0.0:
         return xp.minimum(xp.maximum(value, -bound), bound)

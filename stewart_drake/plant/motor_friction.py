@@ -68,7 +68,7 @@ class MotorFriction(LeafSystem):
 
 def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
     """Adds the servos, before the plant is finalised; of motors without dry friction none."""
-    for leg in np.flatnonzero(law.break_away):
+    for leg in _with_friction(law):
         joint = plant.GetJointByName(f"motor_{leg}")
         actuator = plant.AddJointActuator(f"friction_{leg}", joint, law.break_away[leg])
         # Drake takes the rotor of a joint from its last actuator alone.
@@ -76,9 +76,7 @@ def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
         actuator.set_controller_gains(PdControllerGains(p=law.stiffness[leg], d=law.damping[leg]))
 
 
-def wire_friction(
-    builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionLaw
-) -> tuple[InputPort, MotorFriction]:
+def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionLaw) -> tuple[InputPort, MotorFriction]:
     """Feeds motors and servos of a finalised plant.
 
     Returns:
@@ -92,7 +90,7 @@ def wire_friction(
     for leg in range(LEGS):
         torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
         force[plant.GetJointByName(f"motor_{leg}").velocity_start(), LEGS + leg] = 1.0
-    for leg in np.flatnonzero(law.break_away):
+    for leg in _with_friction(law):
         servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
         torque[servo, 2 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
     both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 2 * LEGS]))
@@ -109,3 +107,7 @@ def wire_friction(
         builder.Connect(gain.get_output_port(), target)
     port: InputPort = both.get_input_port(0)
     return port, friction
+
+
+def _with_friction(law: FrictionLaw) -> list[int]:
+    return [leg for leg in range(LEGS) if law.break_away[leg] > 0.0]

@@ -200,9 +200,7 @@ def build_plant(
         return builder.Build(), stewart
 
 
-def _add_damping(
-    plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions, viscous: np.ndarray
-) -> None:
+def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions, viscous: np.ndarray) -> None:
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.

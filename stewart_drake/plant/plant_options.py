@@ -54,6 +54,7 @@ class _Each:
         return (given,) * LEGS
 
 
+_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], _Each(Moderate)]
 EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], _Each(Size)]
 
@@ -61,13 +62,13 @@ EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], _Each(Size)]
 class FrictionOptions(Section, key="plant.friction"):
     """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor."""
 
-    coulomb: EachMotor = (0.0,) * LEGS
+    coulomb: EachMotor = _NONE
     """[N m] dry friction in sliding."""
     break_away: EachMotor | None = None
     """[N m] what moves a motor that rests, at least `coulomb`; null: the same."""
-    stribeck_velocity: EachRate = (0.01,) * LEGS
+    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
     """[rad/s] of sliding at which 37 % of what `break_away` is above `coulomb` are left; the default is our own."""
-    viscous: EachMotor = (0.0,) * LEGS
+    viscous: EachMotor = _NONE
     """[N m s/rad] beside it, in proportion to speed."""
 
     def rules(self) -> None:
@@ -118,7 +119,7 @@ class PlantOptions(Section, key="plant"):
         """Friction of the motors of a robot, with the bristles that the time step carries."""
         said = self.friction
         if said is None:
-            said = FrictionOptions(coulomb=self.motor_friction, viscous=self.motor_damping)
+            said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})
         break_away = said.coulomb if said.break_away is None else said.break_away
         levels = said.coulomb, break_away, said.stribeck_velocity, said.viscous
         return friction_law(*levels, robot.crank_axis_inertias, self.time_step)
