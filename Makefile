@@ -24,7 +24,7 @@ test: install
 
 # All but those marked slow: no campaign, no long run, no other process.
 check: install
-	$(BIN)/pytest -q -n auto -m "not slow" --ignore=tests/benchmarks --ignore=tests/paper
+	$(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
 
 lint: install
 	$(BIN)/ruff check .
