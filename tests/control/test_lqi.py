@@ -99,7 +99,7 @@ def independent_gain(pose, period, ratio, force_map, discretization):
 def test_the_torque_is_minus_k_times_the_state_and_z_grows_after_it_was_used(
     pose, error, rate_error, z, log_ratio, options
 ):
-    setpoint, weights = Setpoint(pose - error, 0.5 * rate_error, np.ones(6)), [10.0**log_ratio, 1.0]
+    setpoint, weights = Setpoint(pose - error, 0.5 * rate_error, np.ones(6)), [3.0 * 10.0**log_ratio, 3.0]
     paper = options | {"model": "paper", "feedforward": "none", "weight_length": 1.0}
     output = tick(pose, 1.5 * rate_error, setpoint, weights, with_integral(z), **paper)
     # What is left of a tiny error beside the pose.
@@ -188,9 +188,9 @@ def test_weight_length_weighs_a_rotation_like_the_path_at_that_radius(pose, solv
     """The gain for q is that for rotations in metres, length * angle, with nothing scaled: K for x = S x'."""
     scaled = np.array([length] * 3 + [1.0] * 3)
     own = pose_acceleration_map(ROBOT, pose)
-    blocks = np.array([1e3, 10.0, 1e3, 1.0])
+    blocks = np.array([2e3, 20.0, 3e3, 2.5])
     gain = lqi_gain(own, LqiOptions(solver=solver, weight_length=length), blocks)
-    in_metres = lqi_gain(scaled[:, None] * own, LqiOptions(solver=solver), blocks)
+    in_metres = lqi_gain(scaled[:, None] * own, LqiOptions(solver="split"), blocks)
     for part in (POSITION, RATE, INTEGRAL):
         expected = in_metres[:, part] * scaled
         np.testing.assert_allclose(gain[:, part], expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
@@ -453,11 +453,3 @@ def test_a_bridged_tick_goes_on_with_the_last_gain_at_the_pose_of_now(flat, comp
     np.testing.assert_allclose(held.torque, np.clip(expected, -limit, limit), rtol=1e-9)
     np.testing.assert_allclose(held.error, 0.03, rtol=1e-9)
     assert np.abs(expected).max() > ROBOT.effort_limit
-
-
-def test_memory_survives_being_flat():
-    memory = LqiMemory(*(np.random.default_rng(k).normal(size=n) for k, n in enumerate((6, 6, 6))), *(
-        np.arange(108.0).reshape(6, 18), np.arange(6.0), np.arange(4.0), 7.0))  # fmt: skip
-    back = LqiMemory.from_flat(memory.flat())
-    for name in LqiMemory._fields:
-        np.testing.assert_array_equal(getattr(back, name), getattr(memory, name))
