@@ -65,11 +65,17 @@ def test_the_start_lies_on_the_reference_and_stays_there():
 # --- delay ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "period", "delay"),
-    [(0.001, 0.001, 0), (0.001, 0.001, 3), (0.001, 0.005, 1), (0.0005, 0.001, 1), (1 / 3000, 1 / 600, 3)]
-    + [(1 / 7000, 1 / 1400, delay) for delay in (0, 1)],
+    [
+        (0.001, 0.001, 0),
+        (0.001, 0.005, 1),
+        *(
+            pytest.param(*rates, delay, marks=pytest.mark.slow)
+            for rates in ((0.001, 0.001), (0.0005, 0.001), (1 / 3000, 1 / 600), (1 / 7000, 1 / 1400))
+            for delay in (1, 3)
+        ),
+    ],
 )
 def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
     scenario = exact(
