@@ -87,10 +87,6 @@ def test_a_run_under_another_name_is_the_same_run(tmp_path, ran):
     assert [log.scenario.name for log in logs] == ["a", "b"]
 
 
-def test_no_scenarios_give_no_logs(tmp_path):
-    assert one_worker(tmp_path).run_all([]) == []
-
-
 def test_progress_rises_to_one_and_counts_what_was_there(tmp_path):
     store, shares = one_worker(tmp_path), []
     store.run_all(several(2), shares.append)
@@ -185,17 +181,6 @@ def test_the_content_of_the_weights_file_is_in_the_key(tmp_path):
     assert run_key(scenario) == first != second
 
 
-def test_the_package_s_own_weights_are_in_the_key(tmp_path, monkeypatch):
-    from stewart_drake.campaigns import identity
-
-    ann = SHORT.replace({"tuner": {"kind": "ann"}})
-    before, fixed = run_key(ann), run_key(SHORT)
-    make_network().save(tmp_path / "other.json")
-    monkeypatch.setattr(identity, "default_network_path", lambda: tmp_path / "other.json")
-    assert run_key(ann) != before
-    assert run_key(SHORT) == fixed
-
-
 @pytest.mark.parametrize("content", [None, b"\xff\xfe"])
 def test_a_weights_file_that_cannot_be_read_is_found_before_any_run(tmp_path, ran, content):
     path = tmp_path / "tuner.json"
@@ -241,14 +226,6 @@ def test_without_the_check_a_scenario_out_of_its_limits_runs(tmp_path):
         one_worker(tmp_path).run_all([wide])
     (log,) = one_worker(tmp_path).run_all([wide], check=False)
     assert log.status == "completed"
-
-
-def test_a_folder_that_cannot_be_made_is_found_before_any_run(tmp_path, ran):
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(ConfigurationError, match="a folder that can be written to"):
-        RunStore(tmp_path / "file", 1).run_all([SHORT])
-    assert ran == []
-    assert (tmp_path / "file").read_text() == "mine"
 
 
 # --- interruption --------------------------------------------------------------------------------------------------

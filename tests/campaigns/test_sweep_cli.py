@@ -11,8 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import alive
 
-from stewart_drake.campaigns.sweep_table import INCIDENTAL
-
 ROOT = Path(__file__).parent.parent.parent
 TINY = """
 scenario: paper_fig7
@@ -60,7 +58,7 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert 1 <= rejected <= 3
     lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
     assert lines["completed"] == str(4 - rejected)
-    assert lines["rejected: configuration"] == str(rejected)
+    assert lines["rejected, configuration"] == str(rejected)
     assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
     assert lines["table in"] == "runs/tiny/sweep.parquet"
     assert "4 / 4 runs" in err
@@ -99,32 +97,14 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))
 
 
-@pytest.mark.slow
-def test_on_a_dask_cluster_the_table_is_the_same(call, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    write(tmp_path)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        status, out, _ = call("tiny.yaml", "--scheduler", cluster.scheduler_address, "--out", "dask")
-    assert status == 0
-    assert "completed" in out
-    assert call("tiny.yaml", "--workers", 1, "--out", "local", "--quiet") == (0, "", "")
-    dask, local = (
-        pq.read_table(f"{name}/sweep.parquet").drop([column.name for column in INCIDENTAL])
-        for name in ("dask", "local")
-    )
-    assert dask.equals(local, check_metadata=True)
-
-
 BAD = [
     ([], ["SWEEP"]),
     (["initial_ofset"], ["sweep file", "'initial_ofset'", "initial_offset"]),
     (["tiny.yaml", "--workers", 0], ["--workers", "0"]),
-    (["tiny.yaml", "--runs", 0], ["--runs", "0"]),
     (["tiny.yaml", "--runs", 10**9], ["runs", "1000000000", "to 1000000"]),
     (["tiny.yaml", "--out", "tiny.yaml"], ["--out", "this is a file"]),
     (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2], ["--workers", "--scheduler"]),
     (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1"], ["--scheduler", "tcp://127.0.0.1:1", "answers"]),
-    (["long.yaml"], ["sweep file long.yaml", "at most"]),
 ]
 
 
@@ -134,7 +114,6 @@ def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, tmp_pa
 
     monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
     write(tmp_path)
-    (tmp_path / "long.yaml").write_bytes(b"#" * 2_000_000)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     status, out, err = call(*args)
     assert (status, out) == (2, ""), err
@@ -154,12 +133,3 @@ def test_another_sweep_in_the_folder_is_refused_until_it_is_thrown_away(call, tm
     assert "--restart" in err.splitlines()[-1]
     assert call("tiny.yaml", "--out", "out", "--workers", 1, "--runs", 1, "--restart", "--quiet") == (0, "", "")
     assert pq.read_table("out/sweep.parquet").num_rows == 1
-
-
-@pytest.mark.slow
-def test_the_command_line_loads_none_of_it_before_it_is_needed():
-    code = "import sys, stewart_drake.cli.app; print([m for m in sys.modules if 'sweeps' in m or m == 'distributed'])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert done.stdout == "[]\n"

@@ -38,10 +38,9 @@ main()
 
 def start(*args, cwd, code="from stewart_drake.cli.app import main; main()", **options):
     env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    command = [sys.executable, "-c", code, *map(str, args)]
-    return subprocess.Popen(
-        command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
-    )
+    command = [sys.executable, "-c", code, *(each if isinstance(each, bytes) else str(each) for each in args)]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
+    return subprocess.Popen(command, cwd=cwd, env=env, **options)
 
 
 def shell(*args, cwd, **options):
@@ -82,41 +81,27 @@ def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(tmp_path):
 
 @pytest.mark.usefixtures("without_pictures")
 def test_the_scenario_as_run_runs_again_the_same(call, tmp_path):
-    status, _, _ = call("run", "paper_fig7", *QUICK, "--out", "first", "--quiet")
-    assert status == 0
-    status, _, _ = call("run", "first/scenario.yaml", "--out", "second", "--quiet")
-    assert status == 0
+    assert call("run", "paper_fig7", *QUICK, "--out", "first", "--quiet") == (0, "", "")
+    assert call("run", "first/scenario.yaml", "--out", "second", "--quiet") == (0, "", "")
     first, second = load_log("first"), load_log(tmp_path / "second")
     assert (first["torque"] == second["torque"]).all()
     assert first.scenario == second.scenario
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_quiet_says_nothing(call):
-    assert call("run", "paper_fig7", *QUICK, "--quiet") == (0, "", "")
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_a_folder_with_brackets_is_printed_as_it_is(call):
-    status, out, _ = call("run", "paper_fig7", *QUICK, "--out", "deep/[a] b")
+def test_set_changes_what_runs_and_a_folder_with_brackets_is_printed_as_it_is(call):
+    sets = ("--set", "controller.solver=split", "--set", "name=mine")
+    status, out, _ = call("run", "paper_fig7", *QUICK, *sets, "--out", "deep/[a] b")
     assert status == 0
     assert "deep/[a] b" in out
-    assert Path("deep/[a] b/metrics.json").is_file()
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_set_changes_what_runs(call):
-    status, _, _ = call(
-        "run", "paper_fig7", *QUICK, "--set", "controller.solver=split", "--set", "name=mine", "--quiet"
-    )
-    assert status == 0
-    scenario = load_log("runs/mine").scenario
-    assert (scenario.controller.solver, scenario.tuner.kind, scenario.duration) == ("split", "fixed", 0.05)
+    scenario = load_log("deep/[a] b").scenario
+    assert (scenario.name, scenario.controller.solver, scenario.tuner.kind) == ("mine", "split", "fixed")
 
 
 def test_the_help_of_every_command_tells_its_arguments(call):
     status, out, _ = call("--help")
     assert status == 0
+    assert call() == call("--help")
     assert {"run", "collect", "train", "schema", "write-sdf"} <= set(cli.commands)
     for command in cli.commands:
         assert command in out
@@ -126,22 +111,10 @@ def test_the_help_of_every_command_tells_its_arguments(call):
     assert "Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed" in " ".join(call("run", "-h")[1].split())
 
 
-def test_the_bare_command_shows_its_help(call):
-    assert call() == call("--help")
-
-
 def test_the_version_is_one_line(call):
     status, out, err = call("--version")
     assert (status, err) == (0, "")
     assert re.fullmatch(r"stewart-drake (\d+\.\d+\.\d+\S*|not installed)\n", out)
-
-
-@pytest.mark.slow
-def test_the_package_runs_as_a_module(tmp_path):
-    code = "import runpy; runpy.run_module('stewart_drake', run_name='__main__')"
-    status, out, err = shell("--help", cwd=tmp_path, code=code)
-    assert (status, err) == (0, "")
-    assert "Usage: " in out
 
 
 def test_the_schema_command_writes_what_the_checkout_holds(call):
@@ -166,70 +139,43 @@ def test_the_sdf_command_writes_the_robot_of_the_scenario(call):
 
 # --- bad input ----------------------------------------------------------------------------------------------------
 
+# What a scenario refuses is in test_scenario.py, what a check before the run finds in runs/test_simulation.py.
 BAD = [
     # arguments, words that the line must have
-    (["rum"], ["rum", "Did you mean 'run'?"]),
-    (["run"], ["SCENARIO"]),
-    (["run", "a", "b"], ["b"]),
-    (["run", "paper_fig7", "--ot", "x"], ["--ot", "--out"]),
-    (["run", "paper_fig7", "--set"], ["--set"]),
-    (["run", "paper_fig8"], ["'paper_fig8'", "paper_fig7"]),
-    (["run", "folder"], ["'folder'", "an existing file"]),
-    (["run", "a" * 300], ["scenario file", "aaaa"]),
-    (["run", "empty.yaml"], ["empty.yaml", "an empty file"]),
-    (["run", "binary.yaml"], ["binary.yaml", "UTF-8"]),
-    (["run", "twice.yaml"], ["twice.yaml", "line 2", 'duplicate key "duration"']),
-    (["run", "typo.yaml"], ["plant.time_stp", "did you mean time_step?"]),
-    (["run", "paper_fig7", "--set", "duration"], ["--set", "'duration'", "key=value"]),
-    (["run", "paper_fig7", "--set", "duration.x=3"], ["duration", "10.0", "a section"]),
-    (["run", "paper_fig7", "--set", "duration=[1"], ["--set duration", "line 1"]),
-    (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "(without quotes)"]),
-    (["run", "paper_fig7", "--set", "plant.time_step=0.003"], ["controller.period", "0.005", "multiple", "0.003"]),
-    (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine, sine_bursts"]),
-    (["run", "paper_fig7", "--set", "reference.center=[0,0,0,0,0,0.6]"], ["reach", "t = 0.000 s", "leg 0", "0.98"]),
-    (["run", "paper_fig7", "--set", "reference.amplitude=[2,0,0,0,0,0]"], ["joint_swing", "t = 0.282 s", "leg 5"]),
-    (["run", "paper_fig7", "--set", "reference.angular_frequency=[1e200,0,0,0,0,0]"], ["reference", "finite"]),
-    (["run", "paper_fig7", "--set", "initial_offset=[0,0,0,0,0,0.3]"], ["initial_offset", "out of reach of leg 0"]),
-    (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "a regular file"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=typo.yaml"], ["typo.yaml", "JSON"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=nan.json"], ["nan.json", "JSON"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=short.json"], ["short.json", "hidden_weights", "(10, 12)"]),
-    (["run", "paper_fig7", "--set", "tuner.density=signed"], ["tuner.density", "'signed'", "magnitude"]),
-    (["run", "paper_fig7", "--out", "empty.yaml"], ["--out", "'empty.yaml'", "this is a file"]),
-    (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "this is a file"]),
-    (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
-    (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
-    (["run", "scenario.yaml", "--out", "folder/.."], ["--out", "a folder of its own"]),
-    (["run", "paper_fig7", "--out", "."], ["--out", "a folder of its own"]),
-    (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
-    (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
-    (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
+    ("rum", ["rum", "Did you mean 'run'?"]),
+    ("run", ["SCENARIO"]),
+    ("run a b", ["b"]),
+    ("run paper_fig7 --ot x", ["--ot", "--out"]),
+    ("run paper_fig8", ["'paper_fig8'", "paper_fig7"]),
+    ("run folder", ["'folder'", "an existing file"]),
+    ("run twice.yaml", ["twice.yaml", "line 2", 'duplicate key "duration"']),
+    ("run typo.yaml", ["plant.time_stp", "did you mean time_step?"]),
+    ("run paper_fig7 --set duration", ["--set", "'duration'", "key=value"]),
+    ("run paper_fig7 --set reference.center=[0,0,0,0,0,0.6]", ["reach", "t = 0.000 s", "leg 0", "0.98"]),
+    ("run paper_fig7 --set plant.platform_joint_damping=5", ["plant.platform_joint_damping", "at most"]),
+    ("run paper_fig7 --set tuner.weights_file=none.json", ["none.json", "No such file"]),
+    ("run paper_fig7 --set tuner.weights_file=folder", ["folder", "a regular file"]),
+    ("run paper_fig7 --set tuner.weights_file=nan.json", ["nan.json", "JSON"]),
+    ("run paper_fig7 --set tuner.weights_file=short.json", ["short.json", "hidden_weights", "(10, 12)"]),
+    ("run paper_fig7 --set tuner.density=signed", ["tuner.density", "'signed'", "magnitude"]),
+    ("run paper_fig7 --out empty.yaml/x", ["--out", "'empty.yaml/x'", "this is a file"]),
+    ("run paper_fig7 --out ''", ["--out", "empty text"]),
+    (f"run paper_fig7 --out {'a' * 300}", ["--out", "too long"]),
+    ("run scenario.yaml --out folder/..", ["--out", "a folder of its own"]),
+    ("run exact_fig7 --set 'safety={horizon: 1e300}'", ["safety.horizon", "does not trip workspace"]),
+    (f"run exact_fig7 --set 'safety={{}}' --set 'initial_offset={[1e300] * 6}'", ["initial_offset"]),
     (
-        [
-            "run",
-            "paper_fig7",
-            "--set",
-            "plant.time_step=1e-6",
-            "--set",
-            "controller.period=1e-6",
-            "--set",
-            "duration=200",
-        ],
+        "run paper_fig7 --set plant.time_step=1e-6 --set controller.period=1e-6 --set duration=200",
         ["log_period", "1e8 rows"],
     ),
-    (["collect", "--out", "a" * 300], ["--out", "too long"]),
-    (["collect", "--out", "folder"], ["--out", "directory"]),
-    (["train", "--out", "folder"], ["--out", "directory"]),
-    (["train", "data.parquet", "--out", ""], ["--out", "empty text"]),
-    (["schema", "--out", "no/schema.json"], ["no/schema.json", "writable folder"]),
-    (["schema", "--out", "folder"], ["folder", "is a directory"]),
-    (["write-sdf", "no/robot.sdf"], ["no/robot.sdf", "writable folder"]),
-    (["write-sdf", "x.sdf", "--set", "robot.rod_lenght=1"], ["robot.rod_lenght", "did you mean rod_length?"]),
-    (["train", "none.parquet"], ["none.parquet", "collect"]),
-    (["train", "empty.yaml"], ["empty.yaml", "a Parquet file"]),
-    (["train", "--epochs", "0"], ["--epochs", "0"]),
+    (f"collect --out {'a' * 300}", ["--out", "too long"]),
+    ("train --out folder", ["--out", "directory"]),
+    ("train data.parquet --out ''", ["--out", "empty text"]),
+    ("schema --out no/schema.json", ["no/schema.json", "writable folder"]),
+    ("write-sdf no/robot.sdf", ["no/robot.sdf", "writable folder"]),
+    ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
+    ("train none.parquet", ["none.parquet", "collect"]),
+    ("train --epochs 0", ["--epochs", "0"]),
 ]
 
 
@@ -240,7 +186,6 @@ def bad_files(tmp_path):
     contents = {
         "empty.yaml": b"",
         "scenario.yaml": b"duration: 0.1\n",
-        "binary.yaml": b"\x89PNG\xff\x00",
         "twice.yaml": b"duration: 1\nduration: 2\n",
         "typo.yaml": b"plant: {time_stp: 0.001}\n",
         "nan.json": json.dumps(weights | {"hidden_bias": [float("nan")] * 10}).encode(),
@@ -266,16 +211,15 @@ def contents(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("args", "words"), BAD, ids=[" ".join(args)[:60] for args, _ in BAD])
+@pytest.mark.parametrize(("args", "words"), BAD, ids=lambda v: v[:60] if isinstance(v, str) else "")
 def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_files, tmp_path, args, words):
-    assert_refused(*call(*args), words)
+    assert_refused(*call(*shlex.split(args)), words)
     assert contents(tmp_path) == bad_files
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("args", "words"), BAD[::12], ids=[" ".join(args)[:60] for args, _ in BAD[::12]])
-def test_bad_input_from_a_shell_too(bad_files, tmp_path, args, words):
-    assert_refused(*shell(*args, cwd=tmp_path), words)
+def test_bad_input_from_a_shell_too(bad_files, tmp_path):
+    assert_refused(*shell("run", "typo.yaml", cwd=tmp_path), ["plant.time_stp", "did you mean time_step?"])
     assert contents(tmp_path) == bad_files
 
 
@@ -287,34 +231,21 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_run(call, monkey
 
 @pytest.mark.slow
 def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
-    for args in ([b"run", b"\xff"], [b"run", b"paper_fig7", b"--set", b"name=\xff"]):
-        command = [sys.executable, "-c", "from stewart_drake.cli.app import main; main()", *args]
-        env = os.environ | {"PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, check=False)
-        assert done.returncode == 2
-        assert done.stderr.count(b"\n") == 1
-        assert b"Traceback" not in done.stderr
+    status, _, err = shell(b"run", b"paper_fig7", b"--set", b"name=\xff", cwd=tmp_path)
+    assert (status, err.count("\n")) == (2, 1), err
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("args", [["schema"], ["run", "paper_fig7", "--set", "duration=0.02", "--out", "out"]])
-def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
-    if not Path("/dev/full").exists():
-        pytest.skip("needs /dev/full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_is_no_traceback(tmp_path):
     with Path("/dev/full").open("w") as full:
-        process = subprocess.run(
-            [sys.executable, "-c", WITHOUT_PICTURES, *args],
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        args = ("run", "paper_fig7", "--set", "duration=0.02", "--out", "out")
+        process = start(*args, cwd=tmp_path, code=WITHOUT_PICTURES, stdout=full)
+        _, err = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert "Traceback" not in process.stderr
-    assert "standard output" in process.stderr
+    assert "Traceback" not in err
+    assert "standard output" in err
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -328,13 +259,9 @@ def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("args", [["--version"], ["schema"]])
-def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
-    code = "from stewart_drake.cli.app import main; main()"
-    command = shlex.join([sys.executable, "-c", code, *args])
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(["sh", "-c", f"{command} >&-"], cwd=tmp_path, env=env, capture_output=True, check=False)
-    assert b"Traceback" not in done.stderr
+def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path):
+    code = "import os; os.close(1); from stewart_drake.cli.app import main; main()"
+    assert "Traceback" not in shell("schema", cwd=tmp_path, code=code)[2]
 
 
 @pytest.mark.slow
@@ -379,20 +306,11 @@ def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", log.leg)
     assert metrics["rmse_deg"] is None
-    assert "failed: crank_dead_centre" in out
+    assert "failed, crank_dead_centre" in out
     last = err.splitlines()[-1]
     assert last.startswith(f"stewart-drake: failed, crank_dead_centre at t = {log.end_time:.3f} s: ")
     assert f"leg {log.leg}" in last
     assert "Traceback" not in err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_pictures")
-def test_a_quiet_run_that_breaks_still_says_why(call):
-    status, out, err = call("run", "paper_fig7_uncompensated", "--quiet")
-    assert (status, out) == (3, "")
-    assert err.count("\n") == 1
-    assert "crank_dead_centre" in err
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -494,25 +412,22 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
 
 # --- what a start loads -------------------------------------------------------------------------------------------
 
-HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "array_api_compat.numpy")
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "distributed", "array_api_compat.numpy")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "args"),
     [
-        ("import stewart_drake", []),
         ("from stewart_drake.cli.app import main; main()", ["--help"]),
-        ("from stewart_drake.cli.app import main; main()", ["run", "--help"]),
         ("from stewart_drake.cli.app import main; main()", ["run", "paper_fig7", "--set", "durration=3"]),
         ("from stewart_drake import Scenario, inverse_kinematics, ControlLaw; Scenario().control_law()", []),
     ],
-    ids=["import", "help", "run help", "typing mistake", "pure parts"],
+    ids=["help", "typing mistake", "pure parts"],
 )
 def test_nothing_heavy_loads_before_it_is_needed(tmp_path, code, args):
     spy = f"import atexit, sys; atexit.register(lambda: print('LOADED', [m for m in {HEAVY} if m in sys.modules]))"
-    code = f"{spy}\n{code}"
-    _, out, _ = shell(*args, cwd=tmp_path, code=code)
+    _, out, _ = shell(*args, cwd=tmp_path, code=f"{spy}\n{code}")
     assert out.splitlines()[-1] == "LOADED []"
 
 
@@ -531,10 +446,8 @@ def test_a_run_without_training_needs_no_torch(tmp_path):
     ("error", "status", "words"),
     [
         (MemoryError(), 3, "out of memory"),
-        (ZeroDivisionError("mine"), 4, r"internal error: ZeroDivisionError: mine \(test_cli\.py, line"),
         (np.linalg.LinAlgError("Singular"), 4, r"internal error: LinAlgError: Singular \(test_cli\.py, line"),
         (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
-        (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
         (SystemExit("Failure at plant.cc:1"), 4, "internal error: SystemExit: Failure at plant.cc:1"),
     ],
 )  # fmt: skip

@@ -22,7 +22,7 @@ from stewart_drake.mechanics.kinematics import (
     reach_margin,
 )
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
+from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.robot import RobotParameters
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
@@ -344,7 +344,7 @@ def test_torques_saturate_at_the_effort_limit():
     assert np.abs(states[0] - states[2]).max() > 1e-3
 
 
-# --- damping and friction --------------------------------------------------------------------------------------------
+# --- damping ------------------------------------------------------------------------------------------------------
 
 
 RATE = np.array([0.5, -0.3, 1.0, 0.1, 0.1, 0.05])
@@ -395,48 +395,6 @@ def test_platform_joint_damping_is_stable_up_to_its_limit(rod_joint, time_step):
     assert np.all(np.diff(energies) < 0.0)
     with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: got .*; allowed: at most"):
         built(rod_joint, time_step=time_step, platform_joint_damping=1.01 * limit)
-
-
-def test_friction_hides_its_actuators():
-    _, stewart = built(motor_friction=0.1)
-    assert stewart.plant.num_actuators() == 12
-    assert stewart.torque_input_port.size() == 6
-
-
-def test_friction_above_the_load_holds_the_platform():
-    run = Run(motor_friction=0.5).to(0.1)
-    creep = static_torque(ROBOT, HOME) / 0.5 * STICTION_SPEED
-    np.testing.assert_allclose(run.stewart.crank_rates(run.state), -creep, rtol=0.01)
-    assert abs(run.pose[5] - HOME[5]) < 2e-6
-
-
-def test_friction_below_the_load_lets_it_fall():
-    run = Run(motor_friction=0.1).to(0.1)
-    assert run.pose[5] < HOME[5] - 0.02
-
-
-def test_friction_swallows_a_small_torque_and_takes_its_share_of_a_large_one():
-    still = Run(torque=[0.05] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
-    np.testing.assert_allclose(still.pose, HOME, atol=2e-6)
-    slowed = Run(torque=[0.3] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
-    free = Run(torque=[0.2] * 6, gravity=0.0).to(0.1)
-    assert free.pose[5] > HOME[5] + 0.005
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-5)
-
-
-def test_friction_takes_its_energy_from_a_moving_robot():
-    lost, dissipated = lost_and_dissipated(
-        lambda stewart, state: 0.02 * np.sum(np.abs(stewart.crank_rates(state))), motor_friction=0.02
-    )
-    assert lost > 1e-3
-    assert lost == pytest.approx(dissipated, rel=0.01)
-
-
-def test_saturation_leaves_friction_alone():
-    torque = [100.0] * 6
-    slowed = Run(torque=torque, gravity=0.0, motor_friction=1.0).to(0.02)
-    free = Run(torque=[4.0] * 6, gravity=0.0).to(0.02)
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
 
 
 # --- collision -------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
-from stewart_drake.safety.monitors import look
+from stewart_drake.safety.monitors import broken, see
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -533,7 +533,7 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
     tripped = [
-        look(ROBOT, options, 9.81, inputs(pose=p, rate=r), 0.0).trip is not None
+        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None
         for p, r in zip(*motion[:2], strict=True)
     ]
     assert any(tripped)

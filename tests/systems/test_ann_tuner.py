@@ -4,7 +4,7 @@ from ended import ended
 from pydrake.systems.analysis import Simulator
 
 from stewart_drake.errors import NotFiniteError
-from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems import AnnTuner
 
 PERIOD = 0.005
 
