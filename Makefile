@@ -1,6 +1,6 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
 # make test   the same set-up, then all tests: some ten minutes on two cores
-# make check  the fast part of them, for daily work: about a minute
+# make check  the fast part of them, a quarter of the random examples, for daily work: about a minute
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -24,7 +24,7 @@ test: install
 
 # All but those marked slow: no campaign, no long run, no other process.
 check: install
-	$(BIN)/pytest -q -n auto -m "not slow" --ignore=tests/benchmarks --ignore=tests/paper
+	$(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
 
 lint: install
 	$(BIN)/ruff check .

@@ -22,6 +22,8 @@ from stewart_drake.logs import versions
 settings.register_profile("default", deadline=None)
 # In CI the same examples every time: a new counterexample is found by a person, not by somebody else's change.
 settings.register_profile("ci", deadline=None, derandomize=True)
+# For daily work, `make check`: a quarter of the examples; `make test` has all of them.
+settings.register_profile("check", deadline=None, max_examples=25)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 

@@ -325,7 +325,7 @@ def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
     assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
-@pytest.mark.slow
+@settings(max_examples=15)
 @given(vectors(6, 0.4))
 def test_the_safe_hold_takes_energy_out(rate):
     done, _ = run([GOOD, *[inputs(pose=at(x=0.13), rate=rate)] * 30], SafetyOptions(horizon=0.0))
