@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test check lint bench picture plan format clean
+.PHONY: demo install test check lint bench picture plan reproduction format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -43,6 +43,11 @@ picture: install
 # The README's plan of the rooms.
 plan: install
 	$(BIN)/python docs/draw_plan.py
+
+# The report on the paper at full size, and its text as docs/results/reproduction.md.
+reproduction: install
+	$(BIN)/stewart-drake reproduce --out runs/reproduction
+	$(BIN)/python docs/write_reproduction.py runs/reproduction
 
 format: install
 	$(BIN)/ruff check --fix .

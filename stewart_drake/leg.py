@@ -67,5 +67,5 @@ def _leg(given: Any) -> Any:
     return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
 
 
-Leg = Annotated[LegParameters, BeforeValidator(_leg)]
-Legs = tuple[Leg, Leg, Leg, Leg, Leg, Leg]
+_Leg = Annotated[LegParameters, BeforeValidator(_leg)]
+SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]

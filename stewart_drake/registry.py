@@ -1,7 +1,8 @@
-"""Every kind of controller, tuner, sensor, reference, disturbance: its section, and the LeafSystem that runs it.
+"""Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
-A kind is one line here. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor
-what the scenario does not name. `Family.add` takes a kind from outside of the package.
+A kind is one line here: its section and the LeafSystem that runs it; for faults and monitors one object. Names are
+texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not name.
+`Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path, path_of
 from stewart_drake.section import Section, Text, check_plain, to_plain
 from stewart_drake.wording import as_problem, chosen, either
 
@@ -145,6 +146,52 @@ class Family:
         return {"kinds": {kind: self.section(kind) for kind in self.kinds} | own, "default kind": self.default}
 
 
+class Table:
+    """Objects by name, in `Annotated` the type of a key that holds such a name.
+
+    Args:
+        lines: Name -> `module:name` in this package, or the object itself.
+    """
+
+    def __init__(self, lines: dict[str, Any]) -> None:
+        self._lines = lines
+
+    @property
+    def names(self) -> list[str]:
+        """In the order of the lines."""
+        return list(self._lines)
+
+    words = names
+
+    def __getitem__(self, name: str) -> Any:
+        """The object of a name."""
+        found = self._lines[name]
+        if isinstance(found, str):
+            found = self._lines[name] = _import(found)
+        return found
+
+    def add(self, name: str, made: Any) -> None:
+        """Adds an object.
+
+        Raises:
+            ConfigurationError: The name means something already.
+        """
+        if name in self._lines:
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
+        self._lines[name] = made
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, str) and value in self._lines:
+            return value
+        raise as_problem(ConfigurationError("", value, chosen(value, self.names)))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": self.names, "type": "string"}
+
+
 class UserMade(Section):
     """Base of sections for what a class of the user's own makes.
 
@@ -155,7 +202,7 @@ class UserMade(Section):
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
-    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
     code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -164,10 +211,7 @@ class UserMade(Section):
     @classmethod
     def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
         """The section of a class or object that was given in Python, or of an import path."""
-        path = kind if isinstance(kind, str) else path_of(kind)
-        made: Self = cls.__pydantic_validator__.validate_python({"kind": path, **rest})
-        if not isinstance(kind, str):
-            vars(made)["given"] = kind
+        made: Self = cls.__pydantic_validator__.validate_python({"kind": given_path(kind), **rest})
         return made
 
     def rules(self) -> None:
@@ -178,7 +222,7 @@ class UserMade(Section):
     def source(self) -> UserClass:
         """Where the class comes from."""
         place = vars(self).get("place", self.section_key)
-        return UserClass(self.kind, f"{place}.kind", vars(self).get("given"))
+        return UserClass(self.kind, f"{place}.kind")
 
     @cached_property
     def made(self) -> Any:
@@ -216,8 +260,9 @@ def given_again(section: Any) -> Any:
     if not isinstance(section, Section):
         return to_plain(section)
     data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
-    if "given" in vars(section):
-        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": vars(section)["given"]}
+    source = getattr(section, "source", None)
+    if isinstance(source, UserClass) and source.given is not None:
+        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": source.given}
     return data
 
 
@@ -317,9 +362,9 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner",),
-        "ann": ("control.tuners:AnnTuner",),
-        "block": ("control.tuners:BlockTuner",),
+        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights"),
+        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner"),
+        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights"),
     }
 )
 SENSORS = Family(
@@ -328,8 +373,25 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
-MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
+OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Those of the user's own, under `safety.monitors`."""
+BUILT_IN_MONITORS = Table(
+    {
+        "measurement_not_finite": "safety.monitors:MEASUREMENT",
+        "sensor_failed": "safety.monitors:SENSOR",
+        "controller_failed": "safety.monitors:CONTROLLER",
+        "command_not_finite": "safety.monitors:COMMAND",
+        "deadline": "safety.monitors:DEADLINE",
+        "workspace": "safety.monitors:WORKSPACE",
+        "serial_singularity": "safety.monitors:SERIAL",
+        "parallel_singularity": "safety.monitors:PARALLEL",
+        "crank_speed": "safety.monitors:CRANK_SPEED",
+        "following_error": "safety.monitors:FOLLOWING",
+        "torque_limit": "safety.monitors:TORQUE_LIMIT",
+        "torque_rate": "safety.monitors:TORQUE_RATE",
+    }
+)
+"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),
@@ -341,3 +403,31 @@ DISTURBANCES = Family(
     own="hardware.disturbances:UserDisturbance",
     method="evaluate",
 )
+ENCODER_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "jump": "hardware.sensor_faults:JUMP",
+        "late": "hardware.sensor_faults:LATE",
+        "drift": "hardware.sensor_faults:DRIFT",
+        "reversed": "hardware.sensor_faults:REVERSED",
+        "inverted": "hardware.sensor_faults:INVERTED",
+        "swapped": "hardware.sensor_faults:SWAPPED",
+    }
+)
+POSE_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "late": "hardware.sensor_faults:LATE",
+    }
+)
+COMMAND_FAULTS = Table(
+    {
+        "nan": "hardware.command_link:NAN",
+        "inf": "hardware.command_link:INF",
+        "offset": "hardware.command_link:OFFSET",
+        "chatter": "hardware.command_link:CHATTER",
+    }
+)
+MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Signed, Signed3, SixLegs, Size, Size3
 from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
@@ -54,7 +54,7 @@ class RobotParameters(Section, key="robot"):
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
-    legs: Legs | None = None
+    legs: SixLegs | None = None
     """Six sections with what each leg has of its own; null for none."""
 
     rod_mass: Size = 0.08
@@ -244,6 +244,20 @@ class RobotParameters(Section, key="robot"):
     def platform_radius(self) -> float:
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
+
+    def each_leg(self) -> list[dict[str, Any]]:
+        """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
+        of = {
+            "shaft_position": self.shaft_positions.tolist(),
+            "crank_zero_direction": self.crank_zero_directions.tolist(),
+            "crank_quarter_direction": self.crank_quarter_directions.tolist(),
+            "platform_joint": self.platform_joints.tolist(),
+            "crank_length": self.crank_lengths.tolist(),
+            "rod_length": self.rod_lengths.tolist(),
+            "branch": [int(sign) for sign in self.branches],
+            "crank_angle_range": [each.tolist() if np.isfinite(each[0]) else None for each in self.crank_angle_ranges],
+        }
+        return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
 
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.

@@ -1,5 +1,6 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
+import dataclasses
 import json
 from typing import Literal
 
@@ -15,11 +16,12 @@ from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.hardware.sensor_faults import SensorOptions
+from stewart_drake.hardware.faults import FaultKind
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
-from stewart_drake.registry import CONTROLLERS, SENSORS
+from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.section import NotNegative, Positive
@@ -242,6 +244,25 @@ def test_a_sensor_and_a_controller_with_sections_of_their_own(tmp_path):
     assert "ToySensorOptions" in json.dumps(scenario_schema())
 
 
+@pytest.fixture
+def added_fault(monkeypatch):
+    monkeypatch.setattr(ENCODER_FAULTS, "_lines", dict(ENCODER_FAULTS._lines))
+    ENCODER_FAULTS.add("doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 2.0)))
+
+
+@pytest.mark.usefixtures("added_fault")
+def test_a_kind_of_fault():
+    sensors = {"kind": "encoders", "faults": [{"kind": "doubled", "leg": 2, "time": 0.05}]}
+    scenario = Scenario.from_dict({**SHORT, "reference": {"kind": "hold"}, "sensors": sensors, "safety": {}})
+    trip = run(scenario).safety
+    assert trip is not None
+    assert trip["time"] == pytest.approx(0.05, abs=0.011)
+    with pytest.raises(ConfigurationError, match=r"did you mean doubled\?"):
+        EncoderFault(kind="dubled", leg=0)
+    with pytest.raises(ConfigurationError, match="no kind has"):
+        ENCODER_FAULTS.add("freeze", FaultKind(print))
+
+
 class ToyMonitor:
     """Trips where the platform is too low."""
 
@@ -301,6 +322,18 @@ def test_what_was_given_in_python_is_refused_where_results_are_kept():
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
         with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
             many(own)
+
+
+def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():
+    one, two = ToyReference(0.002), ToyReference(0.003)
+    scenario = Scenario(**SHORT, reference=one)
+    assert scenario == Scenario(**SHORT, reference=one) != Scenario(**SHORT, reference=two)
+    for copy in (dataclasses.replace(scenario, duration=0.2), scenario.replace({"duration": 0.2})):
+        assert copy.reference.made is one
+    assert dataclasses.replace(scenario.reference).made is one
+    controlled = Scenario(**SHORT, controller=ToyController)
+    assert dataclasses.replace(controlled.controller, period=0.002).source.load() is ToyController
+    assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 
 class Nothing:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,10 +17,13 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
+from stewart_drake.campaigns.comparison_table import BANDS, band_rows, sheets, table_columns, table_rows
 from stewart_drake.campaigns.one_run import Measure
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
+from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import NotNegative, Positive, Section, Seed, Text
@@ -27,6 +31,7 @@ from stewart_drake.section import NotNegative, Positive, Section, Seed, Text
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
+PICTURES = ("rmse", "error", "bands")
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
 _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
@@ -134,6 +139,11 @@ class Comparison(Plan):
 
     file: CompareFile
     cells: tuple[Cell, ...]
+    kind = "comparison"
+    products = (
+        *(f"{name}.{ending}" for name in ("comparison", "bands") for ending in ("parquet", "csv")),
+        *("comparison.md", *(f"{name}.png" for name in PICTURES)),
+    )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False) -> Comparison:
@@ -147,9 +157,7 @@ class Comparison(Plan):
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        folder = Path() if folder is None else folder
-        file = CompareFile.read("comparison", data, folder)
-        base = file.base(folder)
+        file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in _KINDS}
         _check_names(file, parts)
         cells = _table_cells(file, base, parts, quick)
@@ -165,23 +173,39 @@ class Comparison(Plan):
         return self.file.traced or self.cells[0].reference
 
     def run_seed(self, index: int) -> int:
-        """Seed of run `index`."""
+        """See `Plan.run_seed`."""
         return self.cells[index].seed
 
     def draw(self, index: int) -> dict[str, Any]:
-        """Which run it is."""
+        """See `Plan.draw`."""
         return {"run": index}
 
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Scenario key -> value of that run."""
+        """See `Plan.changes`."""
         return self.cells[drawn["run"]].changes
 
     def measure(self, index: int) -> Measure:
-        """Figures of run `index`."""
+        """See `Plan.measure`."""
         cell = self.cells[index]
         if cell.frequency is None:
             return partial(measure_run, band=self.file.band)
         return partial(measure_band, frequency=cell.frequency, axis=AXES[cell.reference], window=cell.window)
+
+    def variants(self) -> list[Scenario]:
+        """See `Plan.variants`: one for each setting of what can name a file, in which times and numbers differ."""
+        different: dict[str, int] = {}
+        for index, cell in enumerate(self.cells):
+            named = {key: value for key, value in cell.changes.items() if not isinstance(value, (int, float))}
+            different.setdefault(json.dumps(named, sort_keys=True), index)
+        return [self.scenario(index) for index in different.values()]
+
+    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
+        """See `Plan.tables`."""
+        return {"comparison": (table_columns(), table_rows(self, rows)), "bands": (BANDS, band_rows(self, rows))}
+
+    def page(self, tables: Mapping[str, list[Row]]) -> str:
+        """See `Plan.page`."""
+        return "\n".join(sheet.markdown() for sheet in sheets(self, tables["comparison"], tables["bands"]))
 
     def to_dict(self) -> dict[str, Any]:
         """All that the rows depend on, in plain types."""

@@ -72,19 +72,19 @@ class Fault(Section):
         """The file has a name for the time `within`."""
         return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
 
-    def scenario(self, motion: str) -> Scenario:
-        """The run of this fault during a motion of `MOTIONS`."""
+    def in_motion(self, motion: str) -> dict[str, Any]:
+        """Scenario key -> value for this fault during a motion of `MOTIONS`."""
         reference: Mapping[str, Any] = MOTIONS[motion]
         if self.drift is not None:
             home = MOTIONS["hold"]["pose"]
             away = [a + b for a, b in zip(home, self.drift, strict=True)]
             path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
-        changes: dict[str, Any] = {"name": f"{self.name} {motion}", "reference": dict(reference), **self.changes}
+        changes: dict[str, Any] = {"reference": dict(reference), **self.changes}
         if self.encoders is not None:
             # Commands of a real drive are a tick old; with encoders it has to be shown that the loop bears both.
             changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
-        return base().replace(changes)
+        return changes
 
 
 def base() -> Scenario:

@@ -12,14 +12,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
+from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder, read_checked, seal, unseal, write_atomically
 from stewart_drake.runs.outputs import prepare_folder
 
-Row = dict[str, Any]
-"""Column -> plain value, and `index`."""
 ROWS, HEADER = "rows.jsonl", "sweep.json"
-TABLES = ("sweep.parquet", "sweep.csv")
 CAMPAIGN = "campaign"
 """Key of a kept row: checksum of the identity that it belongs to."""
 
@@ -45,7 +43,7 @@ class RowStore:
     """
 
     def __init__(
-        self, folder: Path, identity: Mapping[str, Any], restart: bool = False, products: Sequence[str] = TABLES
+        self, folder: Path, identity: Mapping[str, Any], restart: bool = False, products: Sequence[str] = ()
     ) -> None:
         self.folder, self._identity, self._restart = folder, json.loads(json.dumps(identity)), restart
         self._campaign, self._products = checksum(self._identity), products

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from stewart_drake.campaigns.engine import Work, carry_out
 from stewart_drake.campaigns.executors import PROCESSES, Given, LocalProcesses, SerialExecutor
-from stewart_drake.campaigns.identity import identity
 from stewart_drake.campaigns.one_run import simulate
+from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder
 from stewart_drake.logs.log import SimulationLog, load_log
@@ -32,7 +32,7 @@ def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None
     refuse_given(scenario)
     data = scenario.to_dict()
     data.pop("name")
-    return checksum(identity(data, [scenario.tuner], versions))[:24]
+    return checksum(identity(data, [scenario], versions))[:24]
 
 
 @dataclass(frozen=True)

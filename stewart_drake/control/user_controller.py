@@ -10,7 +10,7 @@ from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path
 from stewart_drake.files.user_errors import UserCode
 from stewart_drake.registry import user_sources
 from stewart_drake.section import Positive, Text, check_plain
@@ -28,7 +28,7 @@ class PythonOptions(ControllerOptions):
     """
 
     kind: Literal["python"] = "python"
-    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
     class is a System of pydrake, and its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -44,16 +44,12 @@ class PythonOptions(ControllerOptions):
     @classmethod
     def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
         """Options for a class or object that was given in Python, or an import path."""
-        if isinstance(kind, str):
-            return cls.__pydantic_validator__.validate_python({"system": kind, **rest})
-        made: PythonOptions = cls.__pydantic_validator__.validate_python({"system": path_of(kind), **rest})
-        vars(made)["given"] = kind
-        return made
+        return cls.__pydantic_validator__.validate_python({"system": given_path(kind), **rest})
 
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return UserClass(self.system, "controller.system", vars(self).get("given"))
+        return _SystemClass(self.system, "controller.system")
 
     @property
     def file(self) -> Path | None:
@@ -66,18 +62,26 @@ class PythonOptions(ControllerOptions):
         return self.source.code
 
 
+class _SystemClass(UserClass):
+    """A class that must be a System of pydrake."""
+
+    def load(self) -> type:
+        """See `UserClass.load`."""
+        from pydrake.systems.framework import System
+
+        found = super().load()
+        if not issubclass(found, System):
+            raise ConfigurationError(self.key, self.path, "a LeafSystem of pydrake")
+        return found
+
+
 def load_class(options: PythonOptions) -> type:
     """The class that `options` name; it is not called.
 
     Raises:
         ConfigurationError: See `UserClass.load`; it is no System of pydrake.
     """
-    from pydrake.systems.framework import System
-
-    found = options.source.load()
-    if not issubclass(found, System):
-        raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
-    return found
+    return options.source.load()
 
 
 def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
@@ -86,7 +90,6 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     Raises:
         ConfigurationError: See `load_class`; the constructor raises.
     """
-    load_class(options)
     return options.source.construct(options.arguments, offered)
 
 

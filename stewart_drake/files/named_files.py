@@ -5,25 +5,25 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.user_code import split_path
 from stewart_drake.files.whole import open_checked, read_checked
 
 MAX_BYTES = 100_000_000
 """Of any file that is named."""
-
-_CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
-"""A class in a file, as `kind` and `controller.system` have it."""
 CLASS_KEYS = ("system", "kind")
+"""Of a class in a file."""
 FILE_KEYS = ("weights_file", "motion_file")
+ROBOT_KEYS = ("robot", "model_robot")
+"""At these a text is a file where it has a folder or an ending, else the name of a robot."""
 
 
 def anchor_files(data: Any, folder: Path) -> None:
-    """Makes relative paths of weights, motion and controller files absolute, from `folder`, however deep they are.
+    """Makes relative paths of files of weights, motions, robots and controllers absolute, from `folder`, at any depth.
 
     Args:
         data: Plain values of a YAML file or a command line; they have not been through here before.
@@ -114,7 +114,7 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
             else:
@@ -125,10 +125,12 @@ def _is_file(key: str, value: Any) -> bool:
     """Whether a value names a file, given the last part of its key."""
     if not isinstance(value, str):
         return False
-    return key in FILE_KEYS or (key in CLASS_KEYS and _CLASS.fullmatch(value) is not None)
+    if key in ROBOT_KEYS:
+        return Path(value).name != value or Path(value).suffix != ""
+    return key in FILE_KEYS or (key in CLASS_KEYS and split_path(value) is not None)
 
 
 def _split(value: str) -> tuple[str, str]:
     """Path, and for a controller's class the colon and its name."""
-    match = _CLASS.fullmatch(value)
-    return (match["file"], match["name"]) if match else (value, "")
+    found = split_path(value)
+    return (found[0], f":{found[1]}") if found else (value, "")

@@ -23,6 +23,7 @@ from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot_scale import LENGTH
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 _M = ESTIMATOR_MEMORY
@@ -56,7 +57,7 @@ class EncoderOptions(SensorOptions):
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
     max_speed: Positive = 60.0
     """[rad/s] a reading that has moved faster than this is not believed."""
-    max_step: PositivePair = (0.2, 0.05)
+    max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
     """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
     another assembly mode."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10

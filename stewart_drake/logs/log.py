@@ -14,7 +14,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
 from stewart_drake.files.whole import write_atomically
-from stewart_drake.logs.outcomes import Status
+from stewart_drake.logs.outcomes import Status, told
 from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
 
 if TYPE_CHECKING:
@@ -203,10 +203,9 @@ class SimulationLog:
 
     def __repr__(self) -> str:
         """Whose run it is, how it ended and what is in it, in five lines."""
-        ended = self.status if self.reason is None else f"{self.status}, {self.reason}"
         tick, row = self.scenario.controller.period, self.scenario.effective_log_period
         return (
-            f"SimulationLog of {self.scenario.name}: {ended} at t = {self.end_time:.3f} s\n"
+            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, self.end_time)}\n"
             f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s\n"
             f"  {len(self.signals.get('time', ()))} rows, every {row:g} s\n"
             f"  signals: {', '.join(self.signals)}\n"

@@ -1,17 +1,19 @@
 """The table of metrics: what each is called, its unit, what it says and how it is computed. A line here is a metric.
 
-`metrics.json`, the terminal and the tables of sweeps and comparisons draw from it.
+`metrics.json`, the terminal and the tables of sweeps, comparisons and faults draw from it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.wording import keys_of
 
@@ -37,6 +39,12 @@ class Column:
     unit: str
     text: str
     kind: Kind = "number"
+
+
+class MetricError(StewartDrakeError):
+    """A metric raised something."""
+
+    reason = "metric_raised"
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,21 @@ class Metric:
 
     def value(self, tally: Tally) -> Any:
         """The metric of a run, None where there is nothing to compute it from."""
-        return self.of(tally) if getattr(tally, self.over) else None
+        with self._named():
+            return self.of(tally) if getattr(tally, self.over) else None
+
+    def gathered(self, before: Any, signals: Mapping[str, np.ndarray]) -> Any:
+        """What `gather` makes of the next rows; None without one."""
+        with self._named():
+            return None if self.gather is None else self.gather(before, signals)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Says of what is raised whose it is."""
+        try:
+            yield
+        except Exception as error:
+            raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
 
     def columns(self) -> tuple[Column, ...]:
         """Its columns in a table."""
@@ -198,8 +220,11 @@ _TAKEN = (
     *("index", "seed", "values", "wall_s", "simulation_s", "host", "worker"),
     *("controller", "chosen", "reference", "condition", "settling_s"),
     *("frequency_hz", "amplitude", "ratio", "phase_deg", "rest"),
+    *("fault", "motion", "reaction", "safety_cause", "safety_leg", "latency_ms", "peak_error_deg", "peak_error_mm"),
+    *("travel_deg", "travel_mm", "peak_torque", "holds_weight", "support_newton", "force_newton"),
+    "moment_newton_metre",
 )
-"""Other keys of metrics.json, and other columns of the tables of sweeps and comparisons."""
+"""Other keys of metrics.json, and other columns of the tables of campaigns."""
 
 
 def add_metric(metric: Metric) -> None:
@@ -222,6 +247,19 @@ def add_metric(metric: Metric) -> None:
         if name in taken:
             raise ConfigurationError("metric", name, "a name that no metric or column has")
     METRICS[_SHIPPED:] = [*others, metric]
+
+
+def added_code() -> dict[str, str]:
+    """Name -> source of what each metric from outside is computed by: with another body it is another metric."""
+    return {each.name: f"{_source(each.of)}{_source(each.gather)}" for each in METRICS[_SHIPPED:]}
+
+
+def _source(function: Any) -> str:
+    try:
+        return inspect.getsource(function)
+    except (OSError, TypeError):
+        # Of what was typed in or is no plain function there is none.
+        return repr(getattr(getattr(function, "__code__", None), "co_code", None))
 
 
 def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:

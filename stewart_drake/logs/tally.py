@@ -113,8 +113,7 @@ class Tally:
             self._add_motion(signals["reference"], signals["pose"], tick & late & in_charge)
             self._add_weights(signals, tick)
             for metric in METRICS:
-                if metric.gather is not None:
-                    self.gathered[metric.name] = metric.gather(self.gathered.get(metric.name), signals)
+                self.gathered[metric.name] = metric.gathered(self.gathered.get(metric.name), signals)
         self._add_interventions(signals, time)
         by_then = np.flatnonzero(tick & (time <= INTEGRAL_TIME + 1e-9))
         if len(by_then):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +67,12 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
     grids = {kind: spanning_grid(robot, kind, center, samples) for kind in KINDS}
     start = time.perf_counter()
     for i, (kind, grid) in enumerate(grids.items()):
-        surveys[kind] = survey(robot, limits, grid, gravity, part_of(study, 0.17 * i, 0.17))
+        surveys[kind] = survey(robot, limits, grid, gravity, study.part(0.17 * i, 0.17))
     rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
     for i, kind in enumerate(KINDS):
         size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(3, 1)}
         boundaries[kind] = boundary(
-            robot, limits, kind, center, **size, gravity=gravity, progress=part_of(study, 0.34 + 0.08 * i, 0.08)
+            robot, limits, kind, center, **size, gravity=gravity, progress=study.part(0.34 + 0.08 * i, 0.08)
         )
     ends = np.concatenate([-np.eye(3), np.eye(3)])
     rays = {kind: follow_rays(robot, limits, kind, center, ends, gravity) for kind in KINDS}
@@ -138,8 +137,3 @@ def _slice(base: Scenario, place: Place, axis: int, level: float, pixels: int) -
     counts[axis] = 1
     x, y, z = counts.tolist()
     return survey(base.robot, base.limits, Grid(coordinates, center, low, high, (x, y, z)), base.gravity)
-
-
-def part_of(study: Study, start: float, size: float) -> Callable[[float], None]:
-    """Progress of a part of the section, as the study wants it."""
-    return lambda share: study.progress(start + size * share)

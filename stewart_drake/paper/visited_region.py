@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.logs.log import AXES, SimulationLog
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
 from stewart_drake.planning.workspace import measure_poses
 from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario import Scenario
+from stewart_drake.training.collect import six
 
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
@@ -50,28 +52,20 @@ def controlled_motions(study: Study) -> dict[str, Scenario]:
     for axis in study.pick((1, 2, 3, 4), (4,)):
         largest = largest_amplitude(robot, limits, axis, 1.0, base.gravity)
         reference = _sine(base, AMPLITUDE_SHARE * largest * np.eye(6)[axis], np.full(6, ONE_HERTZ))
-        name = AXES[axis] if axis < 3 else AXES[axis].upper()
-        motions[f"{name} at 1 Hz"] = base.replace(short | _as_change(reference))
+        motions[f"{COORDINATES[axis][0]} at 1 Hz"] = base.replace(short | {"reference": dataclasses.asdict(reference)})
 
     def all_axes(scale: float) -> SineReference:
         return _sine(base, scale * np.array(SIX_AMPLITUDES), np.array(SIX_FREQUENCIES))
 
     scale = largest_scale(robot, limits, all_axes, short["duration"], base.gravity)
-    motions["all six axes"] = base.replace(short | _as_change(all_axes(AMPLITUDE_SHARE * scale)))
+    motions["all six axes"] = base.replace(short | {"reference": dataclasses.asdict(all_axes(AMPLITUDE_SHARE * scale))})
     return motions
 
 
 def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> SineReference:
-    center, size, speed = (
-        (float(a), float(b), float(c), float(x), float(y), float(z))
-        for a, b, c, x, y, z in (base.robot.home_pose, amplitude, angular_frequency)
+    return SineReference(
+        center=six(base.robot.home_pose), amplitude=six(amplitude), angular_frequency=six(angular_frequency)
     )
-    return SineReference(center=center, amplitude=size, angular_frequency=speed)
-
-
-def _as_change(reference: SineReference) -> dict[str, Any]:
-    plain = dataclasses.asdict(reference)
-    return {"reference": {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +77,8 @@ class VisitedRegion:
         log: The run.
         envelope: The box around it.
         use: Utilisation (n,) of each limit at its poses, at rest.
-        reference_use: Of its reference's poses.
+        worst: [-] largest part of a limit that a visited pose takes up, and the limit.
+        reference_worst: The same of its reference's poses.
         peak_torque: [N m] largest of any motor, within its limit.
         reference_torque: [N m] largest that the reference itself asks for, by the exact inverse dynamics.
     """
@@ -92,7 +87,8 @@ class VisitedRegion:
     log: SimulationLog
     envelope: MotionEnvelope
     use: dict[str, np.ndarray]
-    reference_use: dict[str, np.ndarray]
+    worst: tuple[float, str]
+    reference_worst: tuple[float, str]
     peak_torque: float
     reference_torque: float
 
@@ -118,16 +114,6 @@ class VisitedRegion:
         """[W] largest of any motor, either way."""
         return float(np.abs(self.envelope.power).max())
 
-    @property
-    def worst(self) -> tuple[float, str]:
-        """[-] largest part of a limit that a visited pose takes up, and the limit."""
-        return _worst(self.use)
-
-    @property
-    def reference_worst(self) -> tuple[float, str]:
-        """[-] largest part of a limit that a pose of the reference takes up, and the limit."""
-        return _worst(self.reference_use)
-
 
 def _worst(of: dict[str, np.ndarray]) -> tuple[float, str]:
     use, cause = governing_limit(of)
@@ -139,14 +125,15 @@ def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
     """What one run visited, up to where it ended."""
     scenario = log.scenario
     robot, limits, gravity = scenario.robot, scenario.limits, scenario.gravity
-    use, reference_use = (
+    uses = [
         utilisation(robot, limits, pose, measure_poses(robot, pose, gravity))
         for pose in (log["pose"], log["reference"])
-    )
+    ]
     motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
     wanted = inverse_dynamics(robot, *motion, gravity)
     peaks = (float(np.abs(torque).max()) for torque in (log["torque_applied"], wanted))
-    return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
+    worst, reference_worst = map(_worst, uses)
+    return VisitedRegion(name, log, motion_envelope(log), uses[0], worst, reference_worst, *peaks)
 
 
 def findings(regions: Sequence[VisitedRegion], runs: int) -> dict[str, Any]:

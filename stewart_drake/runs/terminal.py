@@ -14,6 +14,7 @@ import numpy as np
 
 from stewart_drake.errors import OlderFileWarning
 from stewart_drake.logs.metric_table import METRICS
+from stewart_drake.logs.outcomes import told
 
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
@@ -139,7 +140,7 @@ def print_margins(title: str, report: FeasibilityReport) -> None:
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
     """How a run went, as a table."""
     rows = [
-        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
+        ("status", told(log.status, log.reason)),
         ("simulated time", f"{log.end_time:.3f} s"),
     ]
     for metric in METRICS:

@@ -23,10 +23,9 @@ from stewart_drake.campaigns import engine, executors
 from stewart_drake.campaigns.comparison_table import BANDS, table_columns
 from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor, Workplace
 from stewart_drake.campaigns.one_run import simulate
-from stewart_drake.campaigns.sweep import run_sweep
-from stewart_drake.campaigns.sweep_file import Sweep
-from stewart_drake.campaigns.sweep_table import BEFORE, INCIDENTAL, summary
-from stewart_drake.campaigns.tables import to_parquet
+from stewart_drake.campaigns.sweep import run_sweep, summary
+from stewart_drake.campaigns.sweep_file import BEFORE, Sweep
+from stewart_drake.campaigns.tables import INCIDENTAL, to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import metric_table, versions
 from stewart_drake.logs.metric_table import Metric, add_metric
@@ -164,7 +163,12 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
     assert result.table.schema.field("way_mm").metadata[b"unit"] == b"mm"
     assert "way_mm" in [column.name for column in table_columns()]
     columns = (*BEFORE, *INCIDENTAL, *BANDS, *table_columns())
-    names = {*run_metrics(log), *result.rows[0], *log.scenario.to_dict(), *(column.name for column in columns)}
+    names = {
+        *run_metrics(log),
+        *(set(result.rows[0]) - set(result.table.column_names)),
+        *log.scenario.to_dict(),
+        *(column.name for column in columns),
+    }
     for taken in ("rmse_mm", "rmse_x_mm", *sorted(names - {"way_mm"})):
         with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
             add_metric(dataclasses.replace(mine, name=taken))
@@ -172,6 +176,31 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
     del metric_table.METRICS[-1]
     with pytest.raises(ConfigurationError, match=r"another version \(columns\)"):
         run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
+
+
+def broken_gather(*_):
+    raise ZeroDivisionError("mine")
+
+
+@pytest.mark.usefixtures("_metrics_as_they_were", "code_as_it_is")
+def test_a_metric_with_another_body_or_one_that_raises_or_that_workers_lack_is_told(tmp_path, monkeypatch):
+    add_metric(Metric("own", "1", "a number", lambda _: 1.0))
+    run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor())
+    run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor(), function=lambda _: pytest.fail("ran"))
+    add_metric(Metric("own", "1", "a number", lambda _: 2.0))
+    with pytest.raises(ConfigurationError, match="another version"):
+        run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor())
+    for metric in (
+        Metric("own", "1", "a number", lambda _: 1 / 0, "steps"),
+        Metric("own", "1", "a number", lambda _: 1.0, gather=broken_gather),
+    ):
+        add_metric(metric)
+        (row,) = run_sweep(sweep(runs=1), tmp_path / metric.over, SerialExecutor()).rows
+        assert (row["status"], row["reason"]) == ("raised", "metric_raised")
+        assert re.fullmatch(r"metric own: ZeroDivisionError: .* \(test_sweep\.py, line \d+\)", row["message"])
+    monkeypatch.setattr(engine, "METRICS", metric_table.METRICS[:-1])
+    with pytest.raises(StewartDrakeError, match="a worker does not have the metric own"):
+        engine.warm_up("as it is", [metric.name for metric in metric_table.METRICS])
 
 
 # --- the same table from any executor ------------------------------------------------------------------------------
@@ -255,7 +284,7 @@ def test_refused_and_broken_runs_are_rows_with_their_reason(tmp_path):
     assert sagged["leg"] in range(6)
     assert sagged["torque_peak"] > 0.0
     assert "dead centre" in sagged["message"]
-    assert dict(summary(result.rows))["rejected: infeasible_reference"] == "2"
+    assert dict(summary(result.rows))["rejected, infeasible_reference"] == "2"
 
 
 def assert_two_died(result, reference):

@@ -47,7 +47,7 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert 1 <= rejected <= 3
     lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
     assert lines["completed"] == str(4 - rejected)
-    assert lines["rejected: configuration"] == str(rejected)
+    assert lines["rejected, configuration"] == str(rejected)
     assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
     assert lines["table in"] == "runs/tiny/sweep.parquet"
     assert "4 / 4 runs" in err

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -144,6 +146,32 @@ def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     own = sweep(mismatch=True, distributions=masses, set={"model_robot.rod_mass": 0.1})
     assert own.scenario(0).model_robot == own.base.model_robot
     assert own.base.model_robot.rod_mass == 0.1
+
+
+def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_changes():
+    legs = {
+        "robot.legs[2].rod_length": {"kind": "uniform", "low": 0.999, "high": 1.001, "factor": True},
+        "robot.legs[4].shaft_position[1]": {"kind": "grid", "values": [0.03]},
+    }
+    s = sweep(distributions=legs, mismatch=True)
+    robot, believed = s.scenario(1).robot, s.base.robot
+    rods = believed.rod_lengths.copy()
+    rods[2] *= s.draw(1)["robot.legs[2].rod_length"]
+    np.testing.assert_array_equal(robot.rod_lengths, rods)
+    shafts = believed.shaft_positions.copy()
+    shafts[4, 1] = 0.03
+    np.testing.assert_array_equal(robot.shaft_positions, shafts)
+    assert s.scenario(1).believed_robot == believed == Scenario().robot
+    # What stays null follows the symmetric robot still.
+    assert s.scenario(1).replace({"robot.rod_length": 0.41}).robot.rod_lengths[[1, 2]].tolist() == [0.41, rods[2]]
+    shell = load_scenario("paper_fig7", ["robot.legs[2].rod_length=0.405", "robot.rod_length=0.41"])
+    assert shell.robot.rod_lengths.tolist() == [0.41, 0.41, 0.405, 0.41, 0.41, 0.41]
+    for key, words in (
+        ("robot.legs[6].rod_length", "from 0 to 5"),
+        ("robot.legs[0].rod_lenght", "did you mean rod_length?"),
+    ):
+        with pytest.raises(ConfigurationError, match=re.escape(words)):
+            load_scenario("paper_fig7", [f"{key}=0.4"])
 
 
 def test_paths_are_relative_to_the_sweep_file(tmp_path):

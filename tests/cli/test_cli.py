@@ -303,7 +303,7 @@ def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(shell, tmp_pa
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", log.leg)
     assert metrics["rmse_deg"] is None
-    assert "failed: crank_dead_centre" in out
+    assert "failed, crank_dead_centre" in out
     last = err.splitlines()[-1]
     assert last.startswith(f"stewart-drake: failed, crank_dead_centre at t = {log.end_time:.3f} s: ")
     assert f"leg {log.leg}" in last

@@ -166,7 +166,7 @@ def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_p
         with monkeypatch.context() as patch:
             patch.setattr(Path, step, dies)
             # As after SIGKILL nobody tidies up.
-            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.close())
+            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.release())
             with contextlib.suppress(Killed):
                 write_run(made_log(wall_time=8.0 + kill_at), place, pictures=False)
         # The next run puts its own in their place, whatever it finds.

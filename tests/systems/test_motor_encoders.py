@@ -22,12 +22,6 @@ def read(pose, rate, loop=LOOP, system=FINE):
     return system.angles.Eval(system.GetMyContextFromRoot(context))
 
 
-def test_ports():
-    assert [FINE.get_input_port(k).get_name() for k in range(FINE.num_input_ports())] == ["plant_state"]
-    assert [FINE.get_output_port(k).get_name() for k in range(FINE.num_output_ports())] == ["angles"]
-    assert FINE.angles.size() == 6
-
-
 @settings(max_examples=30)
 @given(poses(0.8), vectors(6, 1.0))
 def test_they_read_the_crank_angles_of_the_plant(pose, rate):

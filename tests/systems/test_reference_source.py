@@ -13,12 +13,6 @@ REFERENCES = [
 ]
 
 
-def test_ports():
-    system = ReferenceSource(paper_reference())
-    assert (system.num_input_ports(), system.num_output_ports()) == (0, 1)
-    assert (system.reference.get_name(), system.reference.size()) == ("reference", 18)
-
-
 @pytest.mark.parametrize("reference", REFERENCES, ids=lambda r: r.kind)
 def test_it_gives_pose_rate_and_acceleration_at_the_contexts_time(reference):
     system = ReferenceSource(reference)

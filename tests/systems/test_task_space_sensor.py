@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
@@ -22,15 +21,6 @@ def build(rod_joint):
 
 
 LOOPS = {kind: build(kind) for kind in ("universal", "ball")}
-
-
-@pytest.mark.parametrize("rod_joint", LOOPS)
-def test_ports(rod_joint):
-    _, plant, sensor = LOOPS[rod_joint]
-    size = plant.plant.num_positions() + plant.plant.num_velocities()
-    assert (sensor.plant_state.get_name(), sensor.plant_state.size()) == ("plant_state", size)
-    assert (sensor.measurement.get_name(), sensor.measurement.size()) == ("measurement", 12)
-    assert (sensor.num_input_ports(), sensor.num_output_ports()) == (1, 1)
 
 
 @settings(max_examples=30)

@@ -1,0 +1,169 @@
+"""Poses that a tracker measured, with the encoders' readings at each: from a CSV file or from arrays, checked."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.whole import read_checked
+from stewart_drake.leg import LEGS
+from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.section import Positive, Section
+
+MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
+QUANTITIES = (
+    *((name, "rad") for name in ("roll", "pitch", "yaw")),
+    *((name, "m") for name in ("x", "y", "z")),
+    *((f"theta_{leg}", "rad") for leg in range(LEGS)),
+)
+"""What a file has columns of, and the unit in which it is kept."""
+UNITS = {"rad": {"rad": 1.0, "deg": math.pi / 180.0}, "m": {"m": 1.0, "mm": 1e-3}}
+"""Units that a column's name may end in, and what one is of the unit that is kept."""
+COLUMNS = tuple(f"{name}_{unit}" for name, unit in QUANTITIES)
+
+
+class MeasurementNoise(Section, key="noise"):
+    """Standard deviations of what is measured; each is independent and alike in all directions."""
+
+    position: Annotated[Positive, Field(le=1.0)] = 2e-5
+    """[m] of each coordinate of a measured position."""
+    rotation: Annotated[Positive, Field(le=1.0)] = 1e-4
+    """[rad] of a measured orientation about each axis."""
+    encoder: Annotated[Positive, Field(le=1.0)] = 2.0 * math.pi / 2**17 / math.sqrt(12.0)
+    """[rad] of a reading. An encoder that is exact but for its steps has a step over the root of 12: here 17 bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """n poses and readings, checked.
+
+    Attributes:
+        pose: (n, 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of the marker in the tracker's frame.
+        angles: (n, 6) [rad] encoder readings of legs 0 to 5.
+        source: What they are called in messages, such as the file's name.
+
+    Raises:
+        ConfigurationError: Wrong shapes; a value that is not finite; angles beyond two turns, pitch beyond a quarter
+            of one; rows that say the same.
+    """
+
+    pose: np.ndarray
+    angles: np.ndarray
+    source: str = "poses"
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "angles"):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.ndim != 2 or values.shape[1] != 6 or len(values) != len(self.pose):
+                raise ConfigurationError(f"{self.source}: {name}", values.shape, "numbers of shape (n, 6)")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        table = np.concatenate([self.pose, self.angles], axis=-1)
+        self._refuse(~np.isfinite(table), table, "a finite number")
+        # A stroke of pi covers what roll, pitch and yaw can be; an encoder may have been homed a turn away.
+        most = np.array([math.pi, math.pi / 2.0, math.pi, math.inf, math.inf, math.inf] + [4.0 * math.pi] * LEGS)
+        allowed = "radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; degrees go by _deg"
+        self._refuse(np.abs(table) > most * (1.0 + 1e-9), table, allowed)
+        for columns, what in ((slice(0, 12), "row"), (slice(0, 6), "pose")):
+            seen: dict[bytes, int] = {}
+            for row, values in enumerate(table[:, columns]):
+                first = seen.setdefault(values.tobytes(), row)
+                if first != row:
+                    allowed = "each measured anew: a tracker never says the same twice"
+                    raise ConfigurationError(
+                        self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed
+                    )
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    @cached_property
+    def rotation(self) -> np.ndarray:
+        """(n, 3, 3) [-] of the marker."""
+        return rotation_matrix(self.pose[:, :3])
+
+    @property
+    def position(self) -> np.ndarray:
+        """(n, 3) [m] of the marker."""
+        return self.pose[:, 3:]
+
+    def without(self, row: int) -> Measurements:
+        """All but one row, counted from 0."""
+        return Measurements(np.delete(self.pose, row, 0), np.delete(self.angles, row, 0), self.source)
+
+    def to_csv(self) -> str:
+        """A table that `load_measurements` reads."""
+        rows = (",".join(map(repr, row)) for row in np.concatenate([self.pose, self.angles], axis=-1).tolist())
+        return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+
+    def _refuse(self, wrong: np.ndarray, table: np.ndarray, allowed: str) -> None:
+        if wrong.any():
+            row, column = np.argwhere(wrong)[0]
+            key = f"{self.source}: row {row + 1}, {QUANTITIES[column][0]}"
+            raise ConfigurationError(key, float(table[row, column]), allowed)
+
+
+def load_measurements(path: str | Path) -> Measurements:
+    """Reads measured poses.
+
+    Args:
+        path: A CSV file with a header and a column for each of roll, pitch, yaw (`roll_rad` or `roll_deg`), x, y, z
+            (`x_m` or `x_mm`) of the marker in the tracker's frame, and the readings of legs 0 to 5 (`theta_0_rad` or
+            `theta_0_deg`), in any order. R = Rz(yaw) Ry(pitch) Rx(roll). Further columns are left alone.
+
+    Raises:
+        ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no finite
+            number; as for `Measurements`.
+    """
+    source = f"poses file {path}"
+    try:
+        text = read_checked(path, source, MAX_BYTES).decode("utf-8-sig")
+        table = csv.reader(io.StringIO(text))
+        names = [name.strip() for name in next(table, [])]
+        chosen = [_column(names, name, unit, source) for name, unit in QUANTITIES]
+        rows = list(_rows(table, names, [column for column, _ in chosen], source))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigurationError(source, str(error), "a CSV table in UTF-8 with a header") from None
+    values = np.array(rows).reshape(-1, len(chosen)) * np.array([factor for _, factor in chosen])
+    return Measurements(values[:, :6], values[:, 6:], source)
+
+
+def _column(names: list[str], name: str, unit: str, source: str) -> tuple[int, float]:
+    """Place of a quantity's column, and what its unit is of the one that is kept."""
+    ways = {f"{name}_{ending}": factor for ending, factor in UNITS[unit].items()}
+    found = [place for place, each in enumerate(names) if each in ways]
+    if len(found) != 1:
+        have = ", ".join(names[place] for place in found) or f"none among {', '.join(names) or 'no columns'}"
+        raise ConfigurationError(f"{source}: column of {name}", have, f"one of {' and '.join(ways)}")
+    return found[0], ways[names[found[0]]]
+
+
+def _rows(table: Iterable[list[str]], names: list[str], columns: list[int], source: str) -> Iterator[list[float]]:
+    """Numbers of the columns, a list for each row that is not empty."""
+    row = 0
+    for cells in table:
+        if not any(cell.strip() for cell in cells):
+            continue
+        row += 1
+        if row > MAX_ROWS:
+            raise ConfigurationError(source, f"more than {MAX_ROWS} rows", f"at most {MAX_ROWS} rows")
+        if len(cells) != len(names):
+            raise ConfigurationError(f"{source}: row {row}", f"{len(cells)} cells", f"{len(names)}, as the header has")
+        numbers = []
+        for column in columns:
+            try:
+                numbers.append(float(cells[column]))
+            except ValueError:
+                key = f"{source}: row {row}, {names[column]}"
+                raise ConfigurationError(key, cells[column], "a finite number") from None
+        yield numbers

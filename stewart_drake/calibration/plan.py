@@ -1,0 +1,177 @@
+"""Which poses tell most: a D-optimal choice among poses within the robot's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
+from stewart_drake.calibration.model import Frame, Model
+from stewart_drake.calibration.parameters import (
+    SIZE,
+    FrameName,
+    Name,
+    free_directions,
+    scales,
+)
+from stewart_drake.calibration.untold import LARGEST
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
+from stewart_drake.planning.limits import Limits, limit_bounds
+from stewart_drake.planning.workspace import measure_poses
+from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.robot import RobotParameters
+
+CANDIDATES = 1500
+MARGIN = 0.95
+"""[-] of each limit that a pose may take up: the robot is not quite the guess."""
+_STEPS, _FARTHEST = 40, 2.0
+_PASSES = 20
+_GAIN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PosePlan:
+    """Poses to measure.
+
+    Attributes:
+        targets: Poses of P in B and crank angles of the guess, as a file of measured poses has them.
+        half_width: (78,) [m, rad] of the 95 % intervals to expect, by the stated noise.
+        random_half_width: (78,) [m, rad] the same for as many poses drawn at random from the candidates.
+        gain: [-] by which the random poses' intervals are wider, in the geometric mean over all directions.
+    """
+
+    targets: Measurements
+    half_width: np.ndarray
+    random_half_width: np.ndarray
+    gain: float
+
+
+def plan_poses(
+    robot: RobotParameters,
+    count: int,
+    limits: Limits | None = None,
+    noise: MeasurementNoise | None = None,
+    known_frames: Collection[FrameName] = (),
+    hold: Collection[Name] = (),
+    seed: int = 0,
+    candidates: int = CANDIDATES,
+) -> PosePlan:
+    """Poses that tell a robot's parameters best: the largest determinant of what they tell, by Fedorov's exchange.
+
+    V. V. Fedorov, Theory of Optimal Experiments (1972). Begun with the pose that adds most, one after the other; then
+    each is taken out and the best of all put in its place, until none is better. What is known before the first pose
+    is that no direction is off by more than a tenth of the robot's size.
+
+    Args:
+        robot: The guess.
+        count: How many poses.
+        limits: What poses keep to, on the straight way from home too, with a twentieth to spare.
+        noise: Of tracker and encoders.
+        known_frames: As for `calibrate`.
+        hold: As for `calibrate`.
+        seed: Of the candidates.
+        candidates: How many poses to choose from.
+
+    Raises:
+        ConfigurationError: Fewer poses than tell all parameters, or more than candidates; home breaks a limit.
+    """
+    noise = MeasurementNoise() if noise is None else noise
+    rng = np.random.default_rng(seed)
+    free = free_directions(robot, known_frames, hold)
+    least = free.shape[1] // 6 + 1
+    if not least <= count <= candidates // 2:
+        raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
+    pose = candidate_poses(robot, candidates, Limits() if limits is None else limits, rng)
+    ways = scales(robot)[:, None] * free
+    rows = told_by(robot, pose, noise) @ ways
+    chosen = _exchange(rows, count)
+    drawn = rng.choice(len(pose), (20, count))
+    told = [_covariance(rows[each]) for each in (chosen, *drawn)]
+    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in told]
+    volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in told]
+    return PosePlan(
+        Measurements(pose[chosen], inverse_kinematics(robot, pose[chosen]), "planned poses"),
+        widths[0],
+        np.median(widths[1:], axis=0),
+        float(np.exp(np.mean(volume[1:]) - volume[0])),
+    )
+
+
+def told_by(robot: RobotParameters, pose: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
+    """Derivatives (n, 6, `SIZE`) of whitened errors at poses (n, 6) [rad, m] of P in B, the tracker's frames there."""
+    model, nothing = Model(robot), np.zeros(SIZE)
+    at, angles = Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), inverse_kinematics(robot, pose)
+    white = model.whitening(nothing, angles, at, noise)
+    return white @ model.marker_derivative(nothing, model.closures(nothing, at, angles), at)
+
+
+def candidate_poses(
+    robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator, margin: float = MARGIN
+) -> np.ndarray:
+    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them.
+
+    Raises:
+        ConfigurationError: Home breaks a limit.
+    """
+    home = robot.home_pose
+    way = rng.standard_normal((count, 6))
+    way *= np.array([1.0] * 3 + [robot.characteristic_length] * 3) / np.linalg.norm(way, axis=1, keepdims=True)
+    steps = np.linspace(0.0, _FARTHEST, _STEPS + 1)
+    bounds = limit_bounds(robot, limits)
+    last = np.zeros(count)
+    going = np.arange(count)
+    for step in steps:
+        pose = home + step * way[going]
+        measures = measure_poses(robot, pose, STANDARD_GRAVITY, bounds.get("torque"))
+        use, limit = governing_limit(utilisation(robot, limits, pose, measures))
+        if step == 0.0 and use[0] > margin:
+            got = f"a limit {LIMIT_NAMES[limit[0]]} of which home takes {use[0]:.3g}"
+            raise ConfigurationError("limits", got, f"limits of which home takes at most {margin:g}")
+        going = going[use <= margin]
+        last[going] = step
+    # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
+    return home + (last * rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0))[:, None] * way
+
+
+def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
+    """Indices (count,) of rows (n, 6, k) with the largest determinant of what they tell together."""
+    covariance = LARGEST**2 * np.eye(rows.shape[2])
+    chosen: list[int] = []
+
+    def best() -> tuple[int, float]:
+        told = rows @ covariance @ np.swapaxes(rows, -1, -2)
+        gain = np.linalg.slogdet(np.eye(6) + told)[1]
+        gain[chosen] = -np.inf
+        at = int(gain.argmax())
+        return at, float(gain[at])
+
+    for _ in range(count):
+        chosen.append(best()[0])
+        covariance = _covariance(rows[chosen])
+    for _ in range(_PASSES):
+        won = 0.0
+        for place, now in enumerate(list(chosen)):
+            rest = chosen[:place] + chosen[place + 1 :]
+            covariance = _covariance(rows[rest])
+            told = rows[now] @ covariance @ rows[now].T
+            had = float(np.linalg.slogdet(np.eye(6) + told)[1])
+            chosen = rest
+            other, gain = best()
+            if gain > had + _GAIN:
+                won += gain - had
+            else:
+                other = now
+            chosen = rest[:place] + [other] + rest[place:]
+        if won < _GAIN:
+            break
+    return np.array(chosen)
+
+
+def _covariance(rows: np.ndarray) -> np.ndarray:
+    """Of the directions (k, k), from what is known before and from rows (n, 6, k)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1]) / LARGEST**2)
