@@ -78,10 +78,12 @@ class FaultPlan(Plan):
     products = ("faults.parquet", "faults.csv", "faults.md")
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS)) -> FaultPlan:
-        """The plan of some rows."""
+    def of(
+        cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS), robot: str | None = None
+    ) -> FaultPlan:
+        """The plan of some rows; robot: name or file, None for the paper's."""
         runs = sum(motion in motions for _, motion in pairs)
-        return cls(catalogue.base(), pairs, motions, runs=runs, name="faults")
+        return cls(catalogue.base(robot), pairs, motions, runs=runs, name="faults")
 
     @property
     def indices(self) -> Iterable[int]:
@@ -99,7 +101,7 @@ class FaultPlan(Plan):
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
         """See `Plan.changes`."""
         fault, motion = self.pairs[drawn["run"]]
-        return fault.in_motion(motion)
+        return fault.in_motion(motion, self.base)
 
     def measure(self, index: int) -> Measure:
         """See `Plan.measure`."""
@@ -111,7 +113,9 @@ class FaultPlan(Plan):
 
     def to_dict(self) -> dict[str, Any]:
         """See `Plan.to_dict`."""
-        faults = [{**fault.to_dict(), "motion": motion, **fault.in_motion(motion)} for fault, motion in self.pairs]
+        faults = [
+            {**fault.to_dict(), "motion": motion, **fault.in_motion(motion, self.base)} for fault, motion in self.pairs
+        ]
         return {"scenario": self.base.to_dict(), "faults": faults}
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
@@ -129,9 +133,9 @@ class FaultPlan(Plan):
         return markdown_table(tables["faults"])
 
 
-def table_plan(quick: bool = False) -> FaultPlan:
-    """The plan of the whole table; quick: of the held platform alone."""
-    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS))
+def table_plan(quick: bool = False, robot: str | None = None) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone; robot: name or file, None for the paper's."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot)
 
 
 def make_table(
@@ -140,6 +144,7 @@ def make_table(
     where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
+    robot: str | None = None,
 ) -> Made:
     """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `plan.run_plan`.
 
@@ -149,8 +154,9 @@ def make_table(
         where: Where the runs go; None for processes of this machine.
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
+        robot: Name or YAML file; None for the paper's.
     """
-    return run_plan(table_plan(quick), Path(folder), where, progress, restart)["faults"]
+    return run_plan(table_plan(quick, robot), Path(folder), where, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:

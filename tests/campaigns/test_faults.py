@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from stewart_drake.campaigns import engine, executors, plan
 from stewart_drake.campaigns import fault_table as table_module
-from stewart_drake.campaigns.executors import Given, LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.executors import Given, SerialExecutor
 from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
 from stewart_drake.campaigns.fault_table import (
     all_rows,
@@ -164,7 +164,7 @@ def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
 @pytest.mark.slow
 def test_a_rows_figures_are_those_of_its_log():
     fault = BY_NAME["command_nan"]
-    log = run(base().replace(fault.in_motion("paper")))
+    log = run(base().replace(fault.in_motion("paper", base())))
     row = measure_fault(log, fault)
     after, taken = log.time >= ONSET - 1e-9, log["safety"][:, 0] >= 2
     error = np.linalg.norm(log["pose"][:, 3:] - log["reference"][:, 3:], axis=1)
@@ -179,7 +179,7 @@ def test_a_rows_figures_are_those_of_its_log():
 @pytest.mark.slow
 def test_a_run_that_breaks_without_the_layer_is_told_apart():
     fault = BY_NAME["command_nan"]
-    log = run(base().replace({**fault.in_motion("hold"), "safety": None}))
+    log = run(base().replace({**fault.in_motion("hold", base()), "safety": None}))
     assert measure_fault(log, fault)["reaction"] == "broke"
 
 
