@@ -5,10 +5,9 @@ import pytest
 from strategies import ROBOT
 
 from stewart_drake.calibration.fit import calibrate
-from stewart_drake.calibration.measurements import COLUMNS, Measurements, load_measurements
+from stewart_drake.calibration.measurements import COLUMNS, MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.plan import candidate_poses
 from stewart_drake.calibration.simulate import deviating, measured
-from stewart_drake.calibration.measurements import MeasurementNoise
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.planning.limits import Limits
@@ -17,7 +16,7 @@ from stewart_drake.planning.limits import Limits
 @pytest.fixture(scope="module")
 def good():
     rng = np.random.default_rng(0)
-    pose = candidate_poses(ROBOT, 40, Limits(), rng)
+    pose = candidate_poses(ROBOT, 25, Limits(), rng)
     exact = Measurements(pose, inverse_kinematics(ROBOT, pose))
     return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
 
@@ -96,7 +95,7 @@ def test_poses_that_are_there_twice(refused, good, columns, what):
         (slice(3, 6), 1e3, "millimetres for metres"),
         (slice(3, 6), 1e-3, "metres for millimetres"),
         (slice(6, 12), 180.0 / np.pi, "theta"),
-        (slice(6, 12), np.pi / 180.0, "degrees for radians"),
+        (slice(6, 12), np.pi / 180.0, "radians for degrees"),
         (slice(0, 3), np.pi / 180.0, "radians for degrees"),
         (slice(0, 3), 180.0 / np.pi, "degrees go by _deg"),
     ],
@@ -107,6 +106,7 @@ def test_wrong_units(refused, good, columns, factor, said):
     assert said in refused(COLUMNS, table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [(), ("base", "platform")])
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 4)])
 def test_swapped_encoders_are_named(refused, good, known, one, other):
@@ -115,12 +115,14 @@ def test_swapped_encoders_are_named(refused, good, known, one, other):
     assert f"theta_{one} and theta_{other}: got" in refused(COLUMNS, table, known_frames=known)
 
 
+@pytest.mark.slow
 def test_an_inverted_encoder_is_named(refused, good):
     table = table_of(good)
     table[:, 9] *= -1.0
     assert "theta_3: got 'readings that fit with the other sign'" in refused(COLUMNS, table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("column", "by"), [(5, 2e-3), (0, 0.02), (8, 0.02)])
 def test_a_single_wrong_row_is_named(refused, good, column, by):
     table = table_of(good)

@@ -10,7 +10,7 @@ from strategies import ROBOT, ROBOTS, poses
 
 from stewart_drake.calibration.fit import calibrate
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.model import CLOSED, Frame, Model
+from stewart_drake.calibration.model import CLOSED, STILL, Frame, Model
 from stewart_drake.calibration.parameters import (
     FRAMES,
     OF_LEG,
@@ -57,7 +57,7 @@ def derivative(function, at, step=1e-6):
 
 
 @given(many, st.integers(0, 1000))
-@settings(max_examples=10)
+@settings(max_examples=4)
 def test_derivatives_are_those_of_finite_differences(robot, seed):
     rng = np.random.default_rng(seed)
     size = np.concatenate([np.full(OF_ROBOT, 3e-3), np.full(12, 0.05)])
@@ -70,10 +70,11 @@ def test_derivatives_are_those_of_finite_differences(robot, seed):
         assert off.max() <= CLOSED
         return model.tracker_error(change, measurements, at)
 
-    assert derivative(lambda c: model.closure_error(c, measurements)[0], change) == pytest.approx(
-        model.closure_error(change, measurements)[1], abs=1e-8
-    )
-    assert derivative(lambda c: tracker(c)[0], change, 1e-5) == pytest.approx(tracker(change)[1], abs=2e-7)
+    for _ in range(3):
+        way = size * rng.standard_normal(SIZE)
+        for function in (lambda change: model.closure_error(change, measurements), tracker):
+            ahead, behind = (function(change + step * way)[0] for step in (1e-4, -1e-4))
+            assert (ahead - behind) / 2e-4 == pytest.approx(function(change)[1] @ way, abs=1e-8)
 
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array))
@@ -83,7 +84,7 @@ def test_left_jacobian_is_the_derivative_of_the_exponential(turn):
 
 
 @given(many, st.integers(0, 1000))
-@settings(max_examples=20)
+@settings(max_examples=8)
 def test_a_changed_robot_gives_its_change_back_and_reads_as_the_encoders_do(robot, seed):
     change = np.zeros(SIZE)
     change[:OF_ROBOT] = np.random.default_rng(seed).uniform(-2e-3, 2e-3, OF_ROBOT)
@@ -126,13 +127,12 @@ def test_what_may_change_is_counted(known, held, count):
         assert turned == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize("known", [(), FRAMES, ("base",), ("platform",)])
+@pytest.mark.parametrize(
+    ("name", "known"), list(zip(ROBOTS, [("platform",), FRAMES, ("base",), ()], strict=True)), ids=ROBOTS
+)
 def test_without_noise_the_robot_is_found_again(name, known):
     guess = ROBOTS[name]
     truth = deviating(guess, np.random.default_rng(1))
-    from stewart_drake.calibration.model import STILL
-
     base, marker = (STILL if frame in known else made for frame, made in zip(FRAMES, (BASE, MARKER), strict=True))
     found = calibrate(guess, seen(truth, QUIET, 20, base, marker, guess), QUIET, known)
     same = aligned(truth, guess, known)
