@@ -38,6 +38,7 @@ def in_small_parts(monkeypatch, rows=64):
     monkeypatch.setattr("stewart_drake.runs.simulation.ROWS_AT_ONCE", 1)
     monkeypatch.setattr("stewart_drake.runs.simulation.CHUNK", 0.02)
     monkeypatch.setattr(log_rows, "ROW_GROUP", rows)
+    monkeypatch.setattr(log_rows, "_FLUSH_TIME", float("inf"))
 
 
 def test_rows_that_went_to_a_file_are_those_that_stayed_in_memory(tmp_path, monkeypatch):
