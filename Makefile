@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test check lint bench picture plan reproduction format clean
+.PHONY: demo install test check lint bench picture calibration calibration-example plan reproduction format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -37,8 +37,14 @@ bench: install
 
 # The README's picture of the robot.
 picture: install
-	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.runs.replay import render_png; \
-	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
+	$(BIN)/python docs/draw_robot.py
+
+# docs/results/calibration.md, and the example of docs/calibration.md.
+calibration: install
+	$(BIN)/python docs/calibration_study.py
+
+calibration-example: install
+	$(BIN)/python docs/calibration_example.py
 
 # The README's plan of the rooms.
 plan: install

@@ -31,6 +31,20 @@ ROOT = Path(__file__).parent.parent
 pytest_plugins = ("quick_report",)
 
 
+SHARED = ("report", "attacked", "cluster", "done", "collected", "wheel")
+"""Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
+
+
+# Before that of pytest-xdist, which looks for the groups.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        for name in set(SHARED).intersection(item.fixturenames):
+            item.add_marker(pytest.mark.xdist_group(name))
+        if "report" in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
+
+
 COMMAND = "from stewart_drake.cli.app import main; main()"
 
 

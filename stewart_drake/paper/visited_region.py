@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.mechanics.dynamics import inverse_dynamics
@@ -18,6 +19,8 @@ from stewart_drake.planning.workspace import measure_poses
 from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineReference, paper_reference
+from stewart_drake.robot_scale import LENGTH
+from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 
@@ -27,7 +30,7 @@ ONE_HERTZ = 2.0 * np.pi
 SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
 """[rad/s] of the motion on all axes at once, around the paper's 2."""
 SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
-"""[rad, m] from which that motion is scaled to what is feasible."""
+"""[rad, m] from which that motion is scaled to what is feasible; lengths are for the paper's robot."""
 
 LARGE_SPREAD = 1.5
 """[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
@@ -36,7 +39,8 @@ LARGE_SPREAD = 1.5
 def controlled_motions(study: Study) -> dict[str, Scenario]:
     """The runs to look at by name; first the base scenario's own motion, the paper's unless the user changes it.
 
-    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed.
+    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed. What this
+    robot cannot do is left out.
     """
     base = study.base
     robot, limits = base.robot, base.limits
@@ -55,11 +59,19 @@ def controlled_motions(study: Study) -> dict[str, Scenario]:
         motions[f"{COORDINATES[axis][0]} at 1 Hz"] = base.replace(short | {"reference": dataclasses.asdict(reference)})
 
     def all_axes(scale: float) -> SineReference:
-        return _sine(base, scale * np.array(SIX_AMPLITUDES), np.array(SIX_FREQUENCIES))
+        return _sine(base, scale * np.array(LENGTH.value(SIX_AMPLITUDES, robot)), np.array(SIX_FREQUENCIES))
 
     scale = largest_scale(robot, limits, all_axes, short["duration"], base.gravity)
     motions["all six axes"] = base.replace(short | {"reference": dataclasses.asdict(all_axes(AMPLITUDE_SHARE * scale))})
-    return motions
+    return {name: motion for name, motion in motions.items() if _can_be_run(motion)}
+
+
+def _can_be_run(scenario: Scenario) -> bool:
+    try:
+        check_scenario(scenario)
+    except ConfigurationError:
+        return False
+    return True
 
 
 def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> SineReference:
