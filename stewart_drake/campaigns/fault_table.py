@@ -78,9 +78,8 @@ class FaultPlan(Plan):
     products = ("faults.parquet", "faults.csv", "faults.md")
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Fault, str]], quick: bool = False) -> FaultPlan:
-        """The plan of some rows; quick: the held platform alone."""
-        motions = QUICK_MOTIONS if quick else tuple(MOTIONS)
+    def of(cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS)) -> FaultPlan:
+        """The plan of some rows."""
         runs = sum(motion in motions for _, motion in pairs)
         return cls(catalogue.base(), pairs, motions, runs=runs, name="faults")
 
@@ -130,6 +129,11 @@ class FaultPlan(Plan):
         return markdown_table(tables["faults"])
 
 
+def table_plan(quick: bool = False) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS))
+
+
 def make_table(
     folder: str | Path,
     quick: bool = False,
@@ -146,7 +150,7 @@ def make_table(
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
     """
-    return run_plan(FaultPlan.of(all_rows(), quick), Path(folder), where, progress, restart)["faults"]
+    return run_plan(table_plan(quick), Path(folder), where, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:
@@ -281,9 +285,8 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    return (
-        (name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows)
-    )
+    names = dict.fromkeys(row["fault"] for row in rows)
+    return ((name, [row for row in rows if row["fault"] == name]) for name in names)
 
 
 def _told(fault: Fault) -> str:

@@ -1,4 +1,4 @@
-"""What every campaign is: runs of one scenario with some of its keys changed, each known by its index; and its tables."""
+"""What every campaign is: runs of one scenario with some keys changed, each known by its index; and its tables."""
 
 from __future__ import annotations
 
@@ -292,7 +292,7 @@ def identity(
 
 
 def _identity_of(plan: Plan, versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What the rows of a plan depend on; classes of the user's are loaded, or one that does not exist would show late."""
+    """What the rows of a plan depend on; classes of the user's are loaded, so that one that is missing shows early."""
     variants = plan.variants()
     for source in {source.path: source for variant in variants for source in user_sources(variant)}.values():
         source.load()

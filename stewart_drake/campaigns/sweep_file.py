@@ -26,6 +26,7 @@ from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.scenario import Scenario
 from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
@@ -165,7 +166,7 @@ class Sweep(Plan):
         return found
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """See `Plan.tables`: the value of each varied key as run; of a factor also, as `KEY.factor`, the number drawn."""
+        """See `Plan.tables`: of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
         factors = [key for key, distribution in self.distributions.items() if distribution.factor]
         for key, distribution in self.distributions.items():

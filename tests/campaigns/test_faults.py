@@ -312,7 +312,7 @@ def test_what_five_motors_hold_is_told_in_words():
         made_row("push_5N", "hold", "ridden through"),
     ]
     assert holdable_lines(rows) == [
-        "dead_motor_0, hold: none: not even the weight; smallest force from outside with which it would stand: 4.7 N",
+        "dead_motor_0, hold: none: not even the weight; the smallest outside force with which it stands: 4.7 N",
         "dead_motor_0, paper: 50 N or 3.1 N m",
     ]
     assert "4.7 N" in markdown_table(rows)

@@ -178,10 +178,8 @@ def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_chang
     assert s.scenario(1).replace({"robot.rod_length": 0.41}).robot.rod_lengths[[1, 2]].tolist() == [0.41, rods[2]]
     shell = load_scenario("paper_fig7", ["robot.legs[2].rod_length=0.405", "robot.rod_length=0.41"])
     assert shell.robot.rod_lengths.tolist() == [0.41, 0.41, 0.405, 0.41, 0.41, 0.41]
-    for key, words in (
-        ("robot.legs[6].rod_length", "from 0 to 5"),
-        ("robot.legs[0].rod_lenght", "did you mean rod_length?"),
-    ):
+    slips = {"robot.legs[6].rod_length": "from 0 to 5", "robot.legs[0].rod_lenght": "did you mean rod_length?"}
+    for key, words in slips.items():
         with pytest.raises(ConfigurationError, match=re.escape(words)):
             load_scenario("paper_fig7", [f"{key}=0.4"])
 
