@@ -281,9 +281,7 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    return (
-        (name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows)
-    )
+    return ((name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows))
 
 
 def _told(fault: Fault) -> str:

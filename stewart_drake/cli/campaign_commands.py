@@ -137,14 +137,7 @@ def faults(quick: bool, restart: bool, **options: Any) -> None:
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.fault_table import (
-        TERSE_HEADERS,
-        FaultPlan,
-        all_rows,
-        holdable_lines,
-        make_table,
-        terse_rows,
-    )
+    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, FaultPlan, all_rows, holdable_lines, make_table, terse_rows
 
     plan = FaultPlan.of(all_rows(), quick)
     with _under_way(plan, **options) as (folder, where, progress):

@@ -171,12 +171,7 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
     assert result.table.schema.field("way_mm").metadata[b"unit"] == b"mm"
     assert "way_mm" in [column.name for column in table_columns()]
     columns = (*BEFORE, *INCIDENTAL, *BANDS, *table_columns())
-    names = {
-        *run_metrics(log),
-        *(set(result.rows[0]) - set(result.table.column_names)),
-        *log.scenario.to_dict(),
-        *(column.name for column in columns),
-    }
+    names = {*run_metrics(log), *(set(result.rows[0]) - set(result.table.column_names)), *log.scenario.to_dict(), *(column.name for column in columns)}
     for taken in ("rmse_mm", "rmse_x_mm", *sorted(names - {"way_mm"})):
         with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
             add_metric(dataclasses.replace(mine, name=taken))

@@ -570,7 +570,8 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
     tripped = [
-        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None for p, r in zip(*motion[:2], strict=True)
+        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None
+        for p, r in zip(*motion[:2], strict=True)
     ]
     assert any(tripped)
     short = dataclasses.replace(options, horizon=0.0)
