@@ -178,7 +178,7 @@ def to_plain(value: Any) -> Any:
         return [to_plain(each) for each in value]
     if isinstance(value, Mapping):
         return {key: to_plain(each) for key, each in value.items()}
-    return value
+    return str(value) if isinstance(value, str) else value
 
 
 def is_finite(value: Any) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 from stewart_drake.campaigns.executors import ATTEMPTS, Given, LocalProcesses, Workplace, worker_deaths
 from stewart_drake.errors import StewartDrakeError
 from stewart_drake.logs import versions
+from stewart_drake.logs.metric_table import METRICS
 
 K = TypeVar("K", bound=Hashable)
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -54,14 +55,15 @@ def carry_out(
     _Job(place, list(keys), work, keep, crashed).run()
 
 
-def warm_up(source: str) -> None:
+def warm_up(source: str, metrics: Iterable[str] = ()) -> None:
     """Loads what a run needs, so that no run pays for it.
 
     Args:
         source: Digest of the package's source that a worker must have.
+        metrics: Names of the metrics that it must have.
 
     Raises:
-        StewartDrakeError: This worker's copy of the package is another one.
+        StewartDrakeError: This worker's copy of the package is another one, or lacks a metric.
     """
     import stewart_drake.runs.simulation  # noqa: F401
 
@@ -69,6 +71,12 @@ def warm_up(source: str) -> None:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a campaign runs"
+        )
+    missing = set(metrics) - {metric.name for metric in METRICS}
+    if missing:
+        raise StewartDrakeError(
+            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
+            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
         )
 
 
@@ -113,7 +121,7 @@ class _Job(Generic[K]):
         crashed: Callable[[K], Any] | None,
     ) -> None:
         self._place, self._work, self._keep_result, self._crashed = place, work, keep, crashed
-        self._source = str(versions.source_digest())
+        self._source, self._metrics = str(versions.source_digest()), [metric.name for metric in METRICS]
         self._waiting = deque(keys)
         self._suspects: deque[K] = deque()
         self._deaths: Counter[K] = Counter()
@@ -136,7 +144,7 @@ class _Job(Generic[K]):
         try:
             # As many as there are workers: a pool starts one process a task.
             workers = 1 if alone else max(1, min(self._place.workers, len(queue)))
-            for future in [executor.submit(warm_up, self._source) for _ in range(workers)]:
+            for future in [executor.submit(warm_up, self._source, self._metrics) for _ in range(workers)]:
                 self._wait({future})
                 if isinstance(_result(future), _Died):
                     raise StewartDrakeError(WORKER_GONE)

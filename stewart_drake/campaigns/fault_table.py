@@ -78,11 +78,12 @@ class FaultPlan(Plan):
     products = ("faults.parquet", "faults.csv", "faults.md")
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Fault, str]], quick: bool = False) -> FaultPlan:
-        """The plan of some rows; quick: the held platform alone."""
-        motions = QUICK_MOTIONS if quick else tuple(MOTIONS)
+    def of(
+        cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS), robot: str | None = None
+    ) -> FaultPlan:
+        """The plan of some rows; robot: name or file, None for the paper's."""
         runs = sum(motion in motions for _, motion in pairs)
-        return cls(catalogue.base(), pairs, motions, runs=runs, name="faults")
+        return cls(catalogue.base(robot), pairs, motions, runs=runs, name="faults")
 
     @property
     def indices(self) -> Iterable[int]:
@@ -100,7 +101,7 @@ class FaultPlan(Plan):
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
         """See `Plan.changes`."""
         fault, motion = self.pairs[drawn["run"]]
-        return fault.in_motion(motion)
+        return fault.in_motion(motion, self.base)
 
     def measure(self, index: int) -> Measure:
         """See `Plan.measure`."""
@@ -112,7 +113,9 @@ class FaultPlan(Plan):
 
     def to_dict(self) -> dict[str, Any]:
         """See `Plan.to_dict`."""
-        faults = [{**fault.to_dict(), "motion": motion, **fault.in_motion(motion)} for fault, motion in self.pairs]
+        faults = [
+            {**fault.to_dict(), "motion": motion, **fault.in_motion(motion, self.base)} for fault, motion in self.pairs
+        ]
         return {"scenario": self.base.to_dict(), "faults": faults}
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
@@ -130,12 +133,18 @@ class FaultPlan(Plan):
         return markdown_table(tables["faults"])
 
 
+def table_plan(quick: bool = False, robot: str | None = None) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone; robot: name or file, None for the paper's."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot)
+
+
 def make_table(
     folder: str | Path,
     quick: bool = False,
     where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
+    robot: str | None = None,
 ) -> Made:
     """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `plan.run_plan`.
 
@@ -145,8 +154,9 @@ def make_table(
         where: Where the runs go; None for processes of this machine.
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
+        robot: Name or YAML file; None for the paper's.
     """
-    return run_plan(FaultPlan.of(all_rows(), quick), Path(folder), where, progress, restart)["faults"]
+    return run_plan(table_plan(quick, robot), Path(folder), where, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:
@@ -281,7 +291,8 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    return ((name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows))
+    names = dict.fromkeys(row["fault"] for row in rows)
+    return ((name, [row for row in rows if row["fault"] == name]) for name in names)
 
 
 def _told(fault: Fault) -> str:

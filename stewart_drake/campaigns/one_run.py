@@ -15,7 +15,7 @@ from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs.log_rows import NoRows
-from stewart_drake.logs.metric_table import flat
+from stewart_drake.logs.metric_table import MetricError, flat
 from stewart_drake.logs.metrics import run_metrics
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def outcome(log: SimulationLog) -> Row:
 
 def measure(log: SimulationLog) -> Row:
     """How a run ended, and its metrics by column."""
-    return {**outcome(log), **flat(run_metrics(log)), "simulation_s": log.wall_time}
+    return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:
@@ -151,6 +151,8 @@ def _outcome(function: RunFunction, task: Task) -> Row:
         return empty_row(task, "rejected", error.reason, str(error))
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except MetricError as error:
+        return empty_row(task, "raised", error.reason, str(error))
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
         name = type(error).__name__
         return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")

@@ -14,6 +14,7 @@ from stewart_drake.campaigns.one_run import RunFunction
 from stewart_drake.campaigns.plan import Made, run_plan
 from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.campaigns.tables import Row
+from stewart_drake.logs.outcomes import told
 
 
 def run_sweep(
@@ -33,7 +34,7 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
     counts = Counter((row["status"], row["reason"]) for row in rows)
     lines = [("runs", str(len(rows)))]
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
-        lines.append((status if reason is None else f"{status}: {reason}", str(count)))
+        lines.append((told(status, reason), str(count)))
     for unit, of in (("deg", "rotation"), ("mm", "position")):
         name = f"rmse_norm_{unit}"
         values = np.array([row[name] for row in rows if row.get(name) is not None])

@@ -17,6 +17,7 @@ from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
+from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.runs.terminal import (
@@ -81,6 +82,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
     from stewart_drake.logs.log_rows import RowsInFile
+    from stewart_drake.logs.outcomes import told
     from stewart_drake.runs.outputs import ResultsFolder
     from stewart_drake.scenario import load_scenario
 
@@ -121,8 +123,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
-        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
-        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
+        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {log.message}", err=True)
     sys.exit(_STATUS[log.status])
 
 
@@ -232,26 +233,15 @@ def schema(out: Path | None) -> None:
         write_atomically(out, text.encode())
 
 
-@cli.command("write-sdf")
-@click.argument("out", type=OutPath(dir_okay=False))
-@click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
-@overrides("robot.rod_length=0.42")
-@click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
-def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...], collision: bool) -> None:
-    """Write the robot of a scenario, with its plant.rod_joint, as an SDF file; another geometry gives another robot."""
-    from stewart_drake.plant.sdf_model import write_sdf
-    from stewart_drake.scenario import load_scenario
-
-    loaded = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
-    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
-
-
 cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(faults)
+cli.add_command(robots)
 cli.add_command(sweep)
 cli.add_command(workspace)
+cli.add_command(write_sdf_command)
+cli.add_command(write_mjcf_command)
 
 
 def main() -> None:

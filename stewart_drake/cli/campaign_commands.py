@@ -40,6 +40,11 @@ def _campaign(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
+_robot = click.option(
+    "--robot", help="Name or YAML file: motions, loads and faults in its size [default: that of the file]."
+)
+
+
 @contextmanager
 def _under_way(
     plan: Plan, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
@@ -100,8 +105,9 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @click.argument("comparison", default="tracking")
 @out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
+@_robot
 @_campaign
-def compare(comparison: str, quick: bool, restart: bool, **options: Any) -> None:
+def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Compare controllers: COMPARISON is a YAML file, or a shipped one: tracking, controllers [default: tracking].
 
     Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
@@ -112,7 +118,7 @@ def compare(comparison: str, quick: bool, restart: bool, **options: Any) -> None
     from stewart_drake.campaigns.comparison import run_comparison, write_pictures
     from stewart_drake.campaigns.comparison_file import load_comparison
 
-    loaded = load_comparison(comparison, quick)
+    loaded = load_comparison(comparison, quick, robot)
     with _under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
         result = run_comparison(loaded, folder, where, progress, restart)
         for line in write_pictures(loaded, result, folder):
@@ -129,19 +135,20 @@ def compare(comparison: str, quick: bool, restart: bool, **options: Any) -> None
 @click.command()
 @out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
+@_robot
 @_campaign
-def faults(quick: bool, restart: bool, **options: Any) -> None:
+def faults(quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
 
     What is done is kept in OUT, and an interrupted table goes on from it.
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, FaultPlan, all_rows, holdable_lines, make_table, terse_rows
+    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
 
-    plan = FaultPlan.of(all_rows(), quick)
+    plan = table_plan(quick, robot)
     with _under_way(plan, **options) as (folder, where, progress):
-        made = make_table(folder, quick, where, progress, restart)
+        made = make_table(folder, quick, where, progress, restart, robot)
     if options["quiet"]:
         return
     numbers = [TERSE_HEADERS.index(name) for name in ("ms", "deg", "mm", "N m")]

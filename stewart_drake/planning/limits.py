@@ -131,6 +131,11 @@ def crank_strokes(robot: RobotParameters, crank_angles: np.ndarray) -> tuple[np.
     return np.abs(np.arctan2(np.sin(off), np.cos(off))), 0.5 * (high - low)
 
 
+def smallest_clearance(robot: RobotParameters, pose: np.ndarray) -> float:
+    """[m] smallest distance between the surfaces of links of different legs at a pose (6,) in reach."""
+    return float(_link_distance(robot, leg_geometry(robot, pose[None]), pose[None]).min())
+
+
 def limit_margins(
     robot: RobotParameters,
     limits: Limits,
