@@ -19,6 +19,8 @@ PARALLEL = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
 Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
 Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+HalfAngle = Annotated[Real, Field(ge=SMALLEST, lt=math.pi / 3.0)]
+"""[rad] of a pair of shafts or joints; pairs must not cross."""
 Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
@@ -57,7 +59,8 @@ class LegParameters(Section, key="robot.legs"):
         """See `Section.rules`."""
         low, high = self.crank_angle_range or (-math.pi, math.pi)
         if not low < high <= low + 2.0 * math.pi:
-            allowed = "two angles, rising, within one turn"
+            allowed = "two angles [rad], rising, within one turn"
+            allowed += "; degrees?" if max(-low, high) > 2.0 * math.pi else ""
             raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
 
 
@@ -67,5 +70,25 @@ def _leg(given: Any) -> Any:
     return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
 
 
-Leg = Annotated[LegParameters, BeforeValidator(_leg)]
-Legs = tuple[Leg, Leg, Leg, Leg, Leg, Leg]
+_Leg = Annotated[LegParameters, BeforeValidator(_leg, json_schema_input_type=LegParameters | None)]
+SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]
+
+
+def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
+    """A, B, C of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid. Any arrays; components first.
+
+    Args:
+        span: (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2).
+        zero: (3, 6, ...) [-] direction of each crank at theta = 0.
+        quarter: (3, 6, ...) [-] at theta = pi/2.
+        crank: (6, ...) [m] lengths.
+        rod: (6, ...) [m] lengths.
+
+    Returns:
+        (6, ...) [m^2] each.
+    """
+    twice = 2.0 * crank
+    along = twice * (span[0] * zero[0] + span[1] * zero[1] + span[2] * zero[2])
+    up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
+    constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
+    return along, up, constant

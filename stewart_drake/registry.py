@@ -1,288 +1,11 @@
-"""Every kind of controller, tuner, sensor, reference, disturbance: its section, and the LeafSystem that runs it.
+"""Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
-A kind is one line here. Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor
-what the scenario does not name. `Family.add` takes a kind from outside of the package.
+A kind is one line here: its section and the LeafSystem that runs it; for faults and monitors one object. Names are
+texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not name.
+`Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from functools import cached_property
-from importlib import import_module
-from operator import attrgetter
-from typing import Annotated, Any, ClassVar, Self
-
-import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
-
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
-from stewart_drake.section import Section, Text, check_plain, to_plain
-from stewart_drake.wording import as_problem, chosen, either
-
-_PACKAGE = __name__.partition(".")[0]
-
-
-class Family:
-    """The kinds of one part of a scenario, told apart by the key `kind`; in `Annotated`, the type of such a part.
-
-    Args:
-        lines: Kind -> its section and, where it has one, the LeafSystem or function that builds its part of the
-            Diagram: `module:name` in this package, or the thing itself.
-        default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
-            `of(kind, rest)`: an import path, a class or an object, and the other keys.
-        method: What an object of the user's own has; None for classes alone.
-        without: Kinds that are not taken here.
-    """
-
-    def __init__(
-        self,
-        lines: dict[str, tuple[Any, ...]],
-        default: str | None = None,
-        own: str | None = None,
-        method: str | None = None,
-        without: tuple[str, ...] = (),
-    ) -> None:
-        self.default = default
-        self._lines, self._own, self._method, self._without = lines, own, method, without
-
-    def but(self, *kinds: str) -> Family:
-        """The same kinds, without some."""
-        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds))
-
-    @property
-    def kinds(self) -> list[str]:
-        """Names of the kinds."""
-        return [kind for kind in self._lines if kind not in self._without]
-
-    @property
-    def words(self) -> list[str]:
-        """The kinds, and how a user's own is written."""
-        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
-
-    def add(self, section: type[Section], system: Any = None) -> None:
-        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.
-
-        A section that was added before may be added again, as a cell of a notebook does.
-
-        Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already.
-        """
-        field = getattr(section, "__pydantic_fields__", {}).get("kind")
-        kind = None if field is None else field.default
-        if not isinstance(kind, str):
-            raise ConfigurationError(
-                f"{section.__name__}.kind", None, 'a name as its default, such as kind: str = "own"'
-            )
-        before = self.section(kind) if kind in self._lines else section
-        if path_of(before) != path_of(section):
-            raise ConfigurationError(
-                f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
-            )
-        self._lines[kind] = (section, system)
-
-    def section(self, kind: Any) -> Any:
-        """Class of a kind's section; None for no such kind."""
-        known = isinstance(kind, str) and kind in self._lines and kind not in self._without
-        return self._get(kind, 0) if known else None
-
-    def system(self, kind: str) -> Any:
-        """What builds the part of the Diagram for a kind."""
-        return self._get(kind, 1)
-
-    def section_of(self, data: Any) -> Any:
-        """Class of a section that is written, or made; None where it is not one of these."""
-        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        found = self._own_section if self._is_own(kind) else self.section(kind)
-        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
-
-    def _get(self, kind: str, column: int) -> Any:
-        line = self._lines[kind]
-        if isinstance(line[column], str):
-            line = self._lines[kind] = (*line[:column], _import(line[column]), *line[column + 1 :])
-        return line[column]
-
-    @property
-    def _own_section(self) -> Any:
-        return None if self._own is None else _import(self._own)
-
-    def _is_own(self, kind: Any) -> bool:
-        """Whether a kind is a user's import path, class or object."""
-        if self._own is None or kind is None or isinstance(kind, Section):
-            return False
-        if isinstance(kind, str):
-            return ":" in kind
-        return isinstance(kind, type) or hasattr(kind, self._method or "")
-
-    def _validate(self, value: Any) -> Any:
-        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
-            value = value()
-        elif not isinstance(value, (Mapping, Section)) and self._is_own(value):
-            value = {"kind": value}
-        section = self.section_of(value)
-        if isinstance(value, Mapping):
-            if section is not None and self._is_own(value.get("kind")):
-                return section.of(value["kind"], {key: each for key, each in value.items() if key != "kind"})
-            if section is not None:
-                return section.__pydantic_validator__.validate_python(value)
-            missing = "kind" not in value
-            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
-            raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
-        if section is not None:
-            return value
-        if isinstance(value, Section):
-            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
-        raise PydanticCustomError("section", "a section")
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self._validate)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        # What `json_schema` makes references of: pydantic knows only those that it made itself.
-        own = {} if self._own is None else {"": self._own_section}
-        return {"kinds": {kind: self.section(kind) for kind in self.kinds} | own, "default kind": self.default}
-
-
-class UserMade(Section):
-    """Base of sections for what a class of the user's own makes.
-
-    In a file `kind` is the import path of the class; in Python the class itself, or an object, may stand there, or in
-    place of the whole section.
-    """
-
-    asked: ClassVar[str]
-    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
-
-    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
-    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
-    code is run."""
-    arguments: dict[str, Any] = Field(default_factory=dict)
-    """Keyword arguments of the constructor, plain values."""
-
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
-        """The section of a class or object that was given in Python, or of an import path."""
-        path = kind if isinstance(kind, str) else path_of(kind)
-        made: Self = cls.__pydantic_validator__.validate_python({"kind": path, **rest})
-        if not isinstance(kind, str):
-            vars(made)["given"] = kind
-        return made
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        check_plain("arguments", self.arguments)
-
-    @property
-    def source(self) -> UserClass:
-        """Where the class comes from."""
-        place = vars(self).get("place", self.section_key)
-        return UserClass(self.kind, f"{place}.kind", vars(self).get("given"))
-
-    @cached_property
-    def made(self) -> Any:
-        """The object.
-
-        Raises:
-            ConfigurationError: See `UserClass.construct`; it does not have the method.
-        """
-        made = self.source.construct(self.arguments, {})
-        method = self.asked.partition("(")[0]
-        if not callable(getattr(made, method, None)):
-            raise self.refusal(f"one without {method}")
-        return made
-
-    def refusal(self, found: str) -> ConfigurationError:
-        """The error that says what is asked of the class, and what was found instead."""
-        return ConfigurationError(self.source.key, self.kind, f"a class whose {self.asked}, not {found}")
-
-    def numbers(self, answer: Any) -> np.ndarray:
-        """An answer of the object as an array.
-
-        Raises:
-            ConfigurationError: It is none.
-        """
-        try:
-            return np.asarray(answer, dtype=float)
-        except (TypeError, ValueError):
-            raise self.refusal(f"a {type(answer).__name__} that is no array of numbers") from None
-
-
-def given_again(section: Any) -> Any:
-    """A section in plain values, but for what was given in Python and has no other form."""
-    if isinstance(section, (list, tuple)):
-        return [given_again(each) for each in section]
-    if not isinstance(section, Section):
-        return to_plain(section)
-    data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
-    if "given" in vars(section):
-        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": vars(section)["given"]}
-    return data
-
-
-def refuse_given(section: Any) -> None:
-    """Refuses what was given in Python as a class or an object, where results are kept and known again by content.
-
-    Raises:
-        ConfigurationError: There is such a part.
-    """
-    for source in user_sources(section):
-        if source.given is not None:
-            raise ConfigurationError(source.key, source.path, "a class by its import path, to run it many times")
-
-
-def user_sources(section: Any) -> list[UserClass]:
-    """Every class of the user's own in a section, and in those inside."""
-    found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []
-    inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
-    return found + [each for part in inside for each in user_sources(part)]
-
-
-def place_users(section: Any, place: str = "") -> None:
-    """Tells the sections of a user's classes where they stand, for messages."""
-    if isinstance(section, UserMade):
-        vars(section)["place"] = place
-    if isinstance(section, (Section, tuple)):
-        named = vars(section).items() if isinstance(section, Section) else enumerate(section)
-        for name, part in list(named):
-            place_users(part, f"{place}.{name}" if place else str(name))
-
-
-def _import(place: str) -> Any:
-    module, _, name = place.partition(":")
-    return attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
-
-
-def json_schema(root: Any) -> dict[str, Any]:
-    """JSON schema of a section, with every kind of its families among the definitions."""
-    schema: dict[str, Any] = TypeAdapter(root).json_schema()
-    definitions: dict[str, Any] = schema.setdefault("$defs", {})
-
-    def with_references(part: Any) -> Any:
-        if isinstance(part, list):
-            return [with_references(each) for each in part]
-        if not isinstance(part, dict):
-            return part
-        if "kinds" not in part:
-            return {key: with_references(value) for key, value in part.items()}
-        rest = {key: value for key, value in part.items() if key not in ("kinds", "default kind")}
-        return {**rest, "anyOf": [reference(kind, each, part["default kind"]) for kind, each in part["kinds"].items()]}
-
-    def reference(kind: str, section: Any, default: str | None) -> dict[str, Any]:
-        name = section.__name__
-        if name not in definitions:
-            definitions[name] = {}
-            made = TypeAdapter(section).json_schema()
-            definitions.update({each: with_references(value) for each, value in made.pop("$defs", {}).items()})
-            definitions[name] = with_references(made)
-        return {"$ref": f"#/$defs/{name}", **({} if kind == default else {"required": ["kind"]})}
-
-    inner = list(definitions)
-    schema = with_references({key: value for key, value in schema.items() if key != "$defs"})
-    definitions.update({name: with_references(definitions[name]) for name in inner})
-    return {**schema, "$defs": definitions}
-
+from stewart_drake.families import Family, Table
 
 REFERENCES = Family(
     {
@@ -317,9 +40,9 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner",),
-        "ann": ("control.tuners:AnnTuner",),
-        "block": ("control.tuners:BlockTuner",),
+        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights"),
+        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner"),
+        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights"),
     }
 )
 SENSORS = Family(
@@ -328,8 +51,27 @@ SENSORS = Family(
         "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
     }
 )
-MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Beside those of the safety layer itself, whose limits are keys of `safety`."""
+OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+"""Those of the user's own, under `safety.monitors`."""
+BUILT_IN_MONITORS = Table(
+    {
+        "measurement_not_finite": "safety.monitors:MEASUREMENT",
+        "sensor_failed": "safety.monitors:SENSOR",
+        "controller_failed": "safety.monitors:CONTROLLER",
+        "command_not_finite": "safety.monitors:COMMAND",
+        "deadline": "safety.monitors:DEADLINE",
+        "workspace": "safety.monitors:WORKSPACE",
+        "serial_singularity": "safety.monitors:SERIAL",
+        "parallel_singularity": "safety.monitors:PARALLEL",
+        "crank_speed": "safety.monitors:CRANK_SPEED",
+        "following_error": "safety.monitors:FOLLOWING",
+        "torque_limit": "safety.monitors:TORQUE_LIMIT",
+        "torque_rate": "safety.monitors:TORQUE_RATE",
+    }
+)
+"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
+OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", method="of")
+"""Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
     {
         "constant": ("hardware.disturbances:ConstantWrench",),
@@ -341,3 +83,31 @@ DISTURBANCES = Family(
     own="hardware.disturbances:UserDisturbance",
     method="evaluate",
 )
+ENCODER_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "jump": "hardware.sensor_faults:JUMP",
+        "late": "hardware.sensor_faults:LATE",
+        "drift": "hardware.sensor_faults:DRIFT",
+        "reversed": "hardware.sensor_faults:REVERSED",
+        "inverted": "hardware.sensor_faults:INVERTED",
+        "swapped": "hardware.sensor_faults:SWAPPED",
+    }
+)
+POSE_FAULTS = Table(
+    {
+        "freeze": "hardware.sensor_faults:FREEZE",
+        "nan": "hardware.sensor_faults:NAN",
+        "late": "hardware.sensor_faults:LATE",
+    }
+)
+COMMAND_FAULTS = Table(
+    {
+        "nan": "hardware.command_link:NAN",
+        "inf": "hardware.command_link:INF",
+        "offset": "hardware.command_link:OFFSET",
+        "chatter": "hardware.command_link:CHATTER",
+    }
+)
+MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})

@@ -10,7 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, PARALLEL, Branch, Legs, Signed, Signed3, Size, Size3
+from stewart_drake.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
+from stewart_drake.robot_checks import check_directions, check_home, check_order, check_sizes
+from stewart_drake.robot_table import Cranks, Unit, from_table
 from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
@@ -38,13 +40,13 @@ class RobotParameters(Section, key="robot"):
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
-    shaft_half_angle: Size = math.radians(8.0)
+    shaft_half_angle: HalfAngle = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
     platform_joint_radius: Size = 0.11
     """[m] radius of the circle of the platform's joints."""
-    platform_half_angle: Size = math.radians(52.0)
+    platform_half_angle: HalfAngle = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
     crank_length: Size = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
@@ -54,7 +56,7 @@ class RobotParameters(Section, key="robot"):
     """[m] Z of P in B at the home pose; roll, pitch, yaw, X, Y are zero there."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1."""
-    legs: Legs | None = None
+    legs: SixLegs | None = None
     """Six sections with what each leg has of its own; null for none."""
 
     rod_mass: Size = 0.08
@@ -92,40 +94,19 @@ class RobotParameters(Section, key="robot"):
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
-                raise ConfigurationError(f"robot.{name}", inertia, "no moment above the sum of the other two")
+                allowed = f"no moment [kg m^2] above the sum of the other two, as {max(inertia):g} is"
+                raise ConfigurationError(f"robot.{name}", inertia, allowed)
         principal = np.linalg.eigvalsh(self._central_inertia)
         if principal[0] <= 0.0 or 2.0 * principal[2] > principal.sum() * (1.0 + 1e-9):
             allowed = "products with which the principal moments are positive and none is above the sum of the others"
             raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
         if self.rod_inertia[0] != self.rod_inertia[1]:
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")
-        for name in ("shaft_half_angle", "platform_half_angle"):
-            if getattr(self, name) >= math.pi / 3.0:
-                raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
-        _check_directions(self)
+        check_directions(self)
+        check_sizes(self)
+        check_order(self)
         # A robot that cannot stand at home has no SDF.
-        span = (self.platform_joints + self.home_pose[3:] - self.shaft_positions).T
-        directions = self.crank_zero_directions.T, self.crank_quarter_directions.T
-        along, up, constant = crank_equation(span, *directions, self.crank_lengths, self.rod_lengths)
-        size = np.hypot(along, up)
-        margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
-        low, high = np.clip(self.crank_angle_ranges, -LARGEST, LARGEST).T
-        if margin.min() > 0.0:
-            theta = np.arctan2(up, along) + self.branches * np.arccos(constant / size)
-            off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi
-            if (beyond := np.abs(off) > 0.5 * (high - low)).any():
-                leg = int(beyond.argmax())
-                allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
-                given = float(low[leg]), float(high[leg])
-                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", given, allowed)
-        else:
-            leg = int(margin.argmin())
-            raise ConfigurationError(
-                "robot.home_height",
-                self.home_height,
-                f"a height to which cranks of {self.crank_lengths[leg]:g} m and rods of {self.rod_lengths[leg]:g} m "
-                f"reach (leg {leg} has margin {margin.min():.3g})",
-            )
+        check_home(self)
 
     @classmethod
     def symmetric(cls, **parameters: Any) -> RobotParameters:
@@ -140,6 +121,24 @@ class RobotParameters(Section, key="robot"):
         if parameters.get("legs") is not None:
             raise ConfigurationError("robot.legs", parameters["legs"], "null: a symmetric robot has none of its own")
         return cls(**parameters)
+
+    @classmethod
+    def from_table(
+        cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
+    ) -> RobotParameters:
+        """A robot from measured positions, a row a leg; see `robot_table.from_table` for what is found by itself.
+
+        Args:
+            table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
+            unit: Of all lengths in the table and in `parameters`: m or mm.
+            cranks: Where level cranks point, if the table does not say: outwards from the centre, towards the partner
+                (the nearest other shaft), or away from it.
+            **parameters: Any of this class.
+
+        Raises:
+            ConfigurationError: As for the class; a table with too few rows, columns or numbers.
+        """
+        return cls(**from_table(table, unit, cranks, parameters))
 
     @cached_property
     def home_pose(self) -> np.ndarray:
@@ -245,6 +244,20 @@ class RobotParameters(Section, key="robot"):
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
+    def each_leg(self) -> list[dict[str, Any]]:
+        """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
+        of = {
+            "shaft_position": self.shaft_positions.tolist(),
+            "crank_zero_direction": self.crank_zero_directions.tolist(),
+            "crank_quarter_direction": self.crank_quarter_directions.tolist(),
+            "platform_joint": self.platform_joints.tolist(),
+            "crank_length": self.crank_lengths.tolist(),
+            "rod_length": self.rod_lengths.tolist(),
+            "branch": [int(sign) for sign in self.branches],
+            "crank_angle_range": [each.tolist() if np.isfinite(each[0]) else None for each in self.crank_angle_ranges],
+        }
+        return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
+
     def replace(self, **changes: Any) -> RobotParameters:
         """A robot with some parameters changed, validated again.
 
@@ -265,39 +278,6 @@ class RobotParameters(Section, key="robot"):
             if value is not None:
                 symmetric[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
         return _frozen(symmetric)
-
-
-def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
-    """A, B, C of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid. Any arrays; components first.
-
-    Args:
-        span: (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2).
-        zero: (3, 6, ...) [-] direction of each crank at theta = 0.
-        quarter: (3, 6, ...) [-] at theta = pi/2.
-        crank: (6, ...) [m] lengths.
-        rod: (6, ...) [m] lengths.
-
-    Returns:
-        (6, ...) [m^2] each.
-    """
-    twice = 2.0 * crank
-    along = twice * (span[0] * zero[0] + span[1] * zero[1] + span[2] * zero[2])
-    up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
-    constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
-    return along, up, constant
-
-
-def _check_directions(robot: RobotParameters) -> None:
-    """Refuses cranks' directions that are not perpendicular unit vectors."""
-    for leg, own in enumerate(robot.legs or ()):
-        for name in ("crank_zero_direction", "crank_quarter_direction"):
-            given = getattr(own, name)
-            if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
-                raise ConfigurationError(f"robot.legs.{leg}.{name}", given, "a vector of length 1")
-        quarter = (0.0, 0.0, 1.0) if own.crank_quarter_direction is None else own.crank_quarter_direction
-        if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
-            allowed = "a direction at a right angle to crank_zero_direction"
-            raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
 
 
 def _frozen(values: Any) -> np.ndarray:

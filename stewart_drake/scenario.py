@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
@@ -18,21 +18,24 @@ from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
+from stewart_drake.families import Family, given_again, json_schema, place_users
 from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.keys import set_component
 from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS, Family, given_again, json_schema, place_users
+from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot_files import AnyRobot, robot_section
+from stewart_drake.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import (
@@ -107,6 +110,8 @@ class Scenario(Section):
     """What the run itself must keep to for its motion to count as followed; it decides on the outcome."""
     limits: Limits = by_default(Limits())
     """What the reference must keep to; checked before the run."""
+    metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
+    """Further figures of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
     log_period: Positive | None = None
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
@@ -122,23 +127,52 @@ class Scenario(Section):
                 raise ConfigurationError("controller.compiled", older, allowed)
             data = {**data, "compiled": older}
             data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
-        return data
+        try:
+            robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
+        except (ValidationError, ConfigurationError):
+            # The checks will say what is wrong with it.
+            return data
+        data = data if robot is None else {**data, "robot": robot}
+        robot = robot or PAPER
+        return _with_defaults(data, robot, believed or robot)
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has.
+        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
+        another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
 
         Args:
-            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}.
+            changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
+                `initial_offset[5]` or `robot.legs[2].rod_length`, come last.
 
         Raises:
             ConfigurationError: As for the class.
         """
         data: dict[str, Any] = {name: getattr(self, name) for name in keys_of(self)}
+        components = {key: value for key, value in changes.items() if "[" in key}
+        for name in _OF_ROBOT:
+            if data[name] is not None:
+                data[name] = given_again(data[name])
+                if any(key in changes for key in ROBOT_KEYS):
+                    robot = self.believed_robot if name in _BELIEVED else self.robot
+                    data[name] = without_own(getattr(self, name), data[name], robot)
         for key, value in changes.items():
-            _assign(data, key, value)
+            if key not in components:
+                _assign(data, key, value)
+        made = Scenario.from_dict(data)
+        if not components:
+            return made
+        data, full = given_again(made), made.in_full()
+        for key, value in components.items():
+            set_component(data, full, key, value)
         return Scenario.from_dict(data)
+
+    def in_full(self) -> dict[str, Any]:
+        """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""
+        robots = {name: each for name in ("robot", "model_robot") if (each := getattr(self, name)) is not None}
+        filled = {name: {**each.to_dict(), "legs": each.each_leg()} for name, each in robots.items()}
+        return {**self.to_dict(), **filled}
 
     def to_yaml(self) -> str:
         """The whole scenario, defaults included, as YAML that `load_scenario` reads back."""
@@ -224,7 +258,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
             last lies in it or below. A bare name such as `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
             others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
-            keys that only the old kind has.
+            keys that only the old kind has. Components of lists come last, see `Scenario.replace`.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -232,14 +266,19 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
+    components: dict[str, Any] = {}
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
         change = {key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}
         anchor_files(change, Path())
-        _assign(data, key.strip(), change[key.strip()])
-    return Scenario.from_dict(data)
+        if "[" in key:
+            components |= change
+        else:
+            _assign(data, key.strip(), change[key.strip()])
+    made = Scenario.from_dict(data)
+    return made.replace(components) if components else made
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -255,6 +294,32 @@ _FAMILIES: Mapping[str, Family] = {
     for each in field.metadata
     if isinstance(each, Family)
 }
+
+
+_ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
+_BELIEVED = {"controller", "tuner", "sensors", "safety"}
+"""Sections that go by the robot as believed."""
+
+
+def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
+    """The keys of a scenario with those defaults that another robot than the paper's has."""
+    found = {}
+    for name, absent in _OF_ROBOT.items():
+        given = data.get(name, absent)
+        section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
+        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS)
+        if made is not given:
+            found[name] = made
+    return {**data, **found}
+
+
+_OF_NO_FAMILY: Mapping[str, type[Section]] = {"safety": SafetyOptions, "bounds": Bounds, "limits": Limits}
+_OF_ROBOT: Mapping[str, Section | None] = {
+    name: Scenario.__pydantic_fields__[name].get_default(call_default_factory=True)
+    for name in ("reference", "controller", "tuner", "sensors", *_OF_NO_FAMILY)
+}
+"""Sections with defaults that come from the robot, as they are where they are absent."""
+_PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
@@ -278,8 +343,6 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         family = _FAMILIES[parents[0]]
         old, new = family.section_of(section), family.section(value)
         if old is not None and new is not None:
-            # Controllers have keys of one name with other choices.
-            same = set(keys_of(new)) - ({"feedforward", "saturation"} if parents == ["controller"] else set())
-            for name in set(keys_of(old)) - same:
+            for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):
                 section.pop(name, None)
     section[last] = value

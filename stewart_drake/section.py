@@ -31,7 +31,7 @@ Positive = Annotated[float, Strict(), Field(ge=TINY)]
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
 Fraction = Annotated[float, Strict(), Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
-Leg = Annotated[int, Strict(), Field(ge=0, le=5), "leg"]
+LegNumber = Annotated[int, Strict(), Field(ge=0, le=5), "leg"]
 """The text in it is the noun that a message has."""
 Natural = Annotated[int, Strict(), Field(ge=0)]
 Seed = Annotated[int, Strict(), Field(ge=0, le=MAX_SEED)]
@@ -66,6 +66,8 @@ class Section:
     """
 
     section_key: ClassVar[str] = ""
+    own_keys: ClassVar[frozenset[str]] = frozenset()
+    """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -176,7 +178,7 @@ def to_plain(value: Any) -> Any:
         return [to_plain(each) for each in value]
     if isinstance(value, Mapping):
         return {key: to_plain(each) for key, each in value.items()}
-    return value
+    return str(value) if isinstance(value, str) else value
 
 
 def is_finite(value: Any) -> bool:
@@ -201,7 +203,7 @@ def check_value(key: str, value: Any, kind: Any) -> None:
     Args:
         key: Its name.
         value: What was given.
-        kind: Its type, such as `Leg`, `Vector6` or a `Literal`.
+        kind: Its type, such as `LegNumber`, `Vector6` or a `Literal`.
 
     Raises:
         ConfigurationError: It is not of that type.

@@ -37,7 +37,8 @@ MEMORY = 1_500_000_000
 """[byte] that loading may take beyond what the modules do."""
 SECONDS = 30
 """Of work for one file; ten times as long where it waits."""
-ROUNDS = 100
+ROUNDS = int(os.environ.get("STEWART_DRAKE_ATTACKS", "60"))
+"""Of attacks on each kind of file; more of them for a longer search."""
 
 SWEEP = b"""scenario: exact_fig7
 runs: 5

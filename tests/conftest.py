@@ -1,3 +1,4 @@
+import fcntl
 import json
 import os
 import re
@@ -5,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,8 @@ from stewart_drake.logs import versions
 settings.register_profile("default", deadline=None)
 # In CI the same examples every time: a new counterexample is found by a person, not by somebody else's change.
 settings.register_profile("ci", deadline=None, derandomize=True)
+# For daily work, `make check`: a quarter of the examples; `make test` has all of them.
+settings.register_profile("check", deadline=None, max_examples=25)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
@@ -27,15 +31,80 @@ ROOT = Path(__file__).parent.parent
 pytest_plugins = ("quick_report",)
 
 
-def python(*arguments):
-    """Runs a fresh Python that finds this checkout, installed or not; stdout, or the test fails with its stderr."""
+SHARED = ("report", "attacked", "cluster", "done", "collected", "wheel")
+"""Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
+
+
+# Before that of pytest-xdist, which looks for the groups.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        for name in set(SHARED).intersection(item.fixturenames):
+            item.add_marker(pytest.mark.xdist_group(name))
+        if "report" in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
+
+
+COMMAND = "from stewart_drake.cli.app import main; main()"
+
+
+def environment(**changes):
+    """In which a fresh Python finds this checkout, installed or not."""
     path = os.pathsep.join(filter(None, [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes}
+
+
+def python(*arguments):
+    """Runs a fresh Python; stdout, or the test fails with its stderr."""
     command = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ, "PYTHONPATH": path}
-    )
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment())
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+@pytest.fixture
+def start(tmp_path):
+    """`start(*arguments)`: the command, or other code, in `tmp_path`; nothing of it outlives the test."""
+    started = []
+
+    def start(*args, code=COMMAND, **options):
+        words = [each if isinstance(each, bytes) else str(each) for each in args]
+        given = [code] if isinstance(code, Path) else ["-c", code]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+        options = pipes | {"cwd": tmp_path, "env": environment()} | options
+        started.append(subprocess.Popen([sys.executable, *given, *words], **options))
+        return started[-1]
+
+    yield start
+    for process in started:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+@pytest.fixture
+def shell(start):
+    """`shell(*arguments)`: `start` to its end; status, stdout, stderr."""
+
+    def shell(*args, **options):
+        process = start(*args, **options)
+        out, err = process.communicate(timeout=120)
+        return process.returncode, out, err
+
+    return shell
+
+
+def once(tmp_path_factory, name, make):
+    """The folder `name` of this session, filled by `make(folder)`: once, whichever workers ask for it."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "made").exists():
+            make(folder)
+            (folder / "made").touch()
+    return folder
 
 
 def alive(group):
@@ -84,13 +153,21 @@ def resealed(document):
     return json.dumps(rest).encode()
 
 
-@pytest.fixture
-def code_as_it_is(monkeypatch):
+@contextmanager
+def code_frozen():
     """What is tested in this process must not depend on whether someone edits the package meanwhile."""
-    monkeypatch.setattr(versions, "source_digest", lambda: "as it is")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(versions, "source_digest", lambda: "as it is")
+        engine._own_source.cache_clear()
+        yield
     engine._own_source.cache_clear()
-    yield
-    engine._own_source.cache_clear()
+
+
+@pytest.fixture
+def code_as_it_is():
+    """See `code_frozen`."""
+    with code_frozen():
+        yield
 
 
 @pytest.fixture

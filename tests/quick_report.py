@@ -1,12 +1,11 @@
 """Fixtures of the reproduction: its quick report, made once for the whole session."""
 
 import dataclasses
-import fcntl
 import json
-import os
 from typing import NamedTuple
 
 import pytest
+from conftest import once
 
 from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.paper.report import Section
@@ -15,7 +14,7 @@ from stewart_drake.paper.study import Study
 from stewart_drake.scenario import load_scenario
 
 FASTER = {"controller.solver": "split", "compiled": True}
-"""The same gains and ticks, ten times as fast; other tests hold them equal."""
+"""The same gains and ticks, and a run takes less than half the time; other tests hold them equal."""
 
 
 class Report(NamedTuple):
@@ -26,31 +25,20 @@ class Report(NamedTuple):
     progress: list
 
 
-def pytest_collection_modifyitems(items):
-    # One worker makes the report; others that waited for it would stand idle.
-    for item in items:
-        if "report" in item.fixturenames:
-            item.add_marker(pytest.mark.xdist_group("report"))
-            item.add_marker(pytest.mark.slow)
-
-
 @pytest.fixture(scope="session")
 def report(tmp_path_factory):
     """The quick report, made once for the whole session, whichever workers ask for it."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "quick-report"
-    folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        calls = folder / "progress.json"
-        if not calls.exists():
-            shares = []
-            base = load_scenario("paper_fig7").replace(FASTER)
-            reproduce(folder / "out", True, base, lambda key, share: shares.append((key, share)))
-            calls.write_text(json.dumps(shares))
+
+    def make(folder):
+        shares = []
+        base = load_scenario("paper_fig7").replace(FASTER)
+        reproduce(folder / "out", True, base, lambda key, share: shares.append((key, share)))
+        (folder / "progress.json").write_text(json.dumps(shares))
+
+    folder = once(tmp_path_factory, "quick-report", make)
     parts = {path.name.rpartition("-")[0]: path for path in (folder / "out" / "parts").glob("*.json")}
     found = {key: Section.from_json(json.dumps(json.loads(parts[key].read_text())["section"])) for key in SECTIONS}
-    return Report(folder / "out", found, json.loads(calls.read_text()))
+    return Report(folder / "out", found, json.loads((folder / "progress.json").read_text()))
 
 
 @pytest.fixture

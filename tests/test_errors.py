@@ -9,7 +9,6 @@ from stewart_drake.errors import (
     AssemblyModeError,
     ConfigurationError,
     DrakeCheckError,
-    EncoderError,
     ForwardKinematicsError,
     InfeasibleReferenceError,
     NotFiniteError,
@@ -33,20 +32,13 @@ EXAMPLES = [
     SingularPoseError("parallel", POSE, 1e-4, 0.01),
     SingularPoseError("rod_joint", POSE, 1e-7, 1e-6, leg=0),
     ForwardKinematicsError(0.02, 30),
-    EncoderError("not finite", POSE),
+    RunFailure("encoder readings", reason="encoder"),
     AssemblyModeError(POSE, 1.1 * POSE),
     SafetyStop("deadline", "deadline: stopped", None, {"monitor": "deadline", "time": 0.5}),
     RiccatiError("no solution"),
     NotFiniteError("torque", np.array([1.0, np.nan])),
     DrakeCheckError("Simulator: condition failed"),
 ]
-
-
-@pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
-def test_every_error_is_caught_as_one_of_the_package_and_has_a_stable_reason(error):
-    assert isinstance(error, StewartDrakeError)
-    assert error.reason.isidentifier()
-    assert str(error)
 
 
 class Unshowable:
@@ -65,14 +57,27 @@ def test_any_value_can_be_shown_in_one_short_line(value):
     assert text.isprintable()
 
 
-def test_reasons_tell_the_errors_apart():
-    reasons = [error.reason for error in EXAMPLES]
-    assert len(set(reasons)) == len(reasons)
-
-
-def test_all_kinds_of_the_module_are_covered_here():
+def test_every_error_of_the_module_has_a_stable_reason_of_its_own():
     kinds = {k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, StewartDrakeError)}
     assert kinds == {type(error) for error in EXAMPLES}
+    assert len({error.reason for error in EXAMPLES}) == len(EXAMPLES)
+    assert all(error.reason.isidentifier() and str(error) for error in EXAMPLES)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ConfigurationError("robot.branch", 2, "-1 or 1"), ["robot.branch: got 2; allowed: -1 or 1"]),
+        (
+            InfeasibleReferenceError("conditioning", 0.25, 3, -0.01, "sigma >= 0.05"),
+            ["reference", "conditioning", "0.250 s", "leg 3", "-0.01", "sigma >= 0.05"],
+        ),
+        (InfeasibleReferenceError("conditioning", 0.25, None, -0.01, "sigma >= 0.05"), ["the platform"]),
+        (UnreachablePoseError(POSE, 4, -0.125), ["leg 4", "-0.125", "0.1, 0.2, 0.3, 0.01, 0.02, 0.5"]),
+    ],
+)
+def test_a_message_says_where_and_by_how_much(error, words):
+    assert [word for word in words if word not in str(error)] == []
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
@@ -92,45 +97,6 @@ def test_the_two_families_are_apart_and_pydantic_wraps_neither():
     assert not issubclass(ConfigurationError, RunFailure)
     assert not issubclass(ConfigurationError, ValueError)
     assert issubclass(RunFailure, RuntimeError)
-
-
-def test_configuration_error_names_key_value_and_what_is_allowed():
-    error = ConfigurationError("robot.branch", 2, "-1 or 1")
-    assert (error.key, error.value, error.allowed) == ("robot.branch", 2, "-1 or 1")
-    assert str(error) == "robot.branch: got 2; allowed: -1 or 1"
-
-
-def test_a_long_value_is_shortened_in_the_message_only():
-    value = list(range(1000))
-    error = ConfigurationError("pose", value, "six numbers")
-    assert error.value is value
-    assert "..." in str(error)
-    assert len(str(error)) < 200
-
-
-@pytest.mark.parametrize(("leg", "place"), [(3, "leg 3"), (None, "the platform")])
-def test_infeasible_reference_names_limit_time_place_and_margin(leg, place):
-    error = InfeasibleReferenceError("conditioning", 0.25, leg, -0.01, "sigma_min / sigma_max >= 0.05")
-    assert (error.limit, error.time, error.leg, error.margin) == ("conditioning", 0.25, leg, -0.01)
-    for part in ("reference", "conditioning", "0.250 s", place, "-0.01", "sigma_min / sigma_max >= 0.05"):
-        assert part in str(error)
-
-
-def test_unreachable_pose_names_leg_pose_and_margin():
-    error = UnreachablePoseError(POSE, 4, -0.125)
-    assert error.leg == 4
-    assert error.margin == -0.125
-    np.testing.assert_array_equal(error.pose, POSE)
-    assert "leg 4" in str(error)
-    assert "-0.125" in str(error)
-    assert "0.1, 0.2, 0.3, 0.01, 0.02, 0.5" in str(error)
-
-
-def test_a_run_failure_gets_its_time_from_the_system_in_which_it_happened():
-    error = RunFailure("stopped", leg=1)
-    assert error.time is None
-    error.time = 0.5
-    assert error.time == 0.5
 
 
 @pytest.mark.parametrize("inner", [SystemExit("condition 'x > 0' failed."), RuntimeError("bad\n  state"), SystemExit()])

@@ -10,25 +10,7 @@ from pydrake.systems.framework import LeafSystem
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.sampling import on_grid, steps_per
 
-DECIMAL = [
-    1e-6,
-    0.00001,
-    0.0001,
-    0.00025,
-    0.0005,
-    0.001,
-    0.002,
-    0.005,
-    0.01,
-    0.02,
-    0.05,
-    0.1,
-    0.125,
-    0.25,
-    0.5,
-    1.0,
-    2.0,
-]
+DECIMAL = [1e-6, 1e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.125, 0.25, 0.5, 1.0, 2.0]
 BINARY = [2.0**-k for k in range(1, 13)]
 THIRDS = [1.0 / 3000.0, 1.0 / 1500.0, 1.0 / 600.0, 1.0 / 300.0, 1.0 / 30.0, 1.0 / 3.0]
 PAIRS = [
@@ -42,9 +24,9 @@ LAST = 8192.0
 """[s] longer than the longest scenario."""
 
 
-@pytest.mark.parametrize(("fast", "slow", "ratio"), PAIRS)
-def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid(fast, slow, ratio):
-    assert Fraction(on_grid(slow)) == ratio * Fraction(on_grid(fast))
+def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid():
+    assert len(PAIRS) > 300
+    assert [pair for pair in PAIRS if Fraction(on_grid(pair[1])) != pair[2] * Fraction(on_grid(pair[0]))] == []
 
 
 @pytest.mark.parametrize(
@@ -85,12 +67,6 @@ def test_off_the_grid_too_a_tick_never_comes_after_the_plants_step(time_step, ra
     period = ratio * time_step
     assume(period <= 10.0)
     assert on_grid(period) <= ratio * on_grid(time_step)
-
-
-@pytest.mark.parametrize("seconds", [0.0, -0.001, math.nan, math.inf, -math.inf])
-def test_a_period_that_drake_would_fire_once_is_refused(seconds):
-    with pytest.raises(ConfigurationError, match="positive"):
-        on_grid(seconds)
 
 
 class Recorder(LeafSystem):
@@ -137,23 +113,11 @@ def test_what_lies_between_two_multiples_is_refused_under_its_key(time_step, cou
     assert caught.value.key == "controller.period"
 
 
-@pytest.mark.parametrize(
-    ("period", "time_step"),
-    [
-        (0.0005, 0.001),
-        (0.0, 0.001),
-        (-0.005, 0.001),
-        (math.nan, 0.001),
-        (math.inf, 0.001),
-        (0.005, 0.0),
-        (0.005, -0.001),
-        (0.005, math.nan),
-        (0.005, math.inf),
-    ],
-)
-def test_steps_per_refuses_what_is_no_period(period, time_step):
-    with pytest.raises(ConfigurationError):
-        steps_per("log_period", period, time_step)
+@pytest.mark.parametrize("bad", [0.0, -0.001, math.nan, math.inf, -math.inf])
+def test_what_drake_would_fire_once_is_no_period(bad):
+    for ask in (lambda: on_grid(bad), lambda: steps_per("log_period", bad, 0.001), lambda: steps_per("p", 0.005, bad)):
+        with pytest.raises(ConfigurationError, match=r"positive|multiple"):
+            ask()
 
 
 @given(st.sampled_from([(1e-4, 5e-3), (1e-3, 5e-3), (1.0 / 3000.0, 1.0 / 600.0)]), st.floats(-9e-12, 9e-12))

@@ -11,13 +11,10 @@ from ruamel.yaml import YAML
 
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.inputs import Measurement, Setpoint
-from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.planning.limits import Limits
-from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import (
@@ -30,8 +27,7 @@ from stewart_drake.scenario import (
 from stewart_drake.wording import keys_of
 
 KEYS_OF_ALL = keys_of(Scenario)
-PAPER = ("paper_fig7", "paper_fig7_no_gravity", "paper_fig7_uncompensated")
-SHIPPED = (*PAPER, "breathing", "exact_breathing", "exact_fig7", "exact_heart", "heart", "tool_path")
+SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
 WHOLE = [
     Scenario(),
@@ -70,10 +66,8 @@ def one_line(error):
     return error
 
 
-def nested(path, value):
-    for part in reversed(path.split(".")):
-        value = {part: value}
-    return value
+def adjusted_tremor(**keys):
+    return {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", **keys}]}}
 
 
 def leaves(data, path=()):
@@ -91,10 +85,6 @@ def put(data, path, value):
         here = here[part]
     here[path[-1]] = value
     return data
-
-
-def shown(key):
-    return key if key and key.isprintable() else repr(key)
 
 
 def write(folder, text, name="some.yaml"):
@@ -125,19 +115,9 @@ def test_the_defaults_are_the_papers_run():
     ],
 )
 def test_shipped_scenarios_are_the_three_cases_of_the_paper(name, gravity, feedforward, tuner):
-    scenario = load_scenario(name)
-    assert scenario.name == name
-    assert (scenario.gravity, scenario.controller.feedforward, scenario.tuner.kind) == (gravity, feedforward, tuner)
-    for time in (0.0, 0.7, 9.9):
-        for shipped, papers in zip(scenario.reference.evaluate(time), SineReference().evaluate(time), strict=True):
-            np.testing.assert_allclose(shipped, papers, atol=1e-15)
-    # Nothing else departs from the defaults unseen.
+    # The paper's motion is the default; nothing else departs from the defaults unseen.
     changed = {"name": name, "gravity": gravity, "controller.feedforward": feedforward, "tuner.kind": tuner}
-    assert scenario == Scenario().replace(changed)
-
-
-def test_all_shipped_scenarios_are_tested_here():
-    assert sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml")) == sorted(SHIPPED)
+    assert load_scenario(name) == Scenario().replace(changed)
 
 
 def test_the_same_scenario_from_file_dict_and_python(tmp_path):
@@ -158,118 +138,53 @@ def test_numbers_are_those_of_yaml_1_2(tmp_path, text):
     assert load_scenario(write(tmp_path, f"plant:\n  time_step: {text}\n")).plant.time_step == 0.001
 
 
-def test_an_integer_will_do_for_a_number_and_a_list_for_a_vector():
-    scenario = Scenario.from_dict({"duration": 3, "initial_offset": [0, 0, 0, 0, 0, 0]})
-    assert type(scenario.duration) is float
-    assert scenario.initial_offset == (0.0,) * 6
-
-
 def test_windows_line_ends_byte_order_mark_and_comments(tmp_path):
     path = write(tmp_path, b"\xef\xbb\xbf# first\r\nduration: 3 # seconds\r\ngravity: 0\r\n")
     assert (load_scenario(path).duration, load_scenario(path).gravity) == (3.0, 0.0)
 
 
-def test_a_scenario_cannot_be_changed_in_place():
-    scenario = Scenario()
-    for section, name in ((scenario, "duration"), (scenario, "durration"), (scenario.robot, "rod_mass")):
-        with pytest.raises(Exception, match=r"frozen|immutable|cannot assign"):
-            setattr(section, name, 1.0)
-    assert scenario == Scenario()
-
-
-@pytest.mark.parametrize(("steps", "duration"), [(5, 0.005), (1, 0.005), (5, 5e5)])
-def test_the_edges_of_what_is_allowed_are_allowed(steps, duration):
-    scenario = Scenario.from_dict({"duration": duration, "controller": {"period": steps * 0.001}, "gravity": 0})
-    assert scenario.effective_log_period == steps * 0.001
-
-
 # --- what is refused ----------------------------------------------------------------------------------------------
 
+# That every section refuses what means nothing in it under its own key is in test_section.py.
 WRONG = [
     # key as it must be named, document, words that must be there
-    ("durration", {"durration": 3}, "did you mean duration?"),
     ("zzz", {"zzz": 3}, "the keys here are name, duration"),
-    ("robot.rod_lenght", nested("robot.rod_lenght", 0.4), "did you mean rod_length?"),
-    ("model_robot.crank_mas", nested("model_robot.crank_mas", 0.4), "did you mean crank_mass?"),
-    ("plant.time_stp", nested("plant.time_stp", 0.001), "did you mean time_step?"),
-    ("controller.perod", nested("controller.perod", 0.001), "did you mean period?"),
-    ("limits.torque", nested("limits.torque", 1), "did you mean torque_fraction?"),
-    ("reference.amplitud", {"reference": {"kind": "sine", "amplitud": []}}, "did you mean amplitude?"),
+    ("model_robot.crank_mas", {"model_robot": {"crank_mas": 0.4}}, "did you mean crank_mass?"),
     ("reference.center", {"reference": {"kind": "hold", "center": []}}, "the keys here are kind, pose"),
-    ("tuner.omega", {"tuner": {"kind": "ann", "omega": 1}}, "did you mean omega_"),
     ("tuner.weights_file", {"tuner": {"kind": "fixed", "weights_file": "x"}}, "no such key"),
     ("robot", {"robot": 3}, "a section"),
     ("tuner", {"tuner": "ann"}, "fixed, ann or block"),
     ("tuner.kind", {"tuner": {}}, "fixed, ann or block; this key is required"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
-    (
-        "reference.kind",
-        {"reference": {"center": []}},
-        "spline, recorded, sum, adjusted or module:Class; this key is required",
-    ),
+    ("reference.kind", {"reference": {}}, "spline, recorded, sum, adjusted or module:Class; this key is required"),
     ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine, sine_bursts, breathing"),
-    ("reference.center", {"reference": {"kind": "sine", "center": [0, 0, 0]}}, "a list of 6 numbers"),
-    (
-        "reference.center.5",
-        {"reference": {"kind": "sine", "center": [0, 0, 0, 0, 0, "x"]}},
-        "got 'x'; allowed: a number",
-    ),
-    ("reference.frequency", {"reference": {"kind": "sine_bursts", "amplitude": []}}, "this key is required"),
     ("reference.frequncy", {"reference": {"kind": "sine_bursts", "frequncy": [1]}}, "did you mean frequency?"),
     ("reference.frequency.1", {"reference": BURSTS | {"frequency": [1, -2]}}, "positive"),
     ("reference.amplitude", {"reference": BURSTS | {"amplitude": [[0] * 6]}}, "2 vectors of 6 numbers"),
     ("reference.amplitude.1", {"reference": BURSTS | {"amplitude": [[0] * 6, [0] * 5]}}, "a list of 6 numbers"),
-    ("reference.amplitude", {"reference": BURSTS | {"amplitude": 3}}, "a list of lists of 6 numbers"),
     ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
     ("reference.parts", {"reference": {"kind": "sum", "parts": []}}, "a list of at least 1 sections"),
     ("reference.parts.0", {"reference": {"kind": "sum", "parts": [3]}}, "a section, with kind: hold, sine"),
     ("reference.parts.0.kind", {"reference": {"kind": "sum", "parts": [{"kind": "sum", "parts": []}]}}, "recorded"),
-    (
-        "reference.parts.1.frequency",
-        {"reference": {"kind": "sum", "parts": [{"kind": "hold"}, {"kind": "breathing", "frequency": -1}]}},
-        "a positive number",
-    ),
-    (
-        "reference.motion.parts.0.hgh",
-        {"reference": {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", "hgh": 1}]}}},
-        "did you mean high?",
-    ),
-    (
-        "reference.motion.parts.0.high",
-        {"reference": {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", "high": 1}]}}},
-        "above low, 6 Hz",
-    ),
-    ("reference.motion", {"reference": {"kind": "adjusted"}}, "this key is required"),
+    ("reference.motion.parts.0.hgh", {"reference": adjusted_tremor(hgh=1)}, "did you mean high?"),
+    ("reference.motion.parts.0.high", {"reference": adjusted_tremor(high=1)}, "above low, 6 Hz"),
     ("reference.premature_beats.0", {"reference": {"kind": "heartbeat", "premature_beats": [1.5]}}, "a whole number"),
     ("duration", {"duration": "10"}, "(without quotes)"),
     ("duration", {"duration": 8000, "plant": {"time_step": 1e-6}, "log_period": 1}, "1e9 steps"),
     ("duration", {"duration": 0.004}, "at least one control period, 0.005 s"),
     ("duration", {"duration": datetime.date(2001, 1, 1)}, "a number"),
-    ("tuner.window", {"tuner": {"kind": "fixed", "window": 100_001}}, "a whole number from 1 to 100000"),
-    ("tuner.density", {"tuner": {"kind": "fixed", "density": "x"}}, "magnitude or signed"),
-    ("plant.rod_joint", nested("plant.rod_joint", "bal"), "universal or ball"),
-    ("plant.collision", nested("plant.collision", "yes"), "true or false"),
-    ("controller.period", nested("controller.period", 0.0055), "a whole multiple of the plant's time step 0.001 s"),
-    ("controller.period", nested("controller.period", 0.0005), "a whole multiple"),
-    ("controller.period", {"plant": {"time_step": 0.01}}, "a whole multiple of the plant's time step 0.01 s"),
-    ("controller.period", nested("controller.period", 0.005000001), "a whole multiple"),
-    ("controller.force_map", nested("controller.force_map", "print"), "printed or statics"),
-    ("controller.feedforward", nested("controller.feedforward", True), "none, gravity, platform or full"),
-    ("limits.reach", nested("limits.reach", 1.1), "at most 1, or null"),
-    ("robot.branch", nested("robot.branch", 0), "-1 or 1"),
-    ("robot.branch", nested("robot.branch", 1.0), "-1 or 1"),
-    ("robot.rod_inertia", nested("robot.rod_inertia", [1, 2]), "a list of 3 numbers"),
-    ("robot.home_height", nested("robot.rod_length", 0.1), "rods of 0.1 m reach"),
-    ("robot.rod_length", nested("robot.rod_length", 1e200), "1e+06"),
+    ("controller.period", {"controller": {"period": 0.0055}}, "a whole multiple of the plant's time step 0.001 s"),
+    ("controller.period", {"controller": {"period": 0.0005}}, "a whole multiple"),
+    ("controller.period", {"controller": {"period": 0.005000001}}, "a whole multiple"),
+    ("robot.home_height", {"robot": {"rod_length": 0.1}}, "rods of 0.1 m reach"),
+    ("robot.rod_length", {"robot": {"rod_length": 1e200}}, "1e+06"),
     ("log_period", {"log_period": 0.0015}, "a whole multiple of the plant's time step"),
     ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),
     ("name", {"name": ""}, "at least 1"),
     ("name", {"name": "a" * 101}, "at most 100"),
     ("name", {"name": "../up"}, "letters, digits"),
-    ("name", {"name": ".."}, "letters, digits"),
     ("name", {"name": "a\n"}, "letters, digits"),
     ("1", {1: 2}, "keys that are texts"),
-    ("None", {None: 2}, "keys that are texts"),
     ("plant.1", {"plant": {1: 2}}, "keys that are texts"),
 ]
 
@@ -298,14 +213,10 @@ def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
     [
         (lambda: Scenario(durration=1), "durration"),
         (lambda: Scenario(robot={"crank_length": "0.1"}), "robot.crank_length"),
-        (lambda: Scenario(robot=RobotParameters(crank_length=-1.0)), "robot.crank_length"),
-        (lambda: Scenario(plant=PlantOptions(time_step=0.0)), "plant.time_step"),
-        (lambda: Scenario(controller=LqiOptions(period=math.nan)), "controller.period"),
         (lambda: Scenario(reference=SineReference(center=(0.0,) * 5)), "reference.center"),
-        (lambda: Scenario(limits=Limits(reach=2.0)), "limits.reach"),
         (lambda: Scenario(reference=3), "reference"),
-        (lambda: Scenario(tuner={"kind": "fixed", "omega_q": -1.0}), "tuner.omega_q"),
         (lambda: Scenario.from_dict(3), "scenario"),
+        (lambda: Scenario.from_dict([("duration", 3)]), "scenario"),
     ],
 )
 def test_python_construction_names_the_key_too(make, key):
@@ -323,11 +234,6 @@ def test_arrays_in_a_section_made_in_python_become_plain_numbers():
         assert scenario == plain
         assert hash(scenario) == hash(plain)
         assert scenario.to_yaml() == plain.to_yaml()
-
-
-@pytest.mark.parametrize("data", [None, 3, "duration: 3", [1], [("duration", 3)]], ids=repr)
-def test_what_is_no_mapping_is_refused(data):
-    assert refusal(data).key == "scenario"
 
 
 def test_a_key_of_many_lines_or_letters_still_makes_one_short_line():
@@ -358,39 +264,27 @@ def chain(entry):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "an empty file"),
         (b"# nothing but a comment\n", "an empty file"),
         (b"- 1\n", "a mapping"),
-        (b"3", "a mapping"),
         (b"\xff\xfe\x00", "UTF-8"),
-        (b"\x89PNG\r\n\x1a\n\x00\x00", "UTF-8"),
         (b"duration: \x00", "not allowed"),
-        (b"duration: 1\nduration: 2\n", "line 2, column 1: found duplicate key"),
         (b"plant:\n  time_step: 0.001\n  time_step: 0.002\n", "line 3, column 3: found duplicate key"),
-        (b"duration: [1\n", "line 2, column 1"),
-        (b"\tduration: 1\n", "line 1, column 1"),
         (b"a: b: c", "line 1, column 5"),
         (b"---\nduration: 1\n---\nduration: 2\n", "line 3, column 1: found another document"),
         (b"duration: !!python/object/apply:os.system [ls]", "without tags"),
-        (b"duration: !seconds 3", "without tags"),
-        (b"duration: !!bool 3", "without tags"),
-        (b"duration: !!int ''", "without tags"),
         (b"duration: !!timestamp x", "without tags"),
         (b"duration: 2001-13-45", "well-formed"),
         (b"duration: *nowhere", "undefined alias"),
         (b"duration: &a 1\ngravity: &a 2", "duplicate anchor"),
         (b"{{a: 1}: 2}: 3", "unhashable"),
-        (b"duration: " + b"9" * 401, "a whole number of 401 digits"),
         (b"duration: -0x_" + b"f" * 5000, "a whole number of 5000 digits"),
         (b"duration: !!int '0o" + b"7" * 5000 + b"'", "at most 400 digits"),
         (b"[" * 500_000, "sections 101 deep"),
         (b"? " * 2000, "sections 101 deep"),
-        (b"plant: &loop\n  plant: *loop\n", "a section that holds itself"),
         (b"reference: &a {kind: sum, parts: [*a]}", "a section that holds itself"),
         (b"plant: &loop {<<: *loop}", "a section that holds itself"),
         (chain("[{0}, {0}]"), "more than 100000 values"),
         (chain("{{<<: [{0}, {0}]}}"), "more than 100000 values"),
-        (b"a: [" + b"1," * 100_001 + b"]", "more than 100000 values"),
         (b"# " + b"x" * MAX_BYTES, f"at most {MAX_BYTES} bytes"),
     ],
     ids=lambda v: repr(v[:24]) if isinstance(v, bytes) else None,
@@ -403,7 +297,7 @@ def test_a_file_that_is_no_scenario_is_named(tmp_path, content, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["nosuch", "nosuch.yaml", "", ".", "a" * 300, "no/such/file.yaml", "paper_fig7/"])
+@pytest.mark.parametrize("name", ["nosuch", "", ".", "a" * 300, "no/such/file.yaml", "paper_fig7/"])
 def test_a_scenario_that_is_not_there_is_named(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigurationError) as caught:
@@ -421,15 +315,17 @@ def test_a_bare_name_means_a_shipped_scenario_unless_there_is_such_a_file(tmp_pa
 
 @pytest.mark.parametrize(
     ("file", "name"),
-    [("short.yaml", "short"), ("my run (2).yaml", "my run _2_"), (".hidden", "_hidden"), ("ü²!a.yml", "_a")],
+    [
+        ("short.yaml", "short"),
+        ("my run (2).yaml", "my run _2_"),
+        (".hidden", "_hidden"),
+        ("ü²!a.yml", "_a"),
+        ("x" * 200 + ".yaml", "x" * 100),
+    ],
 )
 def test_a_scenario_without_a_name_is_named_after_its_file(tmp_path, file, name):
     assert load_scenario(write(tmp_path, "duration: 3\n", file)).name == name
     assert load_scenario(write(tmp_path, "name: own\n", file)).name == "own"
-
-
-def test_a_very_long_file_name_makes_a_name_that_is_allowed(tmp_path):
-    assert load_scenario(write(tmp_path, "duration: 3\n", "x" * 200 + ".yaml")).name == "x" * 100
 
 
 # --- overrides ----------------------------------------------------------------------------------------------------
@@ -438,17 +334,13 @@ def test_a_very_long_file_name_makes_a_name_that_is_allowed(tmp_path):
 @pytest.mark.parametrize(
     ("text", "key", "value"),
     [
-        ("duration=2", "duration", 2.0),
         (" duration = 2 ", "duration", 2.0),
         ("plant.time_step=5e-4", "plant.time_step", 0.0005),
         ("reference.center=[0, 0, 0, 0, 0, 0.31]", "reference.center", (0.0, 0.0, 0.0, 0.0, 0.0, 0.31)),
         ("controller={period: 0.01, solver: split}", "controller.period", 0.01),
-        ("plant.collision=true", "plant.collision", True),
         ("name=a+b", "name", "a+b"),
-        ("limits.reach=null", "limits.reach", None),
         ("limits.reach=", "limits.reach", None),
         ("model_robot.rod_mass=0.1", "model_robot.rod_mass", 0.1),
-        ("log_period=0.01", "log_period", 0.01),
     ],
 )
 def test_an_override_sets_one_key(text, key, value):
@@ -468,22 +360,16 @@ def test_later_overrides_win_and_the_rest_of_the_file_stays(tmp_path):
 @pytest.mark.parametrize(
     ("text", "key", "words"),
     [
-        ("duration", "--set", "key=value"),
         ("", "--set", "key=value"),
-        ("=3", "--set", "key=value"),
         (" =3", "--set", "key=value"),
         ("duration=[1", "--set duration", "line 1"),
         ("duration=!x 3", "--set duration", "without tags"),
         ("duration.x=3", "duration", "a section, to set duration.x in it"),
         ("reference.center.5=3", "reference.center", "a section"),
         ("durration=3", "durration", "did you mean duration?"),
-        ("a..b=3", "a", "no such key"),
         (".=3", "''", "no such key"),
-        ("duration=abc", "duration", "a number"),
         ("duration='3'", "duration", "without quotes"),
-        ("duration=yes", "duration", "a number"),
         ("duration=", "duration", "a number"),
-        ("plant=3", "plant", "a section"),
         ("reference.kind=splin", "reference.kind", "hold, sine, sine_bursts, breathing"),
     ],
 )
@@ -508,13 +394,6 @@ def test_another_kind_hides_no_typing_mistake():
     assert caught.value.key == "tuner.omga_q"
 
 
-def test_replace_leaves_the_original_alone_and_needs_no_section_to_exist():
-    scenario = Scenario()
-    changed = scenario.replace({"robot.rod_mass": 0.1, "model_robot.rod_mass": 0.2})
-    assert (changed.robot.rod_mass, changed.model_robot.rod_mass) == (0.1, 0.2)
-    assert scenario == Scenario()
-
-
 # --- the weights file ---------------------------------------------------------------------------------------------
 
 
@@ -534,59 +413,6 @@ def test_a_weights_file_of_the_command_line_is_relative_to_where_the_command_is_
     monkeypatch.chdir(tmp_path)
     scenario = load_scenario("paper_fig7", ["tuner.weights_file=runs/own.json"])
     assert scenario.tuner.weights_file == str(tmp_path / "runs" / "own.json")
-
-
-@pytest.mark.parametrize(
-    ("reference", "path"),
-    [
-        ("{kind: recorded, motion_file: own.csv}", ()),
-        ("{kind: sum, parts: [{kind: breathing}, {kind: recorded, motion_file: own.csv}]}", ("parts", 1)),
-        ("{kind: adjusted, motion: {kind: recorded, motion_file: own.csv}}", ("motion",)),
-    ],
-)
-def test_so_is_a_motion_file_however_deep_it_is(tmp_path, reference, path):
-    data = load_scenario(write(tmp_path, f"reference: {reference}\n")).to_dict()["reference"]
-    for part in path:
-        data = data[part]
-    assert data["motion_file"] == str(tmp_path / "own.csv")
-
-
-def test_an_absolute_weights_file_stays(tmp_path):
-    path = write(tmp_path, "tuner: {kind: ann, weights_file: /somewhere/own.json}\n")
-    assert load_scenario(path).tuner.weights_file == "/somewhere/own.json"
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (None, "No such file"),
-        (b"", "JSON"),
-        (b"{", "JSON"),
-        (b"\xff\xfe", "JSON"),
-        (b"[]", "format"),
-        (b"{}", "format"),
-    ],
-)
-def test_a_weights_file_that_cannot_be_used_is_named(tmp_path, content, words):
-    path = tmp_path / "weights.json"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario(tuner=AnnTuner(weights_file=str(path))).load_tuner_network()
-    error = one_line(caught.value)
-    assert str(path) in error.key
-    assert words in str(error)
-
-
-def test_a_network_of_another_kind_of_density_is_refused():
-    with pytest.raises(ConfigurationError) as caught:
-        Scenario(tuner=AnnTuner(density="signed")).load_tuner_network()
-    assert caught.value.key == "tuner.density"
-    assert "magnitude" in caught.value.allowed
-
-
-def test_fixed_weights_need_no_network():
-    assert Scenario(tuner=FixedTuner()).load_tuner_network() is None
 
 
 # --- what a scenario makes ----------------------------------------------------------------------------------------
@@ -610,14 +436,6 @@ def test_the_control_law_is_that_of_the_scenario():
     # What holds the robot against gravity is reckoned with the robot that the controller believes in.
     np.testing.assert_allclose(torque, static_torque(scenario.model_robot, scenario.robot.home_pose, 3.0), rtol=1e-9)
     assert abs(torque - static_torque(scenario.robot, scenario.robot.home_pose, 3.0)).min() > 0.01
-
-
-@pytest.mark.slow
-def test_the_start_is_the_references_pose_plus_the_offset_at_the_references_rate():
-    scenario = Scenario(initial_offset=(0.01, 0.0, 0.0, 0.0, 0.0, -0.002))
-    pose, rate = scenario.start()
-    np.testing.assert_allclose(pose, [0.01, 0, 0, 0, 0, 0.298])
-    np.testing.assert_allclose(rate, [math.pi / 3, 0, 0, 0, 0, 0.1])
 
 
 # --- round trip and schema ----------------------------------------------------------------------------------------
@@ -714,43 +532,24 @@ values = st.recursive(
 )
 
 
-@given(st.dictionaries(st.sampled_from(sorted(KEYS_OF_ALL)) | st.text(max_size=5), values, max_size=4))
-@example({"robot": {"rod_length": 1e200}})
-@example({"model_robot": {"branch": 10**400}})
-@settings(max_examples=100)
-def test_random_documents_give_a_scenario_or_a_line_that_names_a_key(document):
-    error = None
-    try:
-        Scenario.from_dict(document)
-    except ConfigurationError as caught:
-        error = one_line(caught)
-    if error is not None:
-        assert error.key.split(".")[0] in KEYS_OF_ALL or error.key in {shown(key) for key in document}
-
-
 @given(st.sampled_from(WHOLE), st.data())
-@settings(max_examples=60)
-def test_a_scenario_with_one_random_value_names_the_place_or_takes_it(whole, data):
-    paths = [path for path, _ in leaves(whole.to_dict())]
-    path = data.draw(st.sampled_from(paths))
-    document = put(whole.to_dict(), path, data.draw(values))
+@example(Scenario(), {"robot": {"rod_length": 1e200}})
+@example(Scenario(), {"model_robot": {"branch": 10**400}})
+@settings(max_examples=100)
+def test_a_scenario_with_a_random_value_takes_it_or_names_a_key(whole, data):
+    if isinstance(data, dict):
+        document = data
+    else:
+        document = whole.to_dict()
+        put(document, data.draw(st.sampled_from([path for path, _ in leaves(document)])), data.draw(values))
+        document |= data.draw(
+            st.dictionaries(st.sampled_from(sorted(KEYS_OF_ALL)) | st.text(max_size=5), values, max_size=1)
+        )
     try:
         Scenario.from_dict(document)
     except ConfigurationError as error:
-        one_line(error)
-
-
-@given(st.binary(max_size=60) | st.text(max_size=60).map(lambda t: t.encode("utf-8", "surrogatepass")))
-@settings(max_examples=100)
-@example(b"!!bool 3")
-@example(b"!!float x")
-@example(b"? - a\n: b")
-def test_random_files_give_a_scenario_or_a_line_that_names_the_file_or_a_key(tmp_path_factory, content):
-    path = write(tmp_path_factory.getbasetemp(), content, "random.yaml")
-    try:
-        load_scenario(path)
-    except ConfigurationError as error:
-        one_line(error)
+        key = one_line(error).key
+        assert key.split(".")[0] in KEYS_OF_ALL or key in {*document, *map(repr, document)}
 
 
 @given(st.text(max_size=20), st.text(max_size=20))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.campaigns.one_run import measure, outcome
-from stewart_drake.campaigns.row_store import Row
+from stewart_drake.campaigns.tables import Row
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import error_norms, settling_time, sine_response
 

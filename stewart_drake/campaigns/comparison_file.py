@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,18 +17,23 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
+from stewart_drake.campaigns.comparison_table import BANDS, band_rows, sheets, table_columns, table_rows
 from stewart_drake.campaigns.one_run import Measure
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
+from stewart_drake.campaigns.sized import sized
+from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import NotNegative, Positive, Section, Seed, Text
+from stewart_drake.section import NotNegative, Positive, Section, Seed, Text, to_plain
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
-AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
+PICTURES = ("rmse", "error", "bands")
+AXIS_NUMBERS = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
 _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
 _NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
@@ -134,24 +140,35 @@ class Comparison(Plan):
 
     file: CompareFile
     cells: tuple[Cell, ...]
+    kind = "comparison"
+    products = (
+        *(f"{name}.{ending}" for name in ("comparison", "bands") for ending in ("parquet", "csv")),
+        *("comparison.md", *(f"{name}.png" for name in PICTURES)),
+    )
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False) -> Comparison:
+    def from_dict(
+        cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
+    ) -> Comparison:
         """A comparison from plain values, as YAML gives them; every scenario of it is checked.
 
         Args:
             data: See `CompareFile`.
             folder: Paths in `data` are relative to it; None for the current folder.
             quick: Shorter, see `CompareFile.quick`.
+            robot: Name or YAML file: all motions and loads in its size, see `sized`; None for the file's own.
 
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        folder = Path() if folder is None else folder
-        file = CompareFile.read("comparison", data, folder)
-        base = file.base(folder)
+        file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in _KINDS}
         _check_names(file, parts)
+        if robot is not None:
+            base = base.replace({"robot": robot})
+            base = base.replace(sized({"reference": to_plain(base.reference)}, base))
+            # One at a time: a motion is fitted for its own duration.
+            parts = {kind: {name: sized(keys, base) for name, keys in each.items()} for kind, each in parts.items()}
         cells = _table_cells(file, base, parts, quick)
         if file.bands is not None:
             cells += _band_cells(file, file.bands, base, parts, quick)
@@ -165,23 +182,42 @@ class Comparison(Plan):
         return self.file.traced or self.cells[0].reference
 
     def run_seed(self, index: int) -> int:
-        """Seed of run `index`."""
+        """See `Plan.run_seed`."""
         return self.cells[index].seed
 
     def draw(self, index: int) -> dict[str, Any]:
-        """Which run it is."""
+        """See `Plan.draw`."""
         return {"run": index}
 
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Scenario key -> value of that run."""
+        """See `Plan.changes`."""
         return self.cells[drawn["run"]].changes
 
     def measure(self, index: int) -> Measure:
-        """Figures of run `index`."""
+        """See `Plan.measure`."""
         cell = self.cells[index]
         if cell.frequency is None:
             return partial(measure_run, band=self.file.band)
-        return partial(measure_band, frequency=cell.frequency, axis=AXES[cell.reference], window=cell.window)
+        return partial(measure_band, frequency=cell.frequency, axis=AXIS_NUMBERS[cell.reference], window=cell.window)
+
+    def variants(self) -> list[Scenario]:
+        """See `Plan.variants`: one for each setting of what can name a file, in which times and numbers differ."""
+        different: dict[str, int] = {}
+        for index, cell in enumerate(self.cells):
+            named = {key: value for key, value in cell.changes.items() if not isinstance(value, (int, float))}
+            different.setdefault(json.dumps(named, sort_keys=True), index)
+        return [self.scenario(index) for index in different.values()]
+
+    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
+        """See `Plan.tables`."""
+        return {
+            "comparison": (table_columns(*self.variants()), table_rows(self, rows)),
+            "bands": (BANDS, band_rows(self, rows)),
+        }
+
+    def page(self, tables: Mapping[str, list[Row]]) -> str:
+        """See `Plan.page`."""
+        return "\n".join(sheet.markdown() for sheet in sheets(self, tables["comparison"], tables["bands"]))
 
     def to_dict(self) -> dict[str, Any]:
         """All that the rows depend on, in plain types."""
@@ -192,19 +228,20 @@ class Comparison(Plan):
         }
 
 
-def load_comparison(path: str | Path, quick: bool = False) -> Comparison:
+def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
     """Reads a comparison file.
 
     Args:
         path: YAML file, or the name of a comparison of the package such as `tracking`.
         quick: See `Comparison.from_dict`.
+        robot: Likewise.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_file("comparison", path)
     data = read_mapping("comparison", path, 80)
-    return Comparison.from_dict(data, path.parent, quick)
+    return Comparison.from_dict(data, path.parent, quick, robot)
 
 
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -275,13 +312,13 @@ def _band_cells(file: CompareFile, bands: Bands, base: Scenario, parts: _Parts, 
     middle = plain.robot.home_pose
     cells = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
-        most = largest_amplitude(plain.robot, plain.limits, AXES[axis], frequency, plain.gravity)
-        cap = bands.largest_angle if AXES[axis] < 3 else bands.largest_travel
+        most = largest_amplitude(plain.robot, plain.limits, AXIS_NUMBERS[axis], frequency, plain.gravity)
+        cap = bands.largest_angle if AXIS_NUMBERS[axis] < 3 else bands.largest_travel
         amplitude = min(cap, 0.5 * most)
         if amplitude <= 0.0:
             raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
         size = np.zeros(6)
-        size[AXES[axis]] = amplitude
+        size[AXIS_NUMBERS[axis]] = amplitude
         omega = 2.0 * math.pi * frequency
         reference = {
             "kind": "sine",

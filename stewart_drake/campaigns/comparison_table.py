@@ -6,15 +6,17 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stewart_drake.campaigns.comparison_file import Comparison
-from stewart_drake.campaigns.one_run import not_finite
-from stewart_drake.campaigns.row_store import Row
-from stewart_drake.campaigns.tables import markdown
+from stewart_drake.campaigns.tables import Row, flat, markdown
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns
+
+if TYPE_CHECKING:
+    from stewart_drake.campaigns.comparison_file import Comparison
+    from stewart_drake.scenario import Scenario
 
 SMALLEST = 1e-5
 """What is smaller is not written out."""
@@ -43,9 +45,9 @@ BANDS = (
 """Columns of the table of bands."""
 
 
-def table_columns() -> tuple[Column, ...]:
+def table_columns(*scenarios: Scenario) -> tuple[Column, ...]:
     """Columns of the table."""
-    return (*NAMES, *run_columns(), SETTLING)
+    return (*NAMES, *run_columns(*scenarios), SETTLING)
 
 
 @dataclass(frozen=True)
@@ -74,37 +76,29 @@ def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
 
     Args:
         comparison: What was run.
-        rows: See `sweep.run_plan`.
+        rows: See `one_run.execute`.
     """
-    flat = [_flat(comparison, row) for row in rows if comparison.cells[row["index"]].frequency is None]
+    runs = _named(comparison, rows, bands=False)
     found: list[Row] = []
     for name, best in comparison.file.best_of.items():
         groups: dict[tuple[str, str, int], list[Row]] = {}
-        for row in flat:
+        for row in runs:
             if row["controller"] in best.of:
                 groups.setdefault((row["reference"], row["condition"], row["seed"]), []).append(row)
         for group in groups.values():
-            if {row["controller"] for row in group} != set(best.of):
-                continue
-            completed = [row for row in group if row.get("pose_rmse_mm") is not None and row["status"] == "completed"]
-            # All failed: the one that got furthest.
-            chosen = (
-                min(completed, key=lambda row: float(row["pose_rmse_mm"]))
-                if completed
-                else max(group, key=lambda row: float(row.get("end_time") or 0.0))
-            )
-            found.append({**chosen, "controller": name, "chosen": chosen["controller"]})
-    return found + flat
+            if {row["controller"] for row in group} == set(best.of):
+                chosen = min(group, key=_rank)
+                found.append({**chosen, "controller": name, "chosen": chosen["controller"]})
+    return found + runs
 
 
 def band_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
     """Rows of the table of bands, flat."""
-    flat = []
-    for row in rows:
-        cell = comparison.cells[row["index"]]
-        if cell.frequency is not None:
-            flat.append({**_flat(comparison, row), "frequency_hz": cell.frequency, "amplitude": cell.amplitude})
-    return flat
+    cells = comparison.cells
+    return [
+        {**row, "frequency_hz": cells[row["index"]].frequency, "amplitude": cells[row["index"]].amplitude}
+        for row in _named(comparison, rows, bands=True)
+    ]
 
 
 def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) -> list[Sheet]:
@@ -142,10 +136,22 @@ def order(comparison: Comparison) -> list[str]:
     return list(found)
 
 
-def _flat(comparison: Comparison, row: Row) -> Row:
-    cell = comparison.cells[row["index"]]
-    names = {"controller": cell.controller, "reference": cell.reference, "condition": cell.condition}
-    return {**row, **names, "chosen": None, "seed": cell.seed, "not_finite": not_finite(row)}
+def _named(comparison: Comparison, rows: Sequence[Row], bands: bool) -> list[Row]:
+    """Flat rows of the runs, or of the bands, with the names of what was run."""
+    found = []
+    for row in rows:
+        cell = comparison.cells[row["index"]]
+        if (cell.frequency is not None) == bands:
+            names = {"controller": cell.controller, "reference": cell.reference, "condition": cell.condition}
+            found.append(flat(row, **names, chosen=None, seed=cell.seed))
+    return found
+
+
+def _rank(row: Row) -> tuple[bool, float]:
+    """Smallest for the best: the smallest error, and where all have failed the one that got furthest."""
+    if row["status"] == "completed" and row.get("pose_rmse_mm") is not None:
+        return False, float(row["pose_rmse_mm"])
+    return True, -float(row.get("end_time") or 0.0)
 
 
 def _worst(group: Sequence[Row], name: str) -> float | None:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 from stewart_drake.campaigns.executors import ATTEMPTS, Given, LocalProcesses, Workplace, worker_deaths
-from stewart_drake.campaigns.row_store import Row, RowStore
 from stewart_drake.errors import StewartDrakeError
 from stewart_drake.logs import versions
+from stewart_drake.logs.metric_table import METRICS
 
 K = TypeVar("K", bound=Hashable)
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -55,53 +55,15 @@ def carry_out(
     _Job(place, list(keys), work, keep, crashed).run()
 
 
-def fill(
-    store: RowStore,
-    keys: Iterable[int],
-    work: Callable[[int], Work],
-    where: Workplace | Executor | None = None,
-    progress: Callable[[float], None] | None = None,
-    crashed: Callable[[int], Row] | None = None,
-) -> list[Row]:
-    """Rows of `keys`, in order: those that a store has, and the others from `carry_out`; kept as they come.
-
-    Args:
-        store: Opened.
-        keys: Index of each row.
-        work: Makes a row.
-        where: See `carry_out`.
-        progress: Called with the number of rows that are there.
-        crashed: See `carry_out`.
-
-    Raises:
-        ConfigurationError: The disk is full, or the like.
-        BaseException: As `carry_out`.
-    """
-    keys, kept = list(keys), store.rows()
-    rows = {key: kept[key] for key in keys if key in kept}
-
-    def tell() -> None:
-        if progress is not None:
-            progress(float(len(rows)))
-
-    def keep(key: int, row: Row) -> None:
-        store.add(row)
-        rows[key] = row
-        tell()
-
-    tell()
-    carry_out([key for key in keys if key not in rows], work, keep, where, crashed)
-    return [rows[key] for key in keys]
-
-
-def warm_up(source: str) -> None:
+def warm_up(source: str, metrics: Iterable[str] = ()) -> None:
     """Loads what a run needs, so that no run pays for it.
 
     Args:
         source: Digest of the package's source that a worker must have.
+        metrics: Names of the metrics that it must have.
 
     Raises:
-        StewartDrakeError: This worker's copy of the package is another one.
+        StewartDrakeError: This worker's copy of the package is another one, or lacks a metric.
     """
     import stewart_drake.runs.simulation  # noqa: F401
 
@@ -109,6 +71,12 @@ def warm_up(source: str) -> None:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a campaign runs"
+        )
+    missing = set(metrics) - {metric.name for metric in METRICS}
+    if missing:
+        raise StewartDrakeError(
+            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
+            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
         )
 
 
@@ -123,6 +91,13 @@ class _Raised:
     """What a piece of work raised, told apart from what befalls its executor."""
 
     error: BaseException
+
+
+@dataclass(frozen=True)
+class _Died:
+    """In place of a result: the worker died, so many times."""
+
+    times: int
 
 
 def _do(source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
@@ -146,7 +121,7 @@ class _Job(Generic[K]):
         crashed: Callable[[K], Any] | None,
     ) -> None:
         self._place, self._work, self._keep_result, self._crashed = place, work, keep, crashed
-        self._source = str(versions.source_digest())
+        self._source, self._metrics = str(versions.source_digest()), [metric.name for metric in METRICS]
         self._waiting = deque(keys)
         self._suspects: deque[K] = deque()
         self._deaths: Counter[K] = Counter()
@@ -156,18 +131,24 @@ class _Job(Generic[K]):
     def run(self) -> None:
         try:
             while self._waiting:
-                self._with_workers(self._together)
+                self._with_workers(self._waiting)
             while self._suspects:
-                self._with_workers(self._alone, 1)
+                self._with_workers(self._suspects, alone=True)
         finally:
             self._place.leave()
 
-    def _with_workers(self, work: Callable[[Executor], None], workers: int | None = None) -> None:
-        executor = self._place.open(workers or len(self._waiting))
+    def _with_workers(self, queue: deque[K], alone: bool = False) -> None:
+        """Works through a queue until it is empty, the workers are worn, or one of them dies."""
+        executor = self._place.open(1 if alone else len(queue))
         abort = True
         try:
-            self._warm_up(executor, workers or max(1, min(self._place.workers, len(self._waiting))))
-            work(executor)
+            # As many as there are workers: a pool starts one process a task.
+            workers = 1 if alone else max(1, min(self._place.workers, len(queue)))
+            for future in [executor.submit(warm_up, self._source, self._metrics) for _ in range(workers)]:
+                self._wait({future})
+                if isinstance(_result(future), _Died):
+                    raise StewartDrakeError(WORKER_GONE)
+            self._work_through(executor, queue, alone)
             abort = False
         except BaseException:
             # Ctrl-C can fall between the end of a run and its row.
@@ -182,65 +163,40 @@ class _Job(Generic[K]):
             self._under_way.clear()
             self._place.close(executor, abort)
 
-    def _warm_up(self, executor: Executor, workers: int) -> None:
-        # As many as there are workers: a pool starts one process a task.
-        for future in [executor.submit(warm_up, self._source) for _ in range(workers)]:
-            self._wait({future})
-            try:
-                future.result()
-            except (StewartDrakeError, KeyboardInterrupt):
-                raise
-            except BaseException as error:
-                raise (StewartDrakeError(WORKER_GONE) if worker_deaths(error) else _broken(error)) from None
-
-    def _together(self, executor: Executor) -> None:
-        """Does all that wait, a few more at a time than there are workers, until done, worn, or a worker dies."""
-        at_a_time = self._place.workers + (0 if self._place.workers == 1 else max(1, self._place.workers // 4))
-        left = self._place.workers * self._place.worn if self._place.worn else len(self._waiting)
-        died = False
-        while self._under_way or (self._waiting and left and not died):
-            try:
-                while self._waiting and left and not died and len(self._under_way) < at_a_time:
-                    self._submit(executor, self._waiting[0])
-                    self._waiting.popleft()
-                    left -= 1
-            except BaseException as error:
-                if not worker_deaths(error):
-                    raise
-                died = True
+    def _work_through(self, executor: Executor, queue: deque[K], alone: bool) -> None:
+        workers = self._place.workers
+        # A few more than there are workers, so that none of these waits.
+        most = 1 if alone or workers == 1 else workers + max(1, workers // 4)
+        left = workers * self._place.worn if self._place.worn else len(queue)
+        while True:
+            while queue and left and len(self._under_way) < most:
+                try:
+                    future = executor.submit(_do, self._source, *self._work(queue[0]))
+                except BrokenExecutor:
+                    left = 0
+                    break
+                self._under_way[future] = queue.popleft()
+                left -= 1
             if not self._under_way:
                 return
             for future in self._wait(set(self._under_way)):
-                key = self._under_way[future]
-                if self._take(future, key):
-                    # In company it is not known who did it.
-                    self._suspects.append(key)
-                    self._deaths[key] = 0
-                    died = True
+                key, result = self._under_way[future], _result(future)
+                if isinstance(result, _Died):
+                    left = 0
+                    self._accuse(key, result.times if alone else 0)
+                else:
+                    self._keep(key, result)
                 del self._under_way[future]
 
-    def _alone(self, executor: Executor) -> None:
-        """Does the suspects one at a time, until done or a worker dies."""
-        while self._suspects:
-            key = self._suspects[0]
-            future = self._submit(executor, key)
-            self._wait({future})
-            died = self._take(future, key)
-            if died and self._deaths[key] < ATTEMPTS:
-                return
-            if died:
-                if self._crashed is None:
-                    raise StewartDrakeError(WORKER_GONE)
-                self._keep(key, self._crashed(key))
-            del self._under_way[future]
-            self._suspects.popleft()
-            if died:
-                return
-
-    def _submit(self, executor: Executor, key: K) -> Future[Any]:
-        future = executor.submit(_do, self._source, *self._work(key))
-        self._under_way[future] = key
-        return future
+    def _accuse(self, key: K, times: int) -> None:
+        """Decides on what was under way as a worker died; in company, 0 times, it is not known who did it."""
+        self._deaths[key] += times
+        if self._deaths[key] < ATTEMPTS:
+            self._suspects.append(key)
+        elif self._crashed is None:
+            raise StewartDrakeError(WORKER_GONE)
+        else:
+            self._keep(key, self._crashed(key))
 
     def _wait(self, futures: set[Future[Any]]) -> set[Future[Any]]:
         """Those of `futures` that are done, at least one."""
@@ -250,21 +206,6 @@ class _Job(Generic[K]):
                 return done
             self._place.check()
 
-    def _take(self, future: Future[Any], key: K) -> bool:
-        """Keeps what a future that is done holds; whether its worker died instead."""
-        try:
-            result = future.result()
-        except (StewartDrakeError, KeyboardInterrupt):
-            raise
-        except BaseException as error:
-            deaths = worker_deaths(error)
-            if deaths:
-                self._deaths[key] += deaths
-                return True
-            raise _broken(error) from error
-        self._keep(key, result)
-        return False
-
     def _keep(self, key: K, result: Any) -> None:
         if isinstance(result, _Raised):
             raise result.error
@@ -273,9 +214,22 @@ class _Job(Generic[K]):
             self._keep_result(key, result)
 
 
-def _broken(error: BaseException) -> StewartDrakeError:
-    """What an executor raises of its own accord: no result, because no work is to blame."""
-    if isinstance(error, CancelledError):
+def _result(future: Future[Any]) -> Any:
+    """What a future that is done holds.
+
+    Raises:
+        StewartDrakeError: Its executor failed of its own accord: no result, because no work is to blame.
+        KeyboardInterrupt: It was interrupted.
+    """
+    try:
+        return future.result()
+    except (StewartDrakeError, KeyboardInterrupt):
+        raise
+    except CancelledError:
         text = "the executor cancelled a run: it was shut down, or its cluster is gone; rows done are kept"
-        return StewartDrakeError(text)
-    return StewartDrakeError(f"the executor failed: {type(error).__name__}: {' '.join(str(error).split())}")
+        raise StewartDrakeError(text) from None
+    except BaseException as error:
+        if times := worker_deaths(error):
+            return _Died(times)
+        text = f"the executor failed: {type(error).__name__}: {' '.join(str(error).split())}"
+        raise StewartDrakeError(text) from error

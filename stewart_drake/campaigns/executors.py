@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import signal
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -25,12 +24,12 @@ CONNECT_TIMEOUT = 20.0
 """[s] that a scheduler has to answer, and to have a worker."""
 NO_WORKERS_TIMEOUT = 60.0
 """[s] that a cluster may be without workers; a restarted one needs a few."""
-
-
 WORN = 200
 """Pieces of work after which a worker process is replaced: each leaves some tenths of a megabyte behind in Drake."""
 PROCESSES = max(1, min(8, os.cpu_count() or 1))
 """On this machine, where nobody says how many."""
+ATTEMPTS = 2
+"""Times that a run, alone, may take its worker with it before that is its row: once could be somebody else's kill."""
 
 
 class Workplace(ABC):
@@ -118,7 +117,6 @@ class DaskCluster(Workplace):
         self.address, self.workers = address, 1
         self._client: Any = None
         self._silenced = ExitStack()
-        self._empty_since: float | None = None
 
     def connect(self) -> None:
         """Connects to the scheduler, where that is not done yet.
@@ -150,10 +148,7 @@ class DaskCluster(Workplace):
     def open(self, most: int) -> Executor:  # noqa: ARG002 - a cluster has the workers that it has
         """See `Workplace.open`."""
         self.connect()
-        try:
-            self._client.wait_for_workers(1, timeout=NO_WORKERS_TIMEOUT)
-        except TimeoutError:
-            raise self._deserted() from None
+        self.check()
         self.workers = max(1, sum(self._client.nthreads().values()))
         # A lost worker must show, not be made good in silence beyond what the scheduler does by itself.
         return self._client.get_executor(pure=False, retries=0)
@@ -161,16 +156,16 @@ class DaskCluster(Workplace):
     def check(self) -> None:
         """See `Workplace.check`."""
         try:
-            empty = not self._client.nthreads()
+            # A restarted cluster needs a while; in it nothing else can happen.
+            if not self._client.nthreads():
+                self._client.wait_for_workers(1, timeout=NO_WORKERS_TIMEOUT)
+        except TimeoutError:
+            raise StewartDrakeError(
+                f"the Dask cluster {self.address} has been without workers for {NO_WORKERS_TIMEOUT:g} s; rows done are "
+                "kept. Workers started under a nanny come back by themselves"
+            ) from None
         except Exception as error:  # of a lost scheduler, whatever kind its transport raises
             raise StewartDrakeError(f"the Dask scheduler {self.address} is gone: {error}") from None
-        now = time.monotonic()
-        if not empty:
-            self._empty_since = None
-        elif self._empty_since is None:
-            self._empty_since = now
-        elif now - self._empty_since > NO_WORKERS_TIMEOUT:
-            raise self._deserted()
 
     def close(self, executor: Executor, abort: bool) -> None:
         """See `Workplace.close`."""
@@ -182,12 +177,6 @@ class DaskCluster(Workplace):
         with self._silenced:
             if client is not None:
                 client.close()
-
-    def _deserted(self) -> StewartDrakeError:
-        return StewartDrakeError(
-            f"the Dask cluster {self.address} has been without workers for {NO_WORKERS_TIMEOUT:g} s; rows done are "
-            "kept. Workers started under a nanny come back by themselves"
-        )
 
 
 async def _greet(address: str) -> None:
@@ -221,12 +210,11 @@ class Given(Workplace):
 
     Args:
         executor: It.
-        workers: Pieces of work at a time; None for what the executor tells, or one.
     """
 
-    def __init__(self, executor: Executor, workers: int | None = None) -> None:
+    def __init__(self, executor: Executor) -> None:
         told = getattr(executor, "_max_workers", None)
-        self.workers = workers or (told if isinstance(told, int) else 1)
+        self.workers = told if isinstance(told, int) else 1
         self._executor = executor
         self._broken = False
 
@@ -252,10 +240,6 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-ATTEMPTS = 2
-"""Times that a run, alone, may take its worker with it before that is its row: once could be somebody else's kill."""
 
 
 def worker_deaths(error: BaseException) -> int:

@@ -8,8 +8,10 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from stewart_drake.campaigns.sized import sized
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.robot_scale import LENGTH
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import Flag, NotNegative, Section, Text, Vector6
@@ -72,24 +74,29 @@ class Fault(Section):
         """The file has a name for the time `within`."""
         return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
 
-    def scenario(self, motion: str) -> Scenario:
-        """The run of this fault during a motion of `MOTIONS`."""
-        reference: Mapping[str, Any] = MOTIONS[motion]
+    def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
+        """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
+        reference: Mapping[str, Any] = sized({"reference": MOTIONS[motion]}, base)["reference"]
         if self.drift is not None:
-            home = MOTIONS["hold"]["pose"]
-            away = [a + b for a, b in zip(home, self.drift, strict=True)]
+            home = base.robot.home_pose.tolist()
+            away = [a + b for a, b in zip(home, LENGTH.value(self.drift, base.robot), strict=True)]
             path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
-        changes: dict[str, Any] = {"name": f"{self.name} {motion}", "reference": dict(reference), **self.changes}
+        changes: dict[str, Any] = {"reference": dict(reference), **sized(self.changes, base)}
         if self.encoders is not None:
             # Commands of a real drive are a tick old; with encoders it has to be shown that the loop bears both.
             changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
-        return base().replace(changes)
+        return changes
 
 
-def base() -> Scenario:
-    """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default."""
-    return load_scenario("exact_fig7").replace({"duration": DURATION, "safety": {}})
+def base(robot: str | None = None) -> Scenario:
+    """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default.
+
+    Args:
+        robot: Name or YAML file; None for the paper's.
+    """
+    named = () if robot is None else (f"robot={robot}",)
+    return load_scenario("exact_fig7", named).replace({"duration": DURATION, "safety": {}})
 
 
 FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())

@@ -1,42 +1,141 @@
-"""The fault table: all runs, as Parquet and Markdown."""
+"""The fault table: every fault during every motion, and what the safety layer makes of it."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.campaigns.engine import Work, fill
+import numpy as np
+
+from stewart_drake.campaigns import fault as catalogue
 from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.fault import BY_NAME, DURATION, FAULTS, MOTIONS, ONSET, Fault
-from stewart_drake.campaigns.fault_rows import COLUMNS, FaultRow, all_rows, named_row
-from stewart_drake.campaigns.identity import identity
-from stewart_drake.campaigns.row_store import Row, RowStore
-from stewart_drake.campaigns.tables import markdown, to_arrow, write_table
-from stewart_drake.errors import StewartDrakeError
-from stewart_drake.files.whole import plain_json, write_atomically
-from stewart_drake.logs.versions import collect_versions
-from stewart_drake.runs.outputs import prepare_folder
+from stewart_drake.campaigns.one_run import Measure, RunFunction, measure, simulate
+from stewart_drake.campaigns.plan import Made, Plan, run_plan
+from stewart_drake.campaigns.tables import Row, flat, markdown
+from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.hardware.motors import holdable_load
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.logs.metric_table import Column
+from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.tally import pose_distance
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.safety import RAMP
 
 QUICK_MOTIONS = ("hold",)
+_REACTION = "see fault.Reaction; broke: the run ended without the safety layer; the status, if there is no log"
+OWN = (
+    Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
+    Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
+    Column("latency_ms", "ms", "from the fault to the trip"),
+    Column("peak_error_deg", "deg", "largest angle from the reference after the fault, with the controller in charge"),
+    Column("peak_error_mm", "mm", "largest distance likewise"),
+    Column("travel_deg", "deg", "largest angle turned after the safety layer took over"),
+    Column("travel_mm", "mm", "largest distance moved likewise"),
+    Column("peak_torque", "N m", "largest torque given to a motor after the fault, within its limit"),
+    Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
+    Column("support_newton", "N", "smallest outside force with which they would"),
+    Column("force_newton", "N", "largest outside force that they hold; null where not even the weight"),
+    Column("moment_newton_metre", "N m", "largest outside moment likewise"),
+)
+"""What the table says of a run beside what every table says."""
+
+_WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 
 
-@dataclass(frozen=True)
-class FaultTable:
-    """The rows and where they are kept.
+def table_columns() -> tuple[Column, ...]:
+    """Columns of the table."""
+    names = (
+        Column("fault", "", "name in fault.FAULTS", "text"),
+        Column("motion", "", "name in fault.MOTIONS", "text"),
+        Column("reaction", "", _REACTION, "text"),
+    )
+    return (*names, *run_columns(), *OWN)
+
+
+def all_rows() -> list[tuple[Fault, str]]:
+    """Fault and motion of each row, in the order of the table."""
+    return [(fault, motion) for fault in FAULTS for motion in MOTIONS]
+
+
+@dataclass(frozen=True, eq=False)
+class FaultPlan(Plan):
+    """Runs of the table.
 
     Attributes:
-        rows: In the order of `fault.FAULTS`, motion by motion.
-        parquet: File with all columns of `FaultRow`.
-        markdown: File with the short form and an explanation.
+        pairs: Fault and motion of each row.
+        motions: Those that are wanted.
     """
 
-    rows: tuple[FaultRow, ...]
-    parquet: Path
-    markdown: Path
+    pairs: Sequence[tuple[Fault, str]]
+    motions: Sequence[str] = tuple(MOTIONS)
+    kind = "faults"
+    products = ("faults.parquet", "faults.csv", "faults.md")
+
+    @classmethod
+    def of(
+        cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS), robot: str | None = None
+    ) -> FaultPlan:
+        """The plan of some rows; robot: name or file, None for the paper's."""
+        runs = sum(motion in motions for _, motion in pairs)
+        return cls(catalogue.base(robot), pairs, motions, runs=runs, name="faults")
+
+    @property
+    def indices(self) -> Iterable[int]:
+        """See `Plan.indices`: a row has its number in the whole table."""
+        return [index for index, (_, motion) in enumerate(self.pairs) if motion in self.motions]
+
+    def run_name(self, index: int) -> str:
+        """See `Plan.run_name`."""
+        return f"{self.pairs[index][0].name} {self.pairs[index][1]}"
+
+    def draw(self, index: int) -> dict[str, Any]:
+        """See `Plan.draw`."""
+        return {"run": index}
+
+    def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
+        """See `Plan.changes`."""
+        fault, motion = self.pairs[drawn["run"]]
+        return fault.in_motion(motion, self.base)
+
+    def measure(self, index: int) -> Measure:
+        """See `Plan.measure`."""
+        return partial(measure_fault, fault=self.pairs[index][0])
+
+    def simulation(self, index: int) -> RunFunction:
+        """See `Plan.simulation`."""
+        return simulate if self.pairs[index][0].checked else partial(simulate, check=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """See `Plan.to_dict`."""
+        faults = [
+            {**fault.to_dict(), "motion": motion, **fault.in_motion(motion, self.base)} for fault, motion in self.pairs
+        ]
+        return {"scenario": self.base.to_dict(), "faults": faults}
+
+    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
+        """See `Plan.tables`."""
+        columns, wide = table_columns(), []
+        for row in rows:
+            fault, motion = self.pairs[row["index"]]
+            reaction = row.get("reaction") or {"rejected": "refused"}.get(row["status"], row["status"])
+            named = flat(row, fault=fault.name, motion=motion, reaction=reaction)
+            wide.append({column.name: named.get(column.name) for column in columns})
+        return {"faults": (columns, wide)}
+
+    def page(self, tables: Mapping[str, list[Row]]) -> str:
+        """See `Plan.page`."""
+        return markdown_table(tables["faults"])
+
+
+def table_plan(quick: bool = False, robot: str | None = None) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone; robot: name or file, None for the paper's."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot)
 
 
 def make_table(
@@ -45,8 +144,9 @@ def make_table(
     where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
-) -> FaultTable:
-    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; goes on where it was stopped.
+    robot: str | None = None,
+) -> Made:
+    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `plan.run_plan`.
 
     Args:
         folder: Where to.
@@ -54,99 +154,116 @@ def make_table(
         where: Where the runs go; None for processes of this machine.
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
-
-    Raises:
-        ConfigurationError: The folder cannot be written to, is in use, or holds rows of another version.
-        StewartDrakeError: A worker ended by itself, or a run raised what is no verdict on it; rows done are kept.
+        robot: Name or YAML file; None for the paper's.
     """
-    folder = prepare_folder(folder)
-    parquet, markdown_file = folder / "faults.parquet", folder / "faults.md"
-    wanted = {index: pair for index, pair in enumerate(all_rows()) if not quick or pair[1] in QUICK_MOTIONS}
-
-    def work(index: int) -> Work:
-        return _row, (index, *wanted[index])
-
-    versions = collect_versions()
-    with RowStore(folder, _identity(versions), restart, (parquet.name, "faults.csv", markdown_file.name)) as store:
-        done = fill(store, wanted, work, where, progress)
-        rows = tuple(FaultRow.from_plain(row) for row in done)
-        write_table(
-            to_arrow(COLUMNS, (row.plain() for row in rows), "faults", {"versions": versions}), folder, "faults"
-        )
-        write_atomically(markdown_file, markdown_table(rows).encode())
-    return FaultTable(rows, parquet, markdown_file)
+    return run_plan(table_plan(quick, robot), Path(folder), where, progress, restart)["faults"]
 
 
-def _row(index: int, fault: str, motion: str) -> Row:
-    """What a worker does: figures that are not finite become null where they are made."""
+def fault_row(fault: Fault, motion: str) -> Row:
+    """Runs a fault, of `fault.FAULTS` or of the caller's own, during a motion of `fault.MOTIONS`."""
+    plan = FaultPlan.of([(fault, motion)])
+    function, arguments = plan.work_item(0)
+    return plan.tables([function(*arguments)])["faults"][1][0]
+
+
+def measure_fault(log: SimulationLog, fault: Fault) -> Row:
+    """Figures of a run: those of every sweep, and `OWN`."""
+    trip = log.safety
+    # Rows at which a log stands are those of the safety layer's ticks.
+    after = log.time >= fault.since - 1e-9
+    taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(log.time), dtype=bool)
+    turned, moved = pose_distance(log["pose"], log["reference"])
+    charge = after & ~taken
+    left = log["pose"][int(taken.argmax()) if taken.any() else len(taken) :]
+    angle, way = pose_distance(left, left[:1])
+    if trip is not None:
+        # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
+        reaction = "ended" if log.status == "failed" else _WORST[trip["worst"]]
+    elif log.status == "failed":
+        reaction = "broke"
+    else:
+        allowed = log.scenario.safety and log.scenario.safety.following_error
+        far = allowed and (turned[charge].max() > allowed[0] or moved[charge].max() > allowed[1])
+        reaction = "unnoticed" if far else "ridden through"
+    return {
+        **measure(log),
+        "reaction": reaction,
+        "safety_cause": trip and trip["cause"],
+        "safety_leg": trip and trip["leg"],
+        "latency_ms": trip and 1e3 * (trip["time"] - fault.since),
+        "peak_error_deg": _peak(np.degrees(turned[charge])),
+        "peak_error_mm": _peak(1e3 * moved[charge]),
+        "travel_deg": _peak(np.degrees(angle)),
+        "travel_mm": _peak(1e3 * way),
+        "peak_torque": _peak(np.abs(log["torque_applied"][after])),
+        **_holdable(log),
+    }
+
+
+def _peak(values: np.ndarray) -> float | None:
+    return float(values.max()) if values.size else None
+
+
+def _holdable(log: SimulationLog) -> Row:
+    """What five motors hold where the platform stood as the sixth died."""
+    scenario, dead = log.scenario, log.scenario.motors.dead
+    if dead is None:
+        return {}
+    row = min(int(np.searchsorted(log.time, dead.time - 1e-9)), len(log.time) - 1)
+    pose, robot = log["pose"][row], scenario.robot
     try:
-        return plain_json({"index": index, **named_row(fault, motion).plain()})
-    except (StewartDrakeError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # SystemExit among them, which would end this process without a word
-        raise StewartDrakeError(f"{fault}, {motion}: {type(error).__name__}: {error}") from error
-
-
-def _identity(versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What the rows depend on."""
-    faults = hashlib.sha256(repr((FAULTS, MOTIONS, DURATION, ONSET)).encode()).hexdigest()[:24]
-    return identity({"faults": faults}, versions=versions)
+        weight = static_torque(robot, pose, scenario.gravity)
+        load = holdable_load(weight, twist_jacobian(robot, pose), robot.effort_limit, dead.leg)
+    except (UnreachablePoseError, np.linalg.LinAlgError):
+        return {}
+    return dict(zip((column.name for column in OWN[-4:]), vars(load).values(), strict=True))
 
 
 HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")
-
-
-def short_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
-    """A line per fault, see `HEADERS`: how each motion ends, and the worst figures over the motions."""
-    lines = []
-    for fault in FAULTS:
-        mine = {row.motion: row for row in rows if row.fault == fault.name}
-        if mine:
-            worst = [
-                _largest(mine, names) for names in (("peak_error_deg", "peak_error_mm"), ("travel_deg", "travel_mm"))
-            ]
-            torque = _largest(mine, ("peak_torque",))
-            ends = [_end(mine[motion]) if motion in mine else "-" for motion in MOTIONS]
-            lines.append((fault.name, *ends, *worst, torque))
-    return lines
-
-
 TERSE_HEADERS = ("fault", "reaction", "outcome", "monitor", "ms", "deg", "mm", "N m")
 
 
-def terse_rows(rows: Sequence[FaultRow]) -> list[tuple[str, ...]]:
+def short_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """A line per fault, see `HEADERS`: how each motion ends, and the worst figures over the motions."""
+    lines = []
+    for name, mine in _by_fault(rows):
+        ended = {row["motion"]: _end(row) for row in mine}
+        error, travel = (_join(mine, {f"{of}_deg": "deg", f"{of}_mm": "mm"}) for of in ("peak_error", "travel"))
+        torque = _join(mine, {"peak_torque": "N m"})
+        lines.append((name, *(ended.get(motion, "-") for motion in MOTIONS), error, travel, torque))
+    return lines
+
+
+def terse_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """A short line per fault for a terminal, see `TERSE_HEADERS`: what differs between motions stands side by side.
 
     Latency [ms] from the smallest to the largest; worst peak error [deg, mm] and torque [N m].
     """
     lines = []
-    for name in dict.fromkeys(row.fault for row in rows):
-        mine = [row for row in rows if row.fault == name]
-        waits = [row.latency_ms for row in mine if row.latency_ms is not None] if _begins(name) else []
-        ends = sorted({f"{wait:.0f}" for wait in (min(waits), max(waits))}, key=float) if waits else ["-"]
-        most = [_most(mine, figure) for figure in ("peak_error_deg", "peak_error_mm", "peak_torque")]
-        figures = ["-" if value is None else f"{value:.2f}" for value in most]
-        words = ([getattr(row, key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
+    for name, mine in _by_fault(rows):
+        waits = _values(mine, "latency_ms") if _begins(name) else []
+        ends = dict.fromkeys(f"{wait:.0f}" for wait in (min(waits), max(waits))) if waits else ["-"]
+        most = (_values(mine, figure) for figure in ("peak_error_deg", "peak_error_mm", "peak_torque"))
+        figures = [f"{max(values):.2f}" if values else "-" for values in most]
+        words = ([row.get(key) or "-" for row in mine] for key in ("reaction", "status", "safety_monitor"))
         told = (" / ".join(texts if len(set(texts)) > 1 else texts[:1]) for texts in words)
         lines.append((name, *told, "-".join(ends), *figures))
     return lines
 
 
-def holdable_lines(rows: Sequence[FaultRow]) -> list[str]:
+def holdable_lines(rows: Sequence[Row]) -> list[str]:
     """What five motors hold, a line per dead motor and motion."""
     lines = []
     for row in rows:
-        if row.holds_weight is None or row.support_newton is None:
-            continue
-        held = "none: not even the weight; smallest force from outside with which it would stand: "
-        held += f"{row.support_newton:.1f} N"
-        if row.holds_weight:
-            held = f"{row.force_newton:.0f} N or {row.moment_newton_metre:.1f} N m"
-        lines.append(f"{row.fault}, {row.motion}: {held}")
+        held = "none: not even the weight; the smallest outside force with which it stands: {support_newton:.1f} N"
+        if row.get("holds_weight"):
+            held = "{force_newton:.0f} N or {moment_newton_metre:.1f} N m"
+        if row.get("support_newton") is not None:
+            lines.append(f"{row['fault']}, {row['motion']}: {held.format(**row)}")
     return lines
 
 
-def markdown_table(rows: Sequence[FaultRow]) -> str:
+def markdown_table(rows: Sequence[Row]) -> str:
     """The table as a Markdown page."""
     page = [
         "# Fault table",
@@ -165,7 +282,7 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
         "",
         "What the faults are:",
         "",
-        *(_told(BY_NAME[name]) for name in dict.fromkeys(row.fault for row in rows)),
+        *(_told(BY_NAME[name]) for name, _ in _by_fault(rows)),
         "",
         "Command: `stewart-drake faults`. All figures: `faults.parquet`.",
         "",
@@ -173,31 +290,37 @@ def markdown_table(rows: Sequence[FaultRow]) -> str:
     return "\n".join(page)
 
 
+def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
+    names = dict.fromkeys(row["fault"] for row in rows)
+    return ((name, [row for row in rows if row["fault"] == name]) for name in names)
+
+
 def _told(fault: Fault) -> str:
     bound = "" if fault.within is None else f" (a monitor trips within {1e3 * fault.within:.0f} ms)"
     return f"- `{fault.name}`: {fault.text}{bound}"
 
 
-def _end(row: FaultRow) -> str:
-    status = "" if row.status is None else f": {row.status}"
-    status += "" if row.warnings is None else f", {row.warnings.replace('_', ' ')}"
-    if row.safety_monitor is None or row.latency_ms is None:
-        return f"{row.reaction}{status}"
-    leg = "" if row.safety_leg is None else f", leg {row.safety_leg}"
-    # What chance brings, such as ticks lost in a row, has a time but no latency.
-    when = f", {row.latency_ms:.0f} ms" if _begins(row.fault) else ""
-    return f"{row.reaction} ({row.safety_monitor}{when}{leg}){status}"
+def _end(row: Row) -> str:
+    trip = ""
+    if row.get("safety_monitor") is not None:
+        # What chance brings, such as ticks lost in a row, has a time but no latency.
+        when = f", {row['latency_ms']:.0f} ms" if _begins(row["fault"]) else ""
+        leg = "" if row["safety_leg"] is None else f", leg {row['safety_leg']}"
+        trip = f" ({row['safety_monitor']}{when}{leg})"
+    warnings = (row.get("warnings") or "").replace("_", " ")
+    ended = ", ".join(filter(None, (row.get("status"), warnings)))
+    return row["reaction"] if row["reaction"] == "refused" else f"{row['reaction']}{trip}: {ended}"
 
 
 def _begins(name: str) -> bool:
     return BY_NAME[name].since > 0.0
 
 
-def _largest(rows: dict[str, FaultRow], names: Sequence[str]) -> str:
-    units = {"deg": "deg", "mm": "mm", "torque": "N m"}
-    most = ((units[name.rpartition("_")[2]], _most(rows.values(), name)) for name in names)
-    return ", ".join(f"{value:.2f} {unit}" for unit, value in most if value is not None) or "-"
+def _join(rows: Iterable[Row], units: Mapping[str, str]) -> str:
+    """The largest of each column with its unit."""
+    most = ((_values(rows, name), unit) for name, unit in units.items())
+    return ", ".join(f"{max(values):.2f} {unit}" for values, unit in most if values) or "-"
 
 
-def _most(rows: Iterable[FaultRow], name: str) -> float | None:
-    return max((value for row in rows if (value := getattr(row, name)) is not None), default=None)
+def _values(rows: Iterable[Row], name: str) -> list[float]:
+    return [value for row in rows if (value := row.get(name)) is not None]

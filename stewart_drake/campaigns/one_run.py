@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from stewart_drake.campaigns.row_store import Row
+from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs.log_rows import NoRows
-from stewart_drake.logs.metric_table import flat
+from stewart_drake.logs.metric_table import MetricError, flat
 from stewart_drake.logs.metrics import run_metrics
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Task:
         base: The scenario before the draws, as `Scenario.to_dict` gives it.
         changes: Scenario key -> value, see `Sweep.changes`.
         drawn: See `Sweep.draw`; goes into the row.
-        measure: What goes into the row; None for the function of this name.
+        measure: What goes into the row.
     """
 
     index: int
@@ -53,7 +53,7 @@ class Task:
     base: Mapping[str, Any]
     changes: Mapping[str, Any]
     drawn: Mapping[str, Any]
-    measure: Measure | None = None
+    measure: Measure
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
@@ -118,12 +118,6 @@ def empty_row(task: Task, status: str, reason: str | None, message: str | None) 
     }
 
 
-def not_finite(row: Mapping[str, Any]) -> str | None:
-    """Which columns of a row are null because they are no finite numbers, and what they are; None for none."""
-    found = {name: value for name, value in row.get(NOT_FINITE, {}).items() if "." not in name}
-    return ", ".join(f"{name} {value}" for name, value in found.items()) or None
-
-
 def outcome(log: SimulationLog) -> Row:
     """How a run ended, see `metric_table.OUTCOME`, but for status, reason and message."""
     safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
@@ -140,24 +134,25 @@ def outcome(log: SimulationLog) -> Row:
 
 def measure(log: SimulationLog) -> Row:
     """How a run ended, and its metrics by column."""
-    return {**outcome(log), **flat(run_metrics(log)), "simulation_s": log.wall_time}
+    return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:
-    from stewart_drake.campaigns.plan import vary
     from stewart_drake.scenario import Scenario
 
     try:
-        log = uninterrupted(function(vary(Scenario.from_dict(task.base), task.changes)))
+        log = uninterrupted(function(Scenario.from_dict(task.base).replace(task.changes)))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
-            return {**empty_row(task, log.status, log.reason, log.message), **(task.measure or measure)(log)}
+            return {**empty_row(task, log.status, log.reason, log.message), **task.measure(log)}
     except KeyboardInterrupt:
         raise
     except ConfigurationError as error:
         return empty_row(task, "rejected", error.reason, str(error))
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
+    except MetricError as error:
+        return empty_row(task, "raised", error.reason, str(error))
     except BaseException as error:  # SystemExit, MemoryError and the like: a row each, or the sweep would lose the run
         name = type(error).__name__
         return empty_row(task, "raised", name, f"{str(error) or name}{raised_at(error)}")

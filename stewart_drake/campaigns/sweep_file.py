@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,15 +16,27 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
-from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, split_key, value_at, vary
+from stewart_drake.campaigns.one_run import simulate_figures
+from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
+from stewart_drake.campaigns.tables import INCIDENTAL, Row, flat
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import refuse_given
+from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.registry import refuse_given
+from stewart_drake.keys import split_key, value_at
+from stewart_drake.logs.metric_table import Column
+from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.scenario import Scenario
 from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
 MAX_RUNS = 1_000_000
 Sampler = Literal["random", "sobol"]
+BEFORE = (
+    Column("index", "", "number of the run, from 0", "whole"),
+    Column("seed", "", "of the run; its draws follow from it", "whole"),
+)
+"""Columns before those of the varied keys."""
 
 
 class SweepFile(PlanFile):
@@ -64,6 +77,8 @@ class Sweep(Plan):
     name: str = field(default="sweep", kw_only=True)
     seed: int = 0
     sampler: Sampler = "random"
+    kind = "sweep"
+    products = ("sweep.parquet", "sweep.csv")
 
     def __post_init__(self) -> None:
         if not self.distributions:
@@ -74,15 +89,17 @@ class Sweep(Plan):
             allowed = "a key that figures depend on: a sweep keeps no logs and looks at every tick"
             raise ConfigurationError("distributions.log_period", "log_period", allowed)
         refuse_given(self.base)
-        data = self.base.to_dict()
-        paths = [split_key(key) for key in self.distributions]
-        for key, path in zip(self.distributions, paths, strict=True):
-            over = next(
-                (k for k, p in zip(self.distributions, paths, strict=True) if p != path and path[: len(p)] == p), None
-            )
+        fixed = {column.name for column in (*BEFORE, *run_columns(), *INCIDENTAL)}
+        for key, current in self._bases.items():
+            path = split_key(key)
+            paths = ((other, split_key(other)) for other in self.distributions if other != key)
+            over = next((other for other, inside in paths if path[: len(inside)] == inside), None)
             if over is not None:
                 raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
-            self._check(key, value_at(data, key, "distributions."))
+            if key in fixed:
+                allowed = "a key that is no column of the table already"
+                raise ConfigurationError(f"distributions.{key}", key, allowed)
+            self._check(key, current)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
@@ -95,9 +112,7 @@ class Sweep(Plan):
         Raises:
             ConfigurationError: Names the key, the value and what is allowed.
         """
-        folder = Path() if folder is None else folder
-        given = SweepFile.read("sweep", data, folder)
-        base = given.base(folder)
+        given, base = SweepFile.read("sweep", data, folder)
         if given.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
         runs = given.runs
@@ -136,6 +151,46 @@ class Sweep(Plan):
             for key, value in drawn.items()
         }
 
+    def simulation(self, index: int) -> Any:  # noqa: ARG002 - the same for all
+        """See `Plan.simulation`: of a sweep no log is kept."""
+        return simulate_figures
+
+    def variants(self) -> list[Scenario]:
+        """See `Plan.variants`."""
+        found = [self.base]
+        for key, distribution in self.distributions.items():
+            if isinstance(distribution, Choice) and not distribution.factor:
+                for value in (each for each in distribution.values if isinstance(each, (str, dict, list))):
+                    with suppress(ConfigurationError):  # a row says so
+                        found.append(vary(self.base, {key: value}))
+        return found
+
+    def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
+        """See `Plan.tables`: of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
+        varied: list[Column] = []
+        factors = [key for key, distribution in self.distributions.items() if distribution.factor]
+        for key, distribution in self.distributions.items():
+            kind = column_of(distribution)
+            if key in factors:
+                varied.append(Column(f"{key}.factor", "1", f"what the scenario's {key} is multiplied by", kind))
+                kind = "json" if isinstance(self._bases[key], list) else "number"
+            text = f"scenario key {key} as run{', as JSON' if kind == 'json' else ''}"
+            varied.append(Column(key, "", text, kind))
+        wide = []
+        for row in rows:
+            drawn: dict[str, Any] = row["values"]
+            # A factor can take a number out of floating point; its row is one of a run that was rejected.
+            values = plain_json({**self.changes(drawn), **{f"{key}.factor": drawn[key] for key in factors}})
+            wide.append(flat(row, **values))
+        return {"sweep": ((*BEFORE, *varied, *run_columns(self.base), *INCIDENTAL), wide)}
+
+    @property
+    def work(self) -> Mapping[str, Any]:
+        """See `Plan.work`: not how many runs there are, nor a name."""
+        data = self.to_dict()
+        del data["runs"], data["name"], data["scenario"]["name"]
+        return data
+
     def to_dict(self) -> dict[str, Any]:
         """All of it in plain types, the whole scenario included."""
         return {
@@ -161,8 +216,12 @@ class Sweep(Plan):
 
     @cached_property
     def _bases(self) -> dict[str, Any]:
-        data = self.base.to_dict()
-        return {key: value_at(data, key, "distributions.") for key in self.distributions}
+        """Values of the varied keys before the draws."""
+        data = self.base.in_full()
+        try:
+            return {key: value_at(data, key) for key in self.distributions}
+        except ConfigurationError as error:
+            raise error.within("distributions.") from None
 
     @cached_property
     def _points(self) -> np.ndarray:

@@ -9,11 +9,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stewart_drake.files.parquet_files import to_csv
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.whole import NOT_FINITE, write_atomically
 from stewart_drake.logs.metric_table import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+Row = dict[str, Any]
+"""Column -> plain value, and `index`."""
+INCIDENTAL = (
+    Column("wall_s", "s", "wall-clock time of the run in its worker: diagram, simulation, metrics"),
+    Column("simulation_s", "s", "of that, the simulation alone"),
+    Column("host", "", "machine that the run was on", "text"),
+    Column("worker", "", "process that the run was in", "whole"),
+)
+"""Last columns of a sweep: the only ones that depend on where and when it ran."""
+
+
+def flat(row: Row, **more: Any) -> Row:
+    """A row with further columns, and with what of it is no finite number as a text."""
+    found = {name: value for name, value in row.get(NOT_FINITE, {}).items() if "." not in name}
+    named = ", ".join(f"{name} {value}" for name, value in found.items())
+    return {**row, **more, NOT_FINITE: named or None}
 
 
 def to_arrow(

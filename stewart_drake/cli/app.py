@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.cli.calibrate_command import calibrate
+from stewart_drake.cli.campaign_commands import compare, faults, sweep
 from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides
-from stewart_drake.cli.compare_command import compare
-from stewart_drake.cli.faults_command import faults
-from stewart_drake.cli.sweep_command import sweep
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
+from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.runs.terminal import (
@@ -76,13 +75,14 @@ def cli(context: click.Context) -> None:
 @overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
 @click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
-@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+@quiet_flag
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
     """Simulate SCENARIO: a YAML file, or the name of a shipped one such as paper_fig7.
 
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
     from stewart_drake.logs.log_rows import RowsInFile
+    from stewart_drake.logs.outcomes import told
     from stewart_drake.runs.outputs import ResultsFolder
     from stewart_drake.scenario import load_scenario
 
@@ -123,14 +123,13 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
-        what = log.status if log.reason in (None, log.status) else f"{log.status}, {log.reason}"
-        click.echo(f"stewart-drake: {what} at t = {log.outcome_time:.3f} s: {log.message}", err=True)
+        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {log.message}", err=True)
     sys.exit(_STATUS[log.status])
 
 
 @cli.command()
 @out_file("runs/dataset.parquet")
-@click.option("--quiet", is_flag=True, help="No progress bar.")
+@quiet_flag
 def collect(out: Path, quiet: bool) -> None:
     """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
 
@@ -159,7 +158,7 @@ def collect(out: Path, quiet: bool) -> None:
     show_default=True,
     help="What is held back for validation: samples at random, which leak from run to run, or whole runs.",
 )
-@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+@quiet_flag
 def train(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
     """Train the 12-10-2 network on DATASET by back-propagation and write its weights file.
 
@@ -186,7 +185,7 @@ def train(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet:
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
 @click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
 @overrides("gravity=0")
-@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+@quiet_flag
 def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
     """Test the paper claim by claim: report.html, report.md, report.json, figures/.
 
@@ -234,26 +233,15 @@ def schema(out: Path | None) -> None:
         write_atomically(out, text.encode())
 
 
-@cli.command("write-sdf")
-@click.argument("out", type=OutPath(dir_okay=False))
-@click.option("--scenario", help="Take the robot of this scenario [default: the paper's].")
-@overrides("robot.rod_length=0.42")
-@click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
-def write_sdf_command(out: Path, scenario: str | None, overrides: tuple[str, ...], collision: bool) -> None:
-    """Write the robot of a scenario, with its plant.rod_joint, as an SDF file; another geometry gives another robot."""
-    from stewart_drake.plant.sdf_model import write_sdf
-    from stewart_drake.scenario import load_scenario
-
-    loaded = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
-    write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
-
-
 cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(faults)
+cli.add_command(robots)
 cli.add_command(sweep)
 cli.add_command(workspace)
+cli.add_command(write_sdf_command)
+cli.add_command(write_mjcf_command)
 
 
 def main() -> None:

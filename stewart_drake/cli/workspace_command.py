@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.cli.common_options import out_folder, overrides
+from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, print_table
 
 
@@ -29,7 +30,7 @@ from stewart_drake.runs.terminal import ProgressBar, print_table
 )
 @click.option("--scenario", help="Take robot, limits and controller of this scenario [default: the paper's].")
 @overrides("limits.clearance=0.01")
-@click.option("--quiet", is_flag=True, help="No progress bar and no table.")
+@quiet_flag
 def workspace(
     out: Path,
     samples: int,
@@ -58,8 +59,12 @@ def workspace(
 
     center = base.robot.home_pose if pose is None else np.array(pose)
     check_center(base.robot, center)
-    check_scenario(base)
     base.load_tuner_network()
+    try:
+        check_scenario(base)
+    except ConfigurationError as error:
+        # A region of poses needs no motion.
+        click.echo(f"stewart-drake: left out is the scenario's own motion: {error}", err=True)
     prepare_folder(out, SPACE)
 
     from stewart_drake.files.whole import write_atomically

@@ -19,6 +19,7 @@ class _UsualLimits(NamedTuple):
 class ControllerOptions(Section, key="controller"):
     """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
 
+    own_keys = frozenset({"feedforward", "saturation"})
     kind: str
     """Of controller."""
     period: Positive

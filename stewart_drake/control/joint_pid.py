@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
+from stewart_drake.control.robot_gains import CRANK_GAIN
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
@@ -22,16 +23,17 @@ class PidOptions(OwnControllerOptions):
 
     The default gains give heave at home the stiffness, damping and integral action that the exact-model LQI has there
     with weights 4e5, 30, 4e7, 1 and a weight length of 0.11 m: for the inertia M of heave and J = d(theta)/dZ, a
-    feedback k of acceleration is k M / (6 J^2) at each crank.
+    feedback k of acceleration is k M / (6 J^2) at each crank. For another robot than the paper's a scenario scales them
+    by its M / sum J^2.
     """
 
     kind: Literal["pid"] = "pid"
     period: Positive = 0.001
-    kp: NotNegative = 37.3
+    kp: Annotated[NotNegative, CRANK_GAIN] = 37.3
     """[N m/rad]"""
-    ki: NotNegative = 316.0
+    ki: Annotated[NotNegative, CRANK_GAIN] = 316.0
     """[N m/(rad s)]"""
-    kd: NotNegative = 0.624
+    kd: Annotated[NotNegative, CRANK_GAIN] = 0.624
     """[N m s/rad]"""
     feedforward: Literal["none", "gravity"] = "gravity"
     """gravity: adds the static torque of all bodies at the measured pose."""

@@ -115,9 +115,9 @@ def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndar
     q_e, q_v, q_z, r = (float(w) for w in block_weights(weights))
     if options.solver == "split":
         blocks = (q_e, q_v, q_z, r)
-        return split_gain(acceleration_map, options.period, blocks, options.discretization, options.weight_length)
+        return split_gain(acceleration_map, options.period, blocks, options.discretization, options.length)
     a, b = discretize(state_matrix(), input_matrix(acceleration_map), options.period, options.discretization)
-    scale = np.array([options.weight_length**2] * 3 + [1.0] * 3)
+    scale = np.array([options.length**2] * 3 + [1.0] * 3)
     q = np.zeros(STATES)
     q[POSITION], q[RATE], q[INTEGRAL] = q_e * scale, q_v * scale, q_z * scale
     big_r = r * np.eye(AXES)
@@ -285,7 +285,7 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         LQI_NUMBERS,
         period=options.period,
         gravity=gravity,
-        length=options.weight_length,
+        length=options.length,
         min_transmission=options.min_transmission,
         min_conditioning=options.min_conditioning,
         integral_angle=limits[0],

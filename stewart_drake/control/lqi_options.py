@@ -9,8 +9,10 @@ from pydantic import Field
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.force_map import ForceMapKind
+from stewart_drake.robot_scale import CHARACTERISTIC_LENGTH
 from stewart_drake.section import Flag, Natural, Positive, PositivePair
 
 Model = Literal["paper", "exact"]
@@ -36,9 +38,10 @@ class LqiOptions(OwnControllerOptions):
     reference's acceleration."""
     feedforward_at: FeedforwardAt = "measured"
     """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
-    weight_length: Annotated[Positive, Field(le=LARGEST)] = 1.0
+    weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
     """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
-    radius 0.11 makes an error of the joints count alike in both."""
+    radius 0.11 makes an error of the joints count alike in both. In a scenario null takes the robot's
+    `characteristic_length`."""
     discretization: Discretization = "exact"
     """Zero-order hold of (25): exact, or first order (euler)."""
     solver: RiccatiSolver = "drake"
@@ -55,6 +58,17 @@ class LqiOptions(OwnControllerOptions):
     hold_ticks: Annotated[Natural, Field(le=1000)] = 0
     """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
     finite is bridged by the last good gain and torque, before the run ends."""
+
+    @property
+    def length(self) -> float:
+        """[m] `weight_length`.
+
+        Raises:
+            ConfigurationError: It is null, and no scenario has put the robot's in.
+        """
+        if self.weight_length is None:
+            raise ConfigurationError("controller.weight_length", None, "a length, outside of a scenario")
+        return self.weight_length
 
     @property
     def label(self) -> str:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.density import DensityKind
-from stewart_drake.control.network import TunerNetwork, default_network_path, load_network
+from stewart_drake.control.network import TunerNetwork, default_network_path, load_network, read_weights
+from stewart_drake.control.robot_gains import WEIGHT
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.section import Positive, Section, Text, Window
 
 
-class Tuner(Section, key="tuner"):
-    """What every tuner has."""
+class Tuner(Section, ABC, key="tuner"):
+    """What every tuner has; what runs it, `registry.TUNERS.system`, gives weights for densities."""
 
     kind: str
     density: DensityKind = "magnitude"
@@ -23,9 +26,14 @@ class Tuner(Section, key="tuner"):
     time."""
 
     @property
+    @abstractmethod
     def weights(self) -> tuple[float, ...]:
         """Weights at the start, as the controller takes them."""
-        raise NotImplementedError
+
+    @property
+    def label(self) -> str:
+        """What its weights are, for titles."""
+        return "Weights, held fixed"
 
     def network(self) -> TunerNetwork | None:
         """The network that it asks, or None where the weights stay.
@@ -33,6 +41,14 @@ class Tuner(Section, key="tuner"):
         Raises:
             ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
                 the range that it was trained on.
+        """
+        return None
+
+    def content(self) -> str | None:
+        """Text of the file that it depends on, or None where there is none.
+
+        Raises:
+            ConfigurationError: It cannot be read.
         """
         return None
 
@@ -59,14 +75,18 @@ class FixedTuner(PairTuner):
 
 
 class BlockTuner(Tuner):
-    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`."""
+    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`.
+
+    The defaults are for the paper's robot; for any other a scenario scales them by what a torque does there, so that
+    the loop is as fast.
+    """
 
     kind: Literal["block"] = "block"
-    q_pose: Positive
+    q_pose: Annotated[Positive, WEIGHT] = 4.0e5
     """Weight of the pose's error."""
-    q_rate: Positive
+    q_rate: Annotated[Positive, WEIGHT] = 30.0
     """Weight of its rate."""
-    q_integral: Positive
+    q_integral: Annotated[Positive, WEIGHT] = 4.0e7
     """Weight of its integral."""
     r: Positive = 1.0
     """Weight of the torques."""
@@ -78,11 +98,16 @@ class BlockTuner(Tuner):
 
 
 class AnnTuner(PairTuner):
-    """Weights from the neural network of Fig. 5."""
+    """Weights from the neural network of Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
 
     kind: Literal["ann"] = "ann"
     weights_file: Text | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
+
+    @property
+    def label(self) -> str:
+        """See `Tuner.label`."""
+        return "Output of the ANN"
 
     def network(self) -> TunerNetwork:
         """See `Tuner.network`."""
@@ -96,3 +121,7 @@ class AnnTuner(PairTuner):
             if not low <= value <= high:
                 raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
         return network
+
+    def content(self) -> str:
+        """See `Tuner.content`."""
+        return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, UserClass, path_of
+from stewart_drake.families import UserMade, user_sources
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass
 from stewart_drake.files.user_errors import UserCode
-from stewart_drake.registry import user_sources
-from stewart_drake.section import Positive, Text, check_plain
+from stewart_drake.section import Positive, Text
 
 
-class PythonOptions(ControllerOptions):
+class PythonOptions(ControllerOptions, UserMade):
     """A user's LeafSystem by import path; `kind` may be that path itself.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -27,8 +27,9 @@ class PythonOptions(ControllerOptions):
     step; time constants below a 25th of that step diverge.
     """
 
+    path_key: ClassVar[str] = "system"
     kind: Literal["python"] = "python"
-    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS]
+    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
     class is a System of pydrake, and its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -37,23 +38,10 @@ class PythonOptions(ControllerOptions):
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        check_plain("arguments", self.arguments)
-
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
-        """Options for a class or object that was given in Python, or an import path."""
-        if isinstance(kind, str):
-            return cls.__pydantic_validator__.validate_python({"system": kind, **rest})
-        made: PythonOptions = cls.__pydantic_validator__.validate_python({"system": path_of(kind), **rest})
-        vars(made)["given"] = kind
-        return made
-
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return UserClass(self.system, "controller.system", vars(self).get("given"))
+        return _SystemClass(self.system, super().source.key)
 
     @property
     def file(self) -> Path | None:
@@ -66,18 +54,26 @@ class PythonOptions(ControllerOptions):
         return self.source.code
 
 
+class _SystemClass(UserClass):
+    """A class that must be a System of pydrake."""
+
+    def load(self) -> type:
+        """See `UserClass.load`."""
+        from pydrake.systems.framework import System
+
+        found = super().load()
+        if not issubclass(found, System):
+            raise ConfigurationError(self.key, self.path, "a LeafSystem of pydrake")
+        return found
+
+
 def load_class(options: PythonOptions) -> type:
     """The class that `options` name; it is not called.
 
     Raises:
         ConfigurationError: See `UserClass.load`; it is no System of pydrake.
     """
-    from pydrake.systems.framework import System
-
-    found = options.source.load()
-    if not issubclass(found, System):
-        raise ConfigurationError("controller.system", options.system, "a LeafSystem of pydrake")
-    return found
+    return options.source.load()
 
 
 def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
@@ -86,7 +82,6 @@ def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     Raises:
         ConfigurationError: See `load_class`; the constructor raises.
     """
-    load_class(options)
     return options.source.construct(options.arguments, offered)
 
 

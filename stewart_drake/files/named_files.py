@@ -5,20 +5,20 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.user_code import split_path
 from stewart_drake.files.whole import open_checked, read_checked
 
 MAX_BYTES = 100_000_000
 """Of any file that is named."""
-
-_CLASS = re.compile(r"(?P<file>.+\.py)(?P<name>:[A-Za-z_]\w*)")
-"""A class in a file, as `kind` and `controller.system` have it."""
-CLASS_KEYS = ("system", "kind")
+CLASS_LISTS = ("disturbances", "metrics", "monitors", "parts")
+"""Keys of lists in which a class may stand by its path alone."""
+CLASS_KEYS = ("system", "kind", "controller", "reference", "motion", *CLASS_LISTS)
+"""Of a class in a file."""
 FILE_KEYS = ("weights_file", "motion_file")
 ROBOT_KEYS = ("robot", "model_robot")
 """At these a text is a file where it has a folder or an ending, else the name of a robot."""
@@ -109,18 +109,20 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
         seen.add((name, id(section)))
         if isinstance(section, (list, tuple)):
             waiting.extend((name, f"{place}{index}.", value) for index, value in enumerate(section))
+            found = (index for index, value in enumerate(section) if name in CLASS_LISTS and _is_file(name, value))
+            yield from ((section, index, f"{place}{index}") for index in found)
         if not isinstance(section, dict):
             continue
         for key, value in section.items():
             leaf = str(key).rpartition(".")[2]
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
+                continue
+            waiting.append((leaf, f"{place}{key}.", value))
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            if leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
-            else:
-                waiting.append((leaf, f"{place}{key}.", value))
 
 
 def _is_file(key: str, value: Any) -> bool:
@@ -129,10 +131,10 @@ def _is_file(key: str, value: Any) -> bool:
         return False
     if key in ROBOT_KEYS:
         return Path(value).name != value or Path(value).suffix != ""
-    return key in FILE_KEYS or (key in CLASS_KEYS and _CLASS.fullmatch(value) is not None)
+    return key in FILE_KEYS or (key in CLASS_KEYS and split_path(value) is not None)
 
 
 def _split(value: str) -> tuple[str, str]:
     """Path, and for a controller's class the colon and its name."""
-    match = _CLASS.fullmatch(value)
-    return (match["file"], match["name"]) if match else (value, "")
+    found = split_path(value)
+    return (found[0], f":{found[1]}") if found else (value, "")

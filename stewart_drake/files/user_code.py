@@ -10,6 +10,7 @@ import hashlib
 import importlib
 import inspect
 import linecache
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pydantic import WrapValidator
+
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.installed import distribution_of
 from stewart_drake.files.user_errors import describe
@@ -25,16 +28,50 @@ from stewart_drake.files.whole import read_checked
 
 MAX_BYTES = 1_000_000
 """Of a file with a class."""
-CLASS_PATH = r"^(.+\.py|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):[A-Za-z_]\w*$"
+_FILE, _NAME = r".+\.py", r"[A-Za-z_]\w*"
+CLASS_PATH = rf"^({_FILE}|{_NAME}(\.{_NAME})*):{_NAME}$"
 CLASS_WORDS = "module:Class or path/to/file.py:Class"
 _FILES = "stewart_drake_user"
 """Name of the package that holds modules made from a user's files; it is not on disk."""
+
+
+def split_path(path: str) -> tuple[str, str] | None:
+    """File and class of path/to/file.py:Class; None for any other text."""
+    found = re.fullmatch(rf"({_FILE}):({_NAME})", path)
+    return None if found is None else (found[1], found[2])
+
+
+class GivenPath(str):
+    """An import path with the class or object that was given in Python: of two objects the paths are not equal."""
+
+    given: Any = None
+
+    def __eq__(self, other: object) -> bool:
+        return super().__eq__(other) and (not isinstance(other, GivenPath) or self.given is other.given)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    __hash__ = str.__hash__
+
+
+KEEP_GIVEN = WrapValidator(lambda value, check: value if isinstance(value, GivenPath) else check(value))
+"""Beside the type of a key that may be a `GivenPath`."""
 
 
 def path_of(given: Any) -> str:
     """What stands in a file for a class or an object that was given in Python."""
     kind = given if isinstance(given, type) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
+
+
+def given_path(kind: Any) -> str:
+    """An import path as it is; for a class or an object its path, with it."""
+    if isinstance(kind, str):
+        return kind
+    made = GivenPath(path_of(kind))
+    made.given = kind
+    return made
 
 
 @dataclass(frozen=True)
@@ -44,18 +81,21 @@ class UserClass:
     Attributes:
         path: module:Class, or path/to/file.py:Class.
         key: Key of the scenario that has the path, for messages.
-        given: The class, or an object in its place, where it was given in Python; None for one by its path.
     """
 
     path: str
     key: str
-    given: Any = None
+
+    @property
+    def given(self) -> Any:
+        """The class, or an object in its place, where it was given in Python; None for one by its path."""
+        return getattr(self.path, "given", None)
 
     @property
     def file(self) -> Path | None:
         """The file that the class is in; None where it is in a module to import."""
-        file, _, _ = self.path.rpartition(":")
-        return Path(file) if file.endswith(".py") and self.given is None else None
+        found = None if self.given is not None else split_path(self.path)
+        return None if found is None else Path(found[0])
 
     @property
     def code(self) -> str:
@@ -117,9 +157,9 @@ class UserClass:
         Raises:
             ConfigurationError: See `load`; the constructor raises.
         """
+        kind = self.load()
         if self.given is not None and not isinstance(self.given, type):
             return self.given
-        kind = self.load()
         section = self.key.rpartition(".")[0]
         keywords = dict(arguments)
         with self._refused(f"a constructor that takes {section}.arguments and does not raise"):

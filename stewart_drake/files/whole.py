@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import hashlib
 import json
 import math
@@ -14,17 +12,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stewart_drake.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of this package; in a checkout, beside `sdf` and `diagrams`."""
 CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 """Keys that `seal` and `plain_json` add."""
 
-_UNFINISHED = ".part"
-"""Ending of a file that is being written."""
+_UNFINISHED, _LOCK = ".part", ".lock"
+"""Ending of a file that is being written; file in a folder that is in use."""
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
@@ -113,6 +114,27 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
+def take_lock(path: Path, refusal: ConfigurationError) -> FileLock:
+    """Takes the lock that a file stands for, without waiting; it is made. `release` lifts it, or the process's end.
+
+    A file that is deleted, by whoever has its lock, is no lock any more.
+
+    Raises:
+        ConfigurationError: `refusal`, where another process has it; or its disk has no locks.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path, blocking=False)
+    try:
+        lock.acquire()
+    except (Timeout, FileNotFoundError):
+        raise refusal from None
+    except OSError as error:
+        allowed = f"a folder that can be locked ({error.strerror})"
+        raise ConfigurationError(refusal.key, refusal.value, allowed) from None
+    return lock
+
+
 @contextmanager
 def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
     """Keeps other processes that ask for it out of a folder; the system lifts the lock when this process ends.
@@ -126,37 +148,17 @@ def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
     Raises:
         ConfigurationError: Another process has it, or its disk has no locks.
     """
-    descriptor = _lock(folder, key)
+    allowed = "a folder that no other process is using"
+    lock = take_lock(folder / _LOCK, ConfigurationError(key, str(folder), allowed))
     try:
         for name in folder.glob(f".*{_UNFINISHED}"):
             with suppress(OSError):
                 name.unlink()
         yield
     finally:
-        os.close(descriptor)
-
-
-def _lock(folder: Path, key: str) -> int:
-    """A descriptor that holds the lock of a folder until it is closed."""
-    descriptor = None
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno != errno.EBADF:
-                raise
-            # A network's disk locks only what is open for writing, which a folder never is.
-            os.close(descriptor)
-            descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if descriptor is not None:
-            os.close(descriptor)
-        if isinstance(error, BlockingIOError):
-            raise ConfigurationError(key, str(folder), "a folder that no other process is using") from None
-        raise ConfigurationError(key, str(folder), f"a folder that can be locked ({error.strerror})") from None
-    return descriptor
+        with suppress(OSError):
+            (folder / _LOCK).unlink()
+        lock.release()
 
 
 def plain_json(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.families import Table
+from stewart_drake.hardware.faults import Fault, FaultKind
 from stewart_drake.hardware.seeded import tick_uniform
-from stewart_drake.section import Leg, Natural, NotNegative, Positive, Real, Section, Seed, Share
-
-CommandFaultKind = Literal["nan", "inf", "offset", "chatter"]
+from stewart_drake.registry import COMMAND_FAULTS
+from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Real, Section, Seed, Share, Text
 
 MEMORY_SIZE = 16
 """Command 6, its age, command under way 6, step at which that is due, its tick, tick of the command in force."""
@@ -20,31 +21,44 @@ MEMORY_SIZE = 16
 _STREAM = 3
 
 
-class CommandFault(Section, key="link.faults"):
+class Command(NamedTuple):
+    """What a fault of a command finds: torque (6,) [N m], and the number of the tick."""
+
+    torque: np.ndarray
+    tick: int
+
+
+def _nan(fault: Any, now: Command) -> None:
+    now.torque[fault.channels] = math.nan
+
+
+def _inf(fault: Any, now: Command) -> None:
+    now.torque[fault.channels] = math.inf
+
+
+def _offset(fault: Any, now: Command) -> None:
+    now.torque[fault.channels] += fault.size
+
+
+def _chatter(fault: Any, now: Command) -> None:
+    now.torque[fault.channels] += fault.size * (-1.0) ** now.tick
+
+
+NAN, INF, OFFSET, CHATTER = FaultKind(_nan), FaultKind(_inf), FaultKind(_offset), FaultKind(_chatter)
+
+
+class CommandFault(Fault, key="link.faults"):
     """Commands that a broken controller would send."""
 
-    kind: CommandFaultKind
+    kinds: ClassVar[Table] = COMMAND_FAULTS
+    kind: Annotated[Text, COMMAND_FAULTS]
     """nan and inf in place of the torque; offset: `size` more; chatter: `size` more and less in turn, tick by tick."""
-    leg: Leg | None = None
+    leg: LegNumber | None = None
     """0 to 5; null for all."""
-    time: NotNegative = 0.0
-    """[s] when it begins."""
     duration: Positive | None = None
     """[s] after which commands are well again; null for never."""
     size: Real = 0.0
     """[N m] of offset and chatter."""
-
-    def spoil(self, command: np.ndarray, tick: int, time: float) -> None:
-        """Changes a command (6,) [N m] in place, where it is time."""
-        if not self.time <= time < self.time + (math.inf if self.duration is None else self.duration):
-            return
-        where = slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
-        if self.kind == "offset":
-            command[where] += self.size
-        elif self.kind == "chatter":
-            command[where] += self.size * (-1.0) ** tick
-        else:
-            command[where] = math.nan if self.kind == "nan" else math.inf
 
 
 class LinkOptions(Section, key="link"):
@@ -114,7 +128,7 @@ def link_step(
     if within == 0:
         command = np.array(command, dtype=float)
         for fault in options.faults:
-            fault.spoil(command, tick, time)
+            fault.spoil(time, Command(command, tick))
         fate = options.fate(tick, time)
         if fate == "arrives":
             held, arrived, due = command, float(tick), 0.0

@@ -4,51 +4,45 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.sensor_faults import check_other_leg
+from stewart_drake.families import Table
+from stewart_drake.hardware.faults import Fault, FaultKind, swap
 from stewart_drake.leg import LEGS, SMALLEST
-from stewart_drake.section import Leg, Natural, NotNegative, Section
-
-MotorFaultKind = Literal["reversed", "swapped"]
+from stewart_drake.registry import MOTOR_FAULTS
+from stewart_drake.section import LegNumber, Natural, NotNegative, Section, Text
 
 
 class DeadMotor(Section, key="motors.dead"):
     """A motor without torque from some time on; its crank turns freely."""
 
-    leg: Leg
+    leg: LegNumber
     """0 to 5."""
     time: NotNegative = 0.0
     """[s] when it dies."""
 
 
-class MotorFault(Section, key="motors.faults"):
+def _reversed(fault: Any, torque: np.ndarray) -> None:
+    torque[fault.leg] *= -1.0
+
+
+REVERSED, SWAPPED = FaultKind(_reversed), FaultKind(swap, needs="other")
+
+
+class MotorFault(Fault, key="motors.faults"):
     """Motors wired wrong, for good."""
 
-    kind: MotorFaultKind
+    kinds: ClassVar[Table] = MOTOR_FAULTS
+    kind: Annotated[Text, MOTOR_FAULTS]
     """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
-    leg: Leg
+    leg: LegNumber
     """0 to 5."""
-    other: Leg | None = None
+    other: LegNumber | None = None
     """0 to 5, of swapped motors."""
-    time: NotNegative = 0.0
-    """[s] when it begins."""
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        check_other_leg(self.kind, self.leg, self.other)
-
-    def spoil(self, torque: np.ndarray) -> None:
-        """Changes torques (6,) [N m] in place."""
-        if self.kind == "reversed":
-            torque[self.leg] *= -1.0
-        else:
-            pair = np.array([self.leg, self.other], dtype=int)
-            torque[pair] = torque[pair[::-1]]
 
 
 class MotorOptions(Section, key="motors"):
@@ -91,8 +85,7 @@ class MotorOptions(Section, key="motors"):
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
         for fault in self.faults:
-            if time >= fault.time:
-                fault.spoil(torque)
+            fault.spoil(time, torque)
         if self.ripple > 0.0:
             torque += self.ripple * np.sin(self.ripple_periods * crank_angles)
         if self.dead is not None and time >= self.dead.time:

@@ -4,75 +4,99 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Leg, NotNegative, Positive, Real, Section
+from stewart_drake.families import Table
+from stewart_drake.hardware.faults import Fault, FaultKind, swap
+from stewart_drake.registry import ENCODER_FAULTS, POSE_FAULTS
+from stewart_drake.section import LegNumber, Positive, Real, Section, Text
 
-EncoderFaultKind = Literal["freeze", "nan", "jump", "late", "drift", "reversed", "inverted", "swapped"]
-PoseFaultKind = Literal["freeze", "nan", "late"]
-
-LONGEST_DELAY = 1.0
+Delay = Annotated[Positive, Field(le=1.0)]
 """[s] by which a reading may be late; so many readings are kept."""
-Delay = Annotated[Positive, Field(le=LONGEST_DELAY)]
 
 
-class EncoderFault(Section, key="sensors.faults"):
+class Reading(NamedTuple):
+    """What a fault of a sensor finds.
+
+    Attributes:
+        says: (n,) what the sensor says, as the faults before have left it.
+        good: (n,) the last reading before one of them that keeps it.
+        late: (n,) true reading of as many ticks ago as the fault says.
+        time: [s].
+    """
+
+    says: np.ndarray
+    good: np.ndarray
+    late: np.ndarray
+    time: float
+
+
+def _freeze(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] = now.good[fault.channels]
+
+
+def _nan(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] = np.nan
+
+
+def _late(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] = now.late[fault.channels]
+
+
+def _jump(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] += fault.size
+
+
+def _drift(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] += fault.size * (now.time - fault.time)
+
+
+def _reversed(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] = 2.0 * now.good[fault.channels] - now.says[fault.channels]
+
+
+def _inverted(fault: Any, now: Reading) -> None:
+    now.says[fault.channels] *= -1.0
+
+
+FREEZE, NAN, LATE = FaultKind(_freeze, keeps=True), FaultKind(_nan), FaultKind(_late, needs="delay")
+JUMP, DRIFT, REVERSED = FaultKind(_jump), FaultKind(_drift), FaultKind(_reversed, keeps=True)
+INVERTED, SWAPPED = FaultKind(_inverted), FaultKind(lambda fault, now: swap(fault, now.says), needs="other")
+
+
+class EncoderFault(Fault, key="sensors.faults"):
     """One encoder that fails, or all six at once."""
 
-    kind: EncoderFaultKind
+    kinds: ClassVar[Table] = ENCODER_FAULTS
+    kind: Annotated[Text, ENCODER_FAULTS]
     """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts. late:
     says what it read `delay` ago. drift: off by `size` more each second. reversed: counts backwards from its last good
     reading. inverted: says the negative angle. swapped: `leg` and `other` say each other's angle."""
-    leg: Leg | None
+    leg: LegNumber | None
     """0 to 5; null for all."""
-    time: NotNegative = 0.0
-    """[s] when it begins."""
     duration: Positive | None = None
     """[s] after which the encoder is well again; null for never."""
     size: Real = 0.0
     """[rad] of a jump, [rad/s] of a drift."""
     delay: Delay | None = None
     """[s] of a late reading, up to 1; rounded up to whole ticks."""
-    other: Leg | None = None
+    other: LegNumber | None = None
     """0 to 5, of swapped encoders."""
 
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        if self.kind == "swapped" and self.leg is None:
-            raise ConfigurationError("leg", self.leg, "a leg from 0 to 5, for kind swapped")
-        _check_delay(self.kind, self.delay)
-        check_other_leg(self.kind, self.leg, self.other)
 
-    @property
-    def channels(self) -> slice:
-        """Entries of the reading that it spoils."""
-        return slice(None) if self.leg is None else slice(self.leg, self.leg + 1)
-
-
-class PoseFault(Section, key="sensors.faults"):
+class PoseFault(Fault, key="sensors.faults"):
     """A sensor of pose and rate that fails as a whole."""
 
-    kind: PoseFaultKind
+    kinds: ClassVar[Table] = POSE_FAULTS
+    kind: Annotated[Text, POSE_FAULTS]
     """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
-    time: NotNegative = 0.0
-    """[s] when it begins."""
     duration: Positive | None = None
     """[s] after which the sensor is well again; null for never."""
     delay: Delay | None = None
     """[s] of a late reading, up to 1; rounded up to whole ticks."""
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        _check_delay(self.kind, self.delay)
-
-    @property
-    def channels(self) -> slice:
-        """Entries of the reading that it spoils: all."""
-        return slice(None)
 
 
 class SensorOptions(Section, key="sensors"):
@@ -107,7 +131,10 @@ class IdealSensors(SensorOptions):
         return not self.faults
 
 
-def kept_readings(faults: Sequence[EncoderFault] | Sequence[PoseFault], period: float) -> int:
+Faults = Sequence[EncoderFault] | Sequence[PoseFault]
+
+
+def kept_readings(faults: Faults, period: float) -> int:
     """Rows of the memory of `faulty_reading`: the last good readings, and as many before as the latest fault needs."""
     return 1 + max((ticks_late(fault, period) for fault in faults), default=0)
 
@@ -118,11 +145,7 @@ def ticks_late(fault: EncoderFault | PoseFault, period: float) -> int:
 
 
 def faulty_reading(
-    faults: Sequence[EncoderFault] | Sequence[PoseFault],
-    reading: np.ndarray,
-    time: float,
-    period: float,
-    memory: np.ndarray,
+    faults: Faults, reading: np.ndarray, time: float, period: float, memory: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a sensor says where it may have failed.
 
@@ -138,46 +161,9 @@ def faulty_reading(
     Returns:
         The reading (n,) and the memory for the next tick.
     """
-    good = memory[0]
     says, kept = np.array(reading, dtype=float), np.zeros(len(reading), dtype=bool)
     for fault in faults:
-        if not fault.time <= time < fault.time + (math.inf if fault.duration is None else fault.duration):
-            continue
-        where = fault.channels
-        if fault.kind == "freeze":
-            says[where], kept[where] = good[where], True
-        elif fault.kind == "nan":
-            says[where] = np.nan
-        elif fault.kind == "late":
-            says[where] = memory[ticks_late(fault, period)][where]
-        elif fault.kind == "reversed":
-            says[where], kept[where] = 2.0 * good[where] - says[where], True
-        elif isinstance(fault, EncoderFault):
-            _spoil(fault, says, time)
-    after = np.vstack([np.where(kept, good, reading), reading, memory[1:]])[: len(memory)]
+        if fault.spoil(time, Reading(says, memory[0], memory[ticks_late(fault, period)], time)):
+            kept[fault.channels] |= fault.does.keeps
+    after = np.vstack([np.where(kept, memory[0], reading), reading, memory[1:]])[: len(memory)]
     return says, after
-
-
-def _spoil(fault: EncoderFault, says: np.ndarray, time: float) -> None:
-    """The kinds that need no memory, in place."""
-    if fault.kind == "swapped":
-        pair = np.array([fault.leg, fault.other], dtype=int)
-        says[pair] = says[pair[::-1]]
-    elif fault.kind == "inverted":
-        says[fault.channels] *= -1.0
-    else:
-        says[fault.channels] += fault.size * (1.0 if fault.kind == "jump" else time - fault.time)
-
-
-def _check_delay(kind: str, delay: float | None) -> None:
-    if (kind == "late") != (delay is not None):
-        late = f"a positive number up to {LONGEST_DELAY:g} s, for kind late"
-        raise ConfigurationError("delay", delay, late if kind == "late" else "null, but for kind late")
-
-
-def check_other_leg(kind: str, leg: int | None, other: int | None) -> None:
-    """Raises a `ConfigurationError` unless two swapped legs are two, and only they have an `other`."""
-    if kind != "swapped" and other is not None:
-        raise ConfigurationError("other", other, "null, but for kind swapped")
-    if kind == "swapped" and (other is None or other == leg):
-        raise ConfigurationError("other", other, f"another leg than {leg}, 0 to 5")

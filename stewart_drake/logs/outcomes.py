@@ -40,6 +40,12 @@ class Outcome:
     leg: int | None = None
 
 
+def told(status: str, reason: str | None, time: float | None = None) -> str:
+    """How a run ended in a few words, such as `failed, crank_dead_centre at t = 0.650 s`."""
+    words = status if reason in (None, status) else f"{status}, {reason}"
+    return words if time is None else f"{words} at t = {time:.3f} s"
+
+
 def judge(
     bounds: Bounds,
     figures: Mapping[str, Any],

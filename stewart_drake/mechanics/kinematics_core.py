@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from array_api_compat import device
 
+from stewart_drake.leg import crank_equation
 from stewart_drake.mechanics.arrays import Array, Robot, cross, dot, first, fitted, last, namespace, stack, turned
-from stewart_drake.robot import crank_equation
 
 
 class Cranks(NamedTuple):
@@ -99,7 +99,9 @@ def spans(robot: Robot, pose: Array) -> tuple[Array, Array, Array]:
     xp = namespace(pose)
     turn = rotation(pose)
     arm = turned(turn, robot.joints)
-    return turn, arm, arm + (linear(xp, pose)[:, None, ...] - robot.shafts)
+    # Beyond 1e100 m squares would leave floating point; nothing reaches either.
+    place = xp.clip(linear(xp, pose), -1e100, 1e100)
+    return turn, arm, arm + (place[:, None, ...] - robot.shafts)
 
 
 def reach_margin(robot: Robot, pose: Array) -> Array:

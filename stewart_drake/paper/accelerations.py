@@ -1,7 +1,7 @@
 """How motor torques accelerate the platform from rest: measured on Drake's plant, exactly, and by the paper's models.
 
 At rest the acceleration is affine in the torques: twist_rate = map @ torque + rest. That one pair holds all that the
-force map of (10) to (18) claims, the torque that holds the robot included.
+force map of (10) to (18) claims.
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ SETTLING_STEPS = 14
 first step from rest and halve that in each further one."""
 _TORQUE_SHARE = 0.2
 """Part of the effort limit that is put on one motor at a time."""
-_DRIFT_STEP = 2e-4
-"""[s] plant step of the runs under constant torques."""
 
 MODELS = {
     "printed, p_i unrotated": "(9) to (18) to the letter",
@@ -58,15 +56,6 @@ class Accelerations:
     def euler_map(self) -> np.ndarray:
         """(n, 6, 6) the map to q'', the second derivative of the pose, which is what (9) speaks of."""
         return to_euler(self.poses, self.map)
-
-    @property
-    def holding_torque(self) -> np.ndarray:
-        """(n, 6) [N m] torques that keep the robot where it is."""
-        return np.asarray(-np.linalg.solve(self.map, self.rest[..., None])[..., 0])
-
-    def under(self, torque: np.ndarray) -> np.ndarray:
-        """d(twist)/dt under motor torques (n, 6) [N m]; (n, 6) [rad/s^2, m/s^2]."""
-        return np.asarray((self.map @ torque[..., None])[..., 0] + self.rest)
 
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
@@ -142,13 +131,6 @@ def wrench_map(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndar
     return force_map_of_legs(robot, legs, "printed" if model == "printed" else "statics")
 
 
-def weight_torque(robot: RobotParameters, poses: np.ndarray, model: str, gravity: float) -> np.ndarray:
-    """Motor torques that hold the platform's weight by one of `MODELS`, which know of no legs; (n, 6) [N m]."""
-    weight = np.zeros((len(poses), 6, 1))
-    weight[:, 5] = robot.platform_mass * gravity
-    return np.asarray(np.linalg.solve(wrench_map(robot, poses, model), weight)[..., 0])
-
-
 def relative_error(robot: RobotParameters, model: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Error of an acceleration map over all directions of torque: RMS of the error by RMS of the truth; (n) [-].
 
@@ -168,34 +150,6 @@ def rod_force_per_torque(robot: RobotParameters, measurement: Accelerations) -> 
     legs = leg_geometry(robot, measurement.poses)
     force = robot.platform_mass * np.swapaxes(measurement.map[:, 3:], -1, -2)
     return np.asarray(robot.crank_lengths * np.sum(legs.e_l * force, axis=-1))
-
-
-def drift_under(
-    robot: RobotParameters, poses: np.ndarray, torques: np.ndarray, gravity: float, duration: float
-) -> np.ndarray:
-    """How far the platform's centre is after a while under constant torques, from rest; (n,) [m].
-
-    Args:
-        robot: Geometry and masses of the plant.
-        poses: (n, 6) [rad, m] where it starts.
-        torques: (n, 6) [N m].
-        gravity: [m/s^2] along -z.
-        duration: [s].
-    """
-    diagram, stewart = build_plant(robot, PlantOptions(time_step=_DRIFT_STEP), gravity)
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    shifts = np.empty(len(poses))
-    with drake_guard("simulating under constant torques"):
-        for row, (pose, torque) in enumerate(zip(poses, torques, strict=True)):
-            context.SetTime(0.0)
-            stewart.set_state(context, pose)
-            diagram.GetInputPort("torque").FixValue(context, torque)
-            simulator.Initialize()
-            simulator.AdvanceTo(duration)
-            end = stewart.pose_and_rate(diagram.GetOutputPort("state").Eval(context))[0]
-            shifts[row] = np.linalg.norm(end[3:] - pose[3:])
-    return shifts
 
 
 def torque_parts(

@@ -12,9 +12,10 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.paper.nine_experiments_section import distinct
 from stewart_drake.paper.plots.training_plots import plot_densities
 from stewart_drake.paper.report import Section
-from stewart_drake.paper.study import AXIS_NAMES, Study
+from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import limit_bounds
+from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineBurstsReference, SineReference
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import (
@@ -128,7 +129,7 @@ def make(study: Study) -> Section:
         limits=list(limit_bounds(base.robot, base.limits)),
         share=SHARE,
         frequencies=FREQUENCIES,
-        axes=AXIS_NAMES,
+        axes=[name for name, _ in COORDINATES],
     )
     section.files.append(file)
     return section

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.scenario import FixedTuner, Scenario
@@ -16,6 +17,28 @@ PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
 """omega_Q, omega_R of the nine experiments."""
 RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Their distinct ratios omega_Q / omega_R: five controllers."""
+
+SCORES = {"pose_mm": "pose_rmse_mm", "torque_rms": "torque_rms_second_half"}
+"""What ranks runs, and the torque that it takes -> its line in the table of metrics."""
+
+
+def score(log: SimulationLog) -> dict[str, float] | None:
+    """`SCORES` of a run; None where it ended early, for then there is no second half to speak of."""
+    if not log.reached_end:
+        return None
+    metrics = run_metrics(log)
+    return {name: metrics[metric] for name, metric in SCORES.items()}
+
+
+def refusal(scenario: Scenario) -> str | None:
+    """Why a scenario cannot be run, such as a reference beyond the robot's limits; None where it can."""
+    from stewart_drake.runs.simulation import check_scenario
+
+    try:
+        check_scenario(scenario)
+    except ConfigurationError as error:
+        return str(error)
+    return None
 
 
 def pair_of(ratio: float) -> tuple[float, float]:

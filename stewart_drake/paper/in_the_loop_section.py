@@ -8,18 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.paper.experiments import RATIOS, growth, largest_integral, outcome, pair_of, paper_scenario
-from stewart_drake.paper.plots.in_the_loop_plots import plot_answers, plot_ranking, plot_weights_in_force
+from stewart_drake.paper.experiments import (
+    RATIOS,
+    growth,
+    largest_integral,
+    outcome,
+    pair_of,
+    paper_scenario,
+    refusal,
+    score,
+)
+from stewart_drake.paper.plots.in_the_loop_plots import plot_ranking, plot_weights_in_force
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
-from stewart_drake.paper.tracking_score import refusal, tracking_score
 from stewart_drake.paper.trajectories import Trajectory, paper_trajectory, unseen_trajectories
 from stewart_drake.paper.tuner_comparison import (
     MEAN_OF_NINE,
@@ -45,7 +53,8 @@ _TUNER = None
 _START = {_TUNER: "tuner", 1.0: "1 / 1, fixed"}
 """The tuner, and the weights that it starts from."""
 
-Runs = Mapping[tuple[str, float | None], SimulationLog]
+Key = tuple[str, float | None]
+"""Trajectory, or condition and weights of Fig. 7; a ratio, or the number of a start."""
 
 
 def under_tuner(study: Study, scenario: Scenario) -> Scenario:
@@ -74,19 +83,26 @@ def make(study: Study) -> Section:
     """The section; see the module."""
     reasons = {t.name: refusal(on_trajectory(study.base, t)) for t in trajectories_of(study)}
     trajectories = [t for t in trajectories_of(study) if reasons[t.name] is None]
-    done = _run(study, trajectories)
-    runs = done.followed
-    scores = {key: tracking_score(log) for key, log in runs.items()}
-    pose = {key: None if score is None else score.pose_mm for key, score in scores.items()}
+    main, other = _condition(study), "gravity off, feedforward none"
+    followed, beside = _scenarios(study, trajectories, main, other)
+    # Each motion has been checked against the limits, which do not depend on the weights.
+    logs = study.run({**followed, **beside}, 0.0, 0.95, check=False)
+    runs = {key: logs[key] for key in followed}
+    scores = {key: score(log) for key, log in runs.items()}
+    pose = {key: None if found is None else found["pose_mm"] for key, found in scores.items()}
     comparisons = [Comparison(t.name, pose[t.name, _TUNER], {r: pose[t.name, r] for r in RATIOS}) for t in trajectories]
     gains = improvements(comparisons)
     values = findings(comparisons, gains)
     best = values["best"]
-    fig7 = _fig7({_condition(study): {_START[key]: runs[trajectories[0].name, key] for key in _START},
-                  "gravity off, feedforward none": done.free})  # fmt: skip
+    fig7 = [
+        *_fig7(main, {which: runs[trajectories[0].name, key] for key, which in _START.items()}),
+        *_fig7(other, {which: logs[f"{other}, {which}", _TUNER] for which in _START.values()}),
+    ]
+    starts = study.pick(5, 2)
+    nearby = {name: [logs[name, float(i)] for i in range(starts)] for name, key in beside if key == 0.0}
     numbers = {
         "fig7": {f"{where}, {which}": found for where, which, found, *_ in fig7},
-        "nearby_starts": {name: _nearby(logs) for name, logs in done.nearby.items()},
+        "nearby_starts": {name: _nearby(runs) for name, runs in nearby.items()},
         "pose_rmse_mm": {c.name: _rmse_numbers(c) for c in comparisons},
         "best_fixed_ratio": best,
         "improvement_percent": {name: asdict(gain) for name, gain in gains.items()},
@@ -99,10 +115,10 @@ def make(study: Study) -> Section:
     }
     tuned = {c.name: mean_log_ratio(runs[c.name, _TUNER]) for c in comparisons if c.tuner is not None}
     constant = {c.name: constant_at(c, tuned[c.name]) for c in comparisons if c.name in tuned}
-    torques = [[s.torque_rms for (n, _), s in scores.items() if n == c.name and s is not None] for c in comparisons]
+    torques = [[s["torque_rms"] for (n, _), s in scores.items() if n == c.name and s is not None] for c in comparisons]
     factors = {c.name: c.tuner / alike for c in comparisons if c.tuner and (alike := constant[c.name]) is not None}
     numbers |= {
-        "answers": asdict(fit_answers(np.log10(RATIOS), np.array(list(answers.values())))) if answers else None,
+        "answers": fit_answers(np.log10(RATIOS), np.array(list(answers.values()))) if answers else None,
         "ratio_in_the_loop": {name: 10.0**value for name, value in tuned.items()},
         "tuner_over_constant": factors,
         "torque_spread_percent": max((100.0 * (max(t) / min(t) - 1.0) for t in torques if t), default=0.0),
@@ -118,25 +134,20 @@ def make(study: Study) -> Section:
         "in_the_loop_ranking": plot_ranking(comparisons),
         "in_the_loop_weights": plot_weights_in_force(in_force, {c.name: c.oracle_ratio for c in comparisons}),
     }
-    if answers:
-        figures["in_the_loop_answers"] = plot_answers(RATIOS, answers)
-    shown = [_TUNER, 1.0, *([] if best in (None, 1.0) else [best])]
     return study.section(
         "in_the_loop",
         numbers,
         figures,
         **values,
-        condition=_condition(study),
+        condition=main,
         fig7=fig7,
         span=span,
-        starts=len(next(iter(done.nearby.values()))),
+        starts=starts,
         apart=APART,
         ratios=RATIOS,
         trajectories=trajectories,
-        apart_columns=["tuner" if key is None else f"ratio {key:g}" for key in shown],
-        parts={c.name: [scores[c.name, key] for key in shown] for c in comparisons},
         falling=falling(comparisons),
-        score=network.provenance.get("scores", {}).get("validation R^2 of log ratio"),
+        data_score=network.provenance.get("scores", {}).get("validation R^2 of log ratio"),
         typical=float(np.exp(np.mean(np.log(list(factors.values()))))) if factors else None,
         answers={c.name: [10.0**v for v in answers[c.name]] if c.name in answers else [None] * 5 for c in comparisons},
         constant=constant,
@@ -144,44 +155,30 @@ def make(study: Study) -> Section:
     )
 
 
-class _Logs(NamedTuple):
-    """What was run.
+def _scenarios(
+    study: Study, trajectories: Sequence[Trajectory], main: str, other: str
+) -> tuple[dict[Key, Scenario], dict[Key, Scenario]]:
+    """What is run.
 
-    Attributes:
-        followed: Every trajectory under the tuner and the five ratios.
-        free: (37), (38) without gravity, under the tuner and under 1/1.
-        nearby: Runs of Fig. 7 from starts beside the reference's, by condition.
+    Returns:
+        Every trajectory under the tuner (None) and the five ratios; and by condition and weights, Fig. 7 from the
+        reference's own start (None) where that is not among the first, and from numbered ones beside it.
     """
-
-    followed: Runs
-    free: Mapping[str, SimulationLog]
-    nearby: Mapping[str, list[SimulationLog]]
-
-
-def _run(study: Study, trajectories: Sequence[Trajectory]) -> _Logs:
     feedforward, gravity = study.base.lqi.feedforward, study.base.gravity
-    scenarios: dict[tuple[str, float | None], Scenario] = {}
+    followed: dict[Key, Scenario] = {}
     for trajectory in trajectories:
         for ratio in RATIOS:
             fixed = paper_scenario(study.base, trajectory.duration, gravity, feedforward, pair_of(ratio))
-            scenarios[trajectory.name, ratio] = on_trajectory(fixed, trajectory)
-        tuned = under_tuner(study, scenarios[trajectory.name, 1.0])
-        scenarios[trajectory.name, _TUNER] = tuned.replace({"name": "paper_fig7 - tuner in the loop"})
+            followed[trajectory.name, ratio] = on_trajectory(fixed, trajectory)
+        tuned = under_tuner(study, followed[trajectory.name, 1.0])
+        followed[trajectory.name, _TUNER] = tuned.replace({"name": "paper_fig7 - tuner in the loop"})
     free = paper_scenario(study.base, study.pick(10.0, 5.2), 0.0, "none", pair_of(1.0))
-    adrift = {
-        f"{_condition(study)}, tuner": scenarios[trajectories[0].name, _TUNER],
-        "gravity off, feedforward none, tuner": under_tuner(study, free),
-        "gravity off, feedforward none, 1 / 1, fixed": free,
-    }
+    alone = {f"{other}, {_START[_TUNER]}": under_tuner(study, free), f"{other}, {_START[1.0]}": free}
+    beside: dict[Key, Scenario] = {(name, _TUNER): scenario for name, scenario in alone.items()}
     offsets = APART * np.random.default_rng(0).uniform(-1.0, 1.0, (study.pick(5, 2), 6))
-    near = [start.replace({"initial_offset": list(offset)}) for start in adrift.values() for offset in offsets]
-    every = [*scenarios.values(), under_tuner(study, free), free, *near]
-    # Each motion has been checked against the limits, which do not depend on the weights.
-    logs = study.store.run_all(every, lambda share: study.progress(0.95 * share), check=False)
-    rest = iter(logs)
-    followed = {key: next(rest) for key in scenarios}
-    alone = {name: next(rest) for name in _START.values()}
-    return _Logs(followed, alone, {name: [next(rest) for _ in offsets] for name in adrift})
+    for name, start in {f"{main}, tuner": followed[trajectories[0].name, _TUNER], **alone}.items():
+        beside |= {(name, float(i)): start.replace({"initial_offset": list(o)}) for i, o in enumerate(offsets)}
+    return followed, beside
 
 
 def _condition(study: Study) -> str:
@@ -189,33 +186,29 @@ def _condition(study: Study) -> str:
     return f"{name}, feedforward {study.base.lqi.feedforward}"
 
 
-def _fig7(
-    conditions: Mapping[str, Mapping[str, SimulationLog]],
-) -> list[tuple[str, str, dict[str, Any], tuple[Any, ...]]]:
+def _figures(log: SimulationLog) -> dict[str, Any]:
+    m = run_metrics(log)
+    return {
+        "roll_rmse_deg": (m["rmse_deg"] or [None])[0],
+        "z_rmse_mm": (m["rmse_mm"] or [None])[-1],
+        "integral_at_5s": largest_integral(log),
+    }
+
+
+def _fig7(where: str, logs: Mapping[str, SimulationLog]) -> list[tuple[str, str, dict[str, Any], tuple[Any, ...]]]:
     """Condition, weights, numbers; RMS and peak of the torque, and outcome of each run."""
     rows = []
-    for where, logs in conditions.items():
-        for which, log in logs.items():
-            m = run_metrics(log)
-            found = {
-                "rmse_deg": (m["rmse_deg"] or [None])[0],
-                "rmse_mm": (m["rmse_mm"] or [None])[-1],
-                "integral_at_5s": largest_integral(log),
-                "integral_largest": float(np.abs(log["integral"]).max(initial=0.0)),
-                "growth": growth(log),
-            }
-            rows.append((where, which, found, (m["torque_rms"], m["torque_peak"], outcome(log))))
+    for which, log in logs.items():
+        largest, m = float(np.abs(log["integral"]).max(initial=0.0)), run_metrics(log)
+        found = {**_figures(log), "integral_largest": largest, "growth": growth(log)}
+        rows.append((where, which, found, (m["torque_rms"], m["torque_peak"], outcome(log))))
     return rows
 
 
 def _nearby(logs: Sequence[SimulationLog]) -> dict[str, list[float | None]]:
     """The figures of Fig. 7 from starts that nobody could tell apart: how firmly they are determined."""
-    metrics = [run_metrics(log) for log in logs]
-    return {
-        "roll_rmse_deg": [(m["rmse_deg"] or [None])[0] for m in metrics],
-        "z_rmse_mm": [(m["rmse_mm"] or [None])[-1] for m in metrics],
-        "integral_at_5s": [largest_integral(log) for log in logs],
-    }
+    rows = [_figures(log) for log in logs]
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def span(values: Sequence[float | None]) -> str | None:
@@ -232,7 +225,7 @@ def _rmse_numbers(c: Comparison) -> dict[str, float | None]:
     return {"tuner": c.tuner, **fixed, MEAN_OF_NINE: c.mean_of_nine, ORACLE: c.oracle, "oracle_ratio": c.oracle_ratio}
 
 
-def _incomplete(runs: Runs, reasons: Mapping[str, str | None]) -> list[dict[str, str]]:
+def _incomplete(runs: Mapping[Key, SimulationLog], reasons: Mapping[str, str | None]) -> list[dict[str, str]]:
     """What could not be run, or ended early, and why."""
     rows = [(name, "all", f"not run: {reason}") for name, reason in reasons.items() if reason is not None]
     rows += [

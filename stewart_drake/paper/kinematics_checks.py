@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydrake.math import RollPitchYaw
 
-from stewart_drake.errors import ForwardKinematicsError
+from stewart_drake.errors import ForwardKinematicsError, drake_guard
+from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
     leg_geometry,
-    line_conditioning,
     rod_lines,
     rotation_matrix,
 )
 from stewart_drake.paper import as_printed
-from stewart_drake.paper.drake_kinematics import GIVEN, DrakeKinematics
+from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.robot import RobotParameters
 
 BRANCHES = (-1, 1)
@@ -27,56 +27,38 @@ SAME_POSE = 1e-6
 """[rad, m] below this two poses are the same."""
 
 
-@dataclass(frozen=True)
-class NewtonOutcome:
-    """What Newton's method made of the crank angles of many poses.
+def rod_spans(robot: RobotParameters, pose: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Distances of crank tips to platform joints by Drake's forward kinematics.
 
-    Attributes:
-        found: (n, 6) [rad, m] poses, NaN where it did not converge.
-        error: (n,) [m] distance to the true pose: shift of the centre plus turn times 1 m; NaN likewise.
-        conditioning: (n,) [-] `kinematics.conditioning` at the true pose.
-        across: (n,) bool, whether a parallel singularity lies between the true pose and home: the determinant of the
-            rods' lines has another sign.
+    Crank angles and pose are set independently in the plant; nothing of the package's kinematics is in between.
+
+    Args:
+        robot: Geometry; its branch is that of the plant.
+        pose: (n, 6) [rad, m].
+        theta: (n, 6) [rad] crank angles.
+
+    Returns:
+        (n, 6) [m]; the length of the rods where `theta` belongs to `pose`.
     """
-
-    found: np.ndarray
-    error: np.ndarray
-    conditioning: np.ndarray
-    across: np.ndarray
-
-    @property
-    def same(self) -> np.ndarray:
-        """(n,) bool, whether the true pose was found."""
-        return np.nan_to_num(self.error, nan=np.inf) < SAME_POSE
-
-    @property
-    def failed(self) -> np.ndarray:
-        """(n,) bool, whether it did not converge."""
-        return np.isnan(self.error)
-
-    @property
-    def other(self) -> np.ndarray:
-        """(n,) bool, whether it found another pose of the same crank angles: another assembly."""
-        return ~self.same & ~self.failed
-
-
-@dataclass(frozen=True)
-class MisprintEffect:
-    """What a misprint in the inverse kinematics does to a robot that follows it; NaN where it asks for the impossible.
-
-    Attributes:
-        joint_shift: (n,) [m] largest error in the place of a platform joint.
-        in_reach: (n,) bool, whether the misprinted equations have a solution at all.
-        crank_error: (n,) [rad] largest error of a crank angle.
-        position_error: (n,) [m] where the platform really goes: shift of its centre.
-        turn_error: (n,) [rad] angle by which its attitude is off.
-    """
-
-    joint_shift: np.ndarray
-    in_reach: np.ndarray
-    crank_error: np.ndarray
-    position_error: np.ndarray
-    turn_error: np.ndarray
+    stewart = build_plant(robot)[1]
+    plant, index = stewart.plant, stewart.indices
+    context, world = plant.CreateDefaultContext(), plant.world_frame()
+    cranks = [plant.GetFrameByName(f"crank_{leg}") for leg in range(LEGS)]
+    platform = plant.GetFrameByName("platform")
+    home_angles = inverse_kinematics(robot, robot.home_pose)
+    tips = np.outer(robot.crank_lengths, [1.0, 0.0, 0.0])
+    spans, positions = np.empty(theta.shape), np.zeros(plant.num_positions())
+    with drake_guard("setting positions"):
+        for row, (at, angles) in enumerate(zip(pose, theta, strict=True)):
+            positions[index.crank] = angles - home_angles
+            positions[index.quaternion] = RollPitchYaw(at[:3]).ToQuaternion().wxyz()
+            positions[index.position] = at[3:]
+            plant.SetPositions(context, positions)
+            joints = plant.CalcPointsPositions(context, platform, robot.platform_joints.T, world).T
+            pairs = zip(cranks, tips, strict=True)
+            ends = [plant.CalcPointsPositions(context, crank, tip, world)[:, 0] for crank, tip in pairs]
+            spans[row] = np.linalg.norm(joints - ends, axis=-1)
+    return spans
 
 
 def turn_between(rpy: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -100,42 +82,57 @@ def newton_each(robot: RobotParameters, theta: np.ndarray, guess: np.ndarray) ->
     return poses
 
 
-def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> NewtonOutcome:
+def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> dict[str, Any]:
     """Inverse kinematics there, Newton's method back.
 
     Args:
         robot: Geometry; its branch is the one used.
         poses: (n, 6) [rad, m] in reach.
         guess: (n, 6) or (6,) [rad, m] where Newton's method starts.
+
+    Returns:
+        Numbers of poses: `same`, found again; `other`, another pose of the same crank angles was found, another
+        assembly; `other_across`, those of them that a parallel singularity parts from home; `failed`, not converged.
+        `error`: largest distance to a pose found again, shift of the centre plus turn times 1 m [m], None without any.
     """
     legs = leg_geometry(robot, poses)
     home = np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose)))
     found = newton_each(robot, legs.crank_angles, guess)
     error = turn_between(found[:, :3], poses[:, :3]) + np.linalg.norm(found[:, 3:] - poses[:, 3:], axis=-1)
     across = np.linalg.det(rod_lines(legs)) * home < 0.0
-    return NewtonOutcome(found, error, line_conditioning(robot, legs), across)
+    same, other = error < SAME_POSE, error >= SAME_POSE
+    return {
+        "same": int(same.sum()),
+        "other": int(other.sum()),
+        "other_across": int((other & across).sum()),
+        "failed": int(np.isnan(error).sum()),
+        "error": float(error[same].max()) if same.any() else None,
+    }
 
 
-def misprint_effect(robot: RobotParameters, poses: np.ndarray, joints: np.ndarray) -> MisprintEffect:
+def misprint_effect(robot: RobotParameters, poses: np.ndarray, joints: np.ndarray) -> dict[str, np.ndarray]:
     """Where the robot goes whose crank angles come from misplaced platform joints.
 
     Args:
         robot: Geometry; its branch is the one used.
         poses: (n, 6) [rad, m] wanted, in reach.
         joints: (n, 6, 3) [m] platform joints in B as the misprint has them.
+
+    Returns:
+        (n,) each, NaN where the misprinted equations have no solution: `joint_shift` [m] and `crank_error` [rad],
+        largest of the legs; `position_error` [m] and `turn_error` [rad], where the platform really goes.
     """
     shift = np.linalg.norm(joints - as_printed.platform_joints(robot, poses), axis=-1).max(axis=-1)
     equation = as_printed.crank_equation(robot, joints)
     theta = as_printed.crank_angles(equation, robot.branches)
     theta[~equation.in_reach] = np.nan
     reached = newton_each(robot, theta, poses)
-    return MisprintEffect(
-        joint_shift=shift,
-        in_reach=equation.in_reach,
-        crank_error=_apart(theta, inverse_kinematics(robot, poses)).max(axis=-1),
-        position_error=np.linalg.norm(reached[:, 3:] - poses[:, 3:], axis=-1),
-        turn_error=turn_between(reached[:, :3], poses[:, :3]),
-    )
+    return {
+        "joint_shift": shift,
+        "crank_error": _apart(theta, inverse_kinematics(robot, poses)).max(axis=-1),
+        "position_error": np.linalg.norm(reached[:, 3:] - poses[:, 3:], axis=-1),
+        "turn_error": turn_between(reached[:, :3], poses[:, :3]),
+    }
 
 
 def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> dict[str, float]:
@@ -155,32 +152,6 @@ def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> di
     match = [_apart(printed, as_printed.crank_angles(equation, branch)) < SAME_ANGLE for branch in BRANCHES]
     shares = {str(branch): float(hit.mean()) for branch, hit in zip(BRANCHES, match, strict=True)}
     return {**shares, "neither": float((~match[0] & ~match[1]).mean()), "a_positive": float((equation.a > 0.0).mean())}
-
-
-def solver_differences(robot: RobotParameters, poses: np.ndarray) -> dict[str, dict[str, Any]]:
-    """Closed form and Newton's method against Drake's `InverseKinematics` with ball constraints.
-
-    Args:
-        robot: Geometry; its branch is the one used.
-        poses: (n, 6) [rad, m] in reach.
-
-    Returns:
-        For `pose` (given; crank angles asked) and `cranks` (given; pose asked): `asked`, `found`, and `largest`
-        difference [rad or m], None where the solver found nothing.
-    """
-    drake = DrakeKinematics(robot)
-    result: dict[str, dict[str, Any]] = {}
-    for given in GIVEN:
-        differences = []
-        for pose in poses:
-            answer = drake.solve(given, pose, robot.home_pose + 0.8 * (pose - robot.home_pose))
-            if answer is not None:
-                theta = inverse_kinematics(robot, pose)
-                ours = theta if given == "pose" else forward_kinematics(robot, theta, pose)
-                gap = _apart(answer, ours) if given == "pose" else np.abs(answer - ours)
-                differences.append(float(gap.max()))
-        result[given] = {"asked": len(poses), "found": len(differences), "largest": max(differences, default=None)}
-    return result
 
 
 def _apart(angle: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -10,17 +10,8 @@ from matplotlib.figure import Figure
 
 from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, line_conditioning
 from stewart_drake.paper import as_printed
-from stewart_drake.paper.drake_kinematics import DrakeKinematics
-from stewart_drake.paper.kinematics_checks import (
-    BRANCHES,
-    MisprintEffect,
-    NewtonOutcome,
-    branch_of_6,
-    misprint_effect,
-    newton_outcome,
-    solver_differences,
-)
-from stewart_drake.paper.plots.kinematics_plots import plot_forward, plot_misprints
+from stewart_drake.paper.kinematics_checks import BRANCHES, branch_of_6, misprint_effect, newton_outcome, rod_spans
+from stewart_drake.paper.plots.kinematics_plots import plot_misprints
 from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, PoseSample, sample_poses
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import SEED, Study, quantiles
@@ -37,18 +28,12 @@ def make(study: Study) -> Section:
     near = samples[0].poses
     numbers: dict[str, Any] = {"regions": {s.region.name: {"share": s.share, "poses": len(s.poses)} for s in samples}}
     numbers["inverse"] = _inverse(robot, samples)
-    numbers["drake_solver"] = {
-        f"{given} {branch:+d}": found
-        for branch in BRANCHES
-        for given, found in solver_differences(robot.replace(branch=branch), near[: study.pick(25, 5)]).items()
-    }
     study.progress(0.3)
-    outcomes = _forward(robot, samples)
-    numbers["forward"] = {name: _newton_numbers(outcome) for name, outcome in outcomes.items()}
+    numbers["forward"] = _forward(robot, samples)
     study.progress(0.8)
     misprints = {"(3)": as_printed.platform_joints_3, "(5)": as_printed.platform_joints_5}
     numbers["misprints"] = {
-        name: _misprint_numbers(misprint_effect(robot, near, joints(robot, near))) for name, joints in misprints.items()
+        name: _misprint_numbers(robot, near, joints(robot, near)) for name, joints in misprints.items()
     }
     numbers["branch_of_6"] = {
         f"{s.region.name}, {name}": branch_of_6(robot, s.poses, sense)
@@ -59,10 +44,7 @@ def make(study: Study) -> Section:
         f"{branch:+d}": quantiles(line_conditioning(robot, leg_geometry(robot, near, branch)), (0.0, 0.5))
         for branch in BRANCHES
     }
-    figures = {
-        "kinematics_forward": _forward_figure(robot, outcomes),
-        "kinematics_misprints": _misprint_figure(robot, study.pick(121, 41)),
-    }
+    figures = {"kinematics_misprints": _misprint_figure(robot, study.pick(121, 41))}
     regions = [sample.region for sample in samples]
     return study.section("kinematics", numbers, figures, **findings(numbers), regions=regions)
 
@@ -83,17 +65,14 @@ def _inverse(robot: RobotParameters, samples: Sequence[PoseSample]) -> dict[str,
     found = {}
     for branch in BRANCHES:
         on_branch = robot.replace(branch=branch)
-        drake = DrakeKinematics(on_branch)
         for sample in samples:
-            spans = drake.rod_spans(sample.poses, inverse_kinematics(on_branch, sample.poses))
-            found[f"{sample.region.name} {branch:+d}"] = {
-                "rod_error": float(np.abs(spans - robot.rod_lengths).max()),
-                "gap": float(drake.loop_gaps(sample.poses).max()),
-            }
+            spans = rod_spans(on_branch, sample.poses, inverse_kinematics(on_branch, sample.poses))
+            error = float(np.abs(spans - robot.rod_lengths).max())
+            found[f"{sample.region.name} {branch:+d}"] = {"rod_error": error}
     return found
 
 
-def _forward(robot: RobotParameters, samples: Sequence[PoseSample]) -> dict[str, NewtonOutcome]:
+def _forward(robot: RobotParameters, samples: Sequence[PoseSample]) -> dict[str, dict[str, Any]]:
     """Newton's method from home and from nearby, by box, branch and start."""
     outcomes = {}
     for sample in samples:
@@ -105,30 +84,11 @@ def _forward(robot: RobotParameters, samples: Sequence[PoseSample]) -> dict[str,
     return outcomes
 
 
-def _newton_numbers(outcome: NewtonOutcome) -> dict[str, Any]:
-    same = outcome.same
-    return {
-        "same": int(same.sum()),
-        "other": int(outcome.other.sum()),
-        "other_across": int((outcome.other & outcome.across).sum()),
-        "failed": int(outcome.failed.sum()),
-        "error": float(outcome.error[same].max()) if same.any() else None,
-    }
-
-
-def _misprint_numbers(effect: MisprintEffect) -> dict[str, Any]:
-    names = ("joint_shift", "crank_error", "position_error", "turn_error")
-    shown = {name: quantiles(getattr(effect, name), (0.5, 0.95, 1.0)) for name in names}
-    return {"out_of_reach": float(1.0 - effect.in_reach.mean()), **shown}
-
-
-def _forward_figure(robot: RobotParameters, outcomes: Mapping[str, NewtonOutcome]) -> Figure:
-    shown = {name.removesuffix(" home"): found for name, found in outcomes.items() if name.endswith(" home")}
-    bars = {name: (int(o.same.sum()), int(o.other.sum()), int(o.failed.sum())) for name, o in shown.items()}
-    own = [found for name, found in shown.items() if name.endswith(f" {robot.branch:+d}")]
-    return plot_forward(
-        bars, *(np.concatenate([getattr(o, k) for o in own]) for k in ("conditioning", "error", "across"))
-    )
+def _misprint_numbers(robot: RobotParameters, poses: np.ndarray, joints: np.ndarray) -> dict[str, Any]:
+    """Quantiles of what a misprint does, and at which share of the poses it asks for the impossible."""
+    effect = misprint_effect(robot, poses, joints)
+    lost = float(np.isnan(effect["crank_error"]).mean())
+    return {"out_of_reach": lost, **{name: quantiles(values, (0.5, 0.95, 1.0)) for name, values in effect.items()}}
 
 
 def _misprint_figure(robot: RobotParameters, count: int) -> Figure:

@@ -1,4 +1,4 @@
-"""Gains of the LQI and what becomes of the error under them: closed-loop poles, decay, and which gains are the same."""
+"""Gains of the LQI and what becomes of the error under them: closed-loop poles and decay."""
 
 from __future__ import annotations
 
@@ -35,13 +35,6 @@ def gain_of_ratio(
     return split_gain(acceleration_map, period, (ratio, ratio, ratio, 1.0), method)
 
 
-def gain_by_drake(acceleration_map: np.ndarray, period: float, omega_q: float, omega_r: float) -> np.ndarray:
-    """K (6, 18) of (31) by Drake's Riccati solver."""
-    a, b = discretize(state_matrix(), input_matrix(acceleration_map), period)
-    q, r = omega_q * np.eye(STATES), omega_r * np.eye(AXES)
-    return riccati_gain(a, b, r, solve_drake(a, b, q, r))
-
-
 def gain_without_discretisation(acceleration_map: np.ndarray, ratio: float) -> np.ndarray:
     """K (6, 18) of the discrete (31) with the continuous A, B of (25) in it, as the paper's text has it."""
     a, b = state_matrix(), input_matrix(acceleration_map)
@@ -64,16 +57,6 @@ def product_shape(*shapes: tuple[int, int]) -> tuple[int, int] | None:
         if columns != rows:
             return None
     return shapes[0][0], shapes[-1][1]
-
-
-def same_gain(gains: np.ndarray, tolerance: float) -> np.ndarray:
-    """Labels (n,) of gains (n, 6, 18): equal for gains that differ by no more than `tolerance` of their size."""
-    labels = np.arange(len(gains))
-    for index, gain in enumerate(gains):
-        difference = np.abs(gains[:index] - gain).max(axis=(-2, -1), initial=0.0)
-        near = np.flatnonzero(difference <= tolerance * np.abs(gain).max())
-        labels[index] = labels[near[0]] if near.size else index
-    return np.unique(labels, return_inverse=True)[1]
 
 
 def channel_decay(strength: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:

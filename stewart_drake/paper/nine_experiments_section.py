@@ -82,11 +82,13 @@ def make(study: Study) -> Section:
     pairs = {(0.0, "none"): PAIRS, (_gravity(study), "none"): study.pick(PAIRS, [pair_of(r) for r in RATIOS])}
     cells = [(g, f, pair) for g, f in conditions for pair in pairs.get((g, f), study.pick(PAIRS, few))]
     # Without gravity its feedforward is zero: the same run as with none.
-    scenarios = [
-        paper_scenario(study.base, _duration(study, g, f), g, "none" if g == 0.0 and f == "gravity" else f, pair)
+    scenarios = {
+        (g, f, pair): paper_scenario(
+            study.base, _duration(study, g, f), g, "none" if g == 0.0 and f == "gravity" else f, pair
+        )
         for g, f, pair in cells
-    ]
-    logs = dict(zip(cells, study.store.run_all(scenarios, lambda s: study.progress(0.7 * s)), strict=True))
+    }
+    logs = study.run(scenarios, 0.0, 0.7)
     rows = {
         condition: [_row(pair, log) for (g, f, pair), log in logs.items() if (g, f) == condition]
         for condition in conditions
@@ -189,15 +191,15 @@ def _without_feedforward(study: Study) -> dict[tuple[float, str, float], Simulat
     """Runs with gravity and (34) alone, by control period [s], force map and ratio."""
     gravity, step = _gravity(study), study.base.plant.time_step
     periods = [p for p in study.pick((0.005, 0.001), (0.005,)) if _ticks(p, step)] or [study.base.lqi.period]
-    cells = list(itertools.product(periods, MAPS, RATIOS))
-    scenarios = [
-        paper_scenario(study.base, _duration(study, gravity, "none"), gravity, "none", pair_of(ratio)).replace(
-            {"controller.period": period, "controller.force_map": kind, "name": f"sag-{period:g}-{kind}-{ratio:g}"}
-        )
-        for period, kind, ratio in cells
-    ]
-    logs = study.store.run_all(scenarios, lambda s: study.progress(0.7 + 0.3 * s))
-    return dict(zip(cells, logs, strict=True))
+    fall = {
+        ratio: paper_scenario(study.base, _duration(study, gravity, "none"), gravity, "none", pair_of(ratio))
+        for ratio in RATIOS
+    }
+    scenarios: dict[tuple[float, str, float], Scenario] = {}
+    for period, kind, ratio in itertools.product(periods, MAPS, RATIOS):
+        changed = {"controller.period": period, "controller.force_map": kind}
+        scenarios[period, kind, ratio] = fall[ratio].replace(changed)
+    return study.run(scenarios, 0.7, 0.3)
 
 
 def _ticks(period: float, time_step: float) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,19 +11,22 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays
 from stewart_drake.planning.workspace_region import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
+from stewart_drake.robot_scale import LENGTH
 from stewart_drake.scenario import Scenario
+from stewart_drake.section import Vector6
 
 KINDS: tuple[Kind, Kind] = ("position", "orientation")
-OTHER_CENTERS: tuple[tuple[Kind, str, tuple[float, ...]], ...] = (
+_OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (
     ("position", "roll 15 deg", (np.pi / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "roll 30 deg", (np.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "pitch 30 deg", (0.0, np.pi / 6.0, 0.0, 0.0, 0.0, 0.0)),
     ("position", "yaw 30 deg", (0.0, 0.0, np.pi / 6.0, 0.0, 0.0, 0.0)),
-    ("orientation", "Z 50 mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
-    ("orientation", "Z 50 mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
-    ("orientation", "X 100 mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
+    ("orientation", "Z {:.3g} mm lower", (0.0, 0.0, 0.0, 0.0, 0.0, -0.05)),
+    ("orientation", "Z {:.3g} mm higher", (0.0, 0.0, 0.0, 0.0, 0.0, 0.05)),
+    ("orientation", "X {:.3g} mm further", (0.0, 0.0, 0.0, 0.1, 0.0, 0.0)),
 )
-"""Turned or moved from the centre; 30 deg of roll and 50 mm of height are the amplitudes of (37), (38)."""
+"""Turned or moved from the centre; 30 deg of roll and 50 mm of height are the amplitudes of (37), (38). Lengths are for
+the paper's robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,12 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
     grids = {kind: spanning_grid(robot, kind, center, samples) for kind in KINDS}
     start = time.perf_counter()
     for i, (kind, grid) in enumerate(grids.items()):
-        surveys[kind] = survey(robot, limits, grid, gravity, part_of(study, 0.17 * i, 0.17))
+        surveys[kind] = survey(robot, limits, grid, gravity, study.part(0.17 * i, 0.17))
     rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
     for i, kind in enumerate(KINDS):
         size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(3, 1)}
         boundaries[kind] = boundary(
-            robot, limits, kind, center, **size, gravity=gravity, progress=part_of(study, 0.34 + 0.08 * i, 0.08)
+            robot, limits, kind, center, **size, gravity=gravity, progress=study.part(0.34 + 0.08 * i, 0.08)
         )
     ends = np.concatenate([-np.eye(3), np.eye(3)])
     rays = {kind: follow_rays(robot, limits, kind, center, ends, gravity) for kind in KINDS}
@@ -82,13 +84,15 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
         for i in (0, 1)
     )
     others: list[tuple[str, Kind, Survey | None]] = []
-    for i, (kind, name, offset) in enumerate(OTHER_CENTERS):
+    for i, (kind, words, for_paper) in enumerate(_OTHER_CENTERS):
+        offset = np.array(LENGTH.value(for_paper, robot))
+        name = words.format(1e3 * np.abs(offset[3:]).max())
         try:
             grid = spanning_grid(robot, kind, center + offset, max(8, samples // 20))
             others.append((name, kind, survey(robot, limits, grid, gravity)))
         except ConfigurationError:
             others.append((name, kind, None))
-        study.progress(0.5 + 0.1 * (i + 1) / len(OTHER_CENTERS))
+        study.progress(0.5 + 0.1 * (i + 1) / len(_OTHER_CENTERS))
     return PoseStudy(center, surveys, boundaries, center + way * [[-1.0], [1.0]], cuts.astype(int), others, rate)
 
 
@@ -138,8 +142,3 @@ def _slice(base: Scenario, place: Place, axis: int, level: float, pixels: int) -
     counts[axis] = 1
     x, y, z = counts.tolist()
     return survey(base.robot, base.limits, Grid(coordinates, center, low, high, (x, y, z)), base.gravity)
-
-
-def part_of(study: Study, start: float, size: float) -> Callable[[float], None]:
-    """Progress of a part of the section, as the study wants it."""
-    return lambda share: study.progress(start + size * share)

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 
-from stewart_drake.campaigns.identity import identity
+from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.named_files import digest
 from stewart_drake.files.whole import checksum, read_checked, seal, unseal, write_atomically
@@ -145,4 +145,4 @@ def _digests(section: Section, folder: Path) -> dict[str, str | None]:
 
 def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
     work = {"scenario": base.to_dict(), "quick": quick}
-    return checksum(identity(work, [base.tuner], versions, more=["torch"]))[:12]
+    return checksum(identity(work, [base], versions, more=["torch"]))[:12]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,7 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.force_map import force_map
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import AnnTuner, Scenario
 
 
 @dataclass(frozen=True)
@@ -25,23 +24,14 @@ class Change:
     Attributes:
         factor: What is changed.
         label: To what.
-        apply: The scenario with it; raises ConfigurationError where the robot or the controller cannot be had.
+        keys: Keys of the scenario and their values, which a robot or a controller may not allow.
         quick: Part of the quick study too.
     """
 
     factor: str
     label: str
-    apply: Callable[[Scenario], Scenario]
+    keys: Mapping[str, Any]
     quick: bool = False
-
-
-def scaled_robot(robot: RobotParameters, mass: float = 1.0, inertia: float = 1.0) -> RobotParameters:
-    """A robot with masses, or moments of inertia about the centres of mass, of all moving bodies times a factor."""
-    changes: dict[str, Any] = {}
-    for body in ("platform", "rod", "crank"):
-        changes[f"{body}_mass"] = mass * getattr(robot, f"{body}_mass")
-        changes[f"{body}_inertia"] = tuple(inertia * moment for moment in getattr(robot, f"{body}_inertia"))
-    return robot.replace(**changes)
 
 
 def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float = 1.0) -> TunerNetwork:
@@ -59,64 +49,43 @@ def _percent(factor: float) -> str:
     return f"{100.0 * (factor - 1.0):+.0f} %"
 
 
-def longer(robot: RobotParameters, by: float) -> RobotParameters:
-    """A robot with rods longer by `by` [m]."""
-    return robot.replace(rod_length=robot.rod_length + by)
-
-
-def changes(folder: Path) -> list[Change]:
+def changes(base: Scenario, folder: Path) -> list[Change]:
     """Everything that is changed, one at a time; nominal values among them change nothing and are left out later.
 
     Masses, inertias and rods are those of the simulated robot: the controller goes on believing in the nominal ones.
 
     Args:
+        base: Scenario to change.
         folder: Where the weights files of scaled networks go.
     """
+    robot, believed = base.robot, {"model_robot": asdict(base.believed_robot)}
 
-    def robot(change: Callable[[RobotParameters], RobotParameters]) -> Callable[[Scenario], Scenario]:
-        def apply(base: Scenario) -> Scenario:
-            return base.replace({"robot": asdict(change(base.robot)), "model_robot": asdict(base.believed_robot)})
+    def bodies(name: str, factor: float) -> dict[str, Any]:
+        keys = [f"{body}_{name}" for body in ("platform", "rod", "crank")]
+        return believed | {f"robot.{key}": (factor * np.array(getattr(robot, key))).tolist() for key in keys}
 
-        return apply
+    def weight(name: Literal["omega_q", "omega_r"], factor: float) -> dict[str, Any]:
+        network = base.load_tuner_network()
+        if network is None:
+            return {f"tuner.{name}": factor * getattr(base.tuner, name)}
+        path = folder / f"tuner-{name}-{factor:g}.json"
+        folder.mkdir(parents=True, exist_ok=True)
+        scaled_network(network, **{name: factor}).save(path)
+        return {"tuner.weights_file": str(path.absolute())}
 
-    def key(name: str, value: float) -> Callable[[Scenario], Scenario]:
-        return lambda base: base.replace({name: value})
-
-    def weight(name: Literal["omega_q", "omega_r"], factor: float) -> Callable[[Scenario], Scenario]:
-        def apply(base: Scenario) -> Scenario:
-            network = base.load_tuner_network()
-            if network is None:
-                return base.replace({f"tuner.{name}": factor * getattr(base.tuner, name)})
-            path = folder / f"tuner-{name}-{factor:g}.json"
-            folder.mkdir(parents=True, exist_ok=True)
-            scaled_network(network, **{name: factor}).save(path)
-            return base.replace({"tuner.weights_file": str(path.absolute())})
-
-        return apply
-
-    found = []
-    for factor in (0.8, 0.95, 1.05, 1.2):
-        apply = robot(partial(scaled_robot, mass=factor))
-        found.append(Change("masses", _percent(factor), apply, quick=factor in (0.8, 1.2)))
-    for factor in (0.8, 1.2):
-        found.append(Change("inertias", _percent(factor), robot(partial(scaled_robot, inertia=factor))))
+    found = [Change("masses", _percent(f), bodies("mass", f), f in (0.8, 1.2)) for f in (0.8, 0.95, 1.05, 1.2)]
+    found += [Change("inertias", _percent(f), bodies("inertia", f)) for f in (0.8, 1.2)]
     for step in (-1.0, 1.0):
-        found.append(Change("rod length", f"{step:+g} mm", robot(partial(longer, by=1e-3 * step))))
-    for friction in (0.0, 0.02, 0.05):
-        apply = key("plant.motor_friction", friction)
-        found.append(Change("motor friction", f"{friction:g} N m", apply, quick=friction == 0.05))
-    for damping in (0.0, 0.05):
-        found.append(Change("motor damping", f"{damping:g} N m s/rad", key("plant.motor_damping", damping)))
-    for period in (1.0, 2.0, 5.0, 10.0):
-        apply = key("controller.period", 1e-3 * period)
-        found.append(Change("sample time", f"{period:g} ms", apply, quick=period == 10.0))
-    for window in (10, 25, 49, 100, 200):
-        found.append(Change("window m", str(window), key("tuner.window", window)))
-    for factor in (0.5, 1.5):
-        found.append(Change("omega_Q", _percent(factor), weight("omega_q", factor), quick=True))
-    for factor in (0.5, 1.5):
-        found.append(Change("omega_R", _percent(factor), weight("omega_r", factor)))
-    return found
+        length = (np.array(robot.rod_length) + 1e-3 * step).tolist()
+        found.append(Change("rod length", f"{step:+g} mm", believed | {"robot.rod_length": length}))
+    found += [Change("motor friction", f"{f:g} N m", {"plant.motor_friction": f}, f == 0.05) for f in (0.0, 0.02, 0.05)]
+    found += [Change("motor damping", f"{d:g} N m s/rad", {"plant.motor_damping": d}) for d in (0.0, 0.05)]
+    periods = (1.0, 2.0, 5.0, 10.0)
+    found += [Change("sample time", f"{p:g} ms", {"controller.period": 1e-3 * p}, p == 10.0) for p in periods]
+    if isinstance(base.tuner, AnnTuner):
+        found += [Change("window m", str(m), {"tuner.window": m}) for m in (10, 25, 49, 100, 200)]
+    found += [Change("omega_Q", _percent(f), weight("omega_q", f), quick=True) for f in (0.5, 1.5)]
+    return found + [Change("omega_R", _percent(f), weight("omega_r", f)) for f in (0.5, 1.5)]
 
 
 def feedforward_share(robot: RobotParameters, believed: RobotParameters, gravity: float) -> float:

@@ -7,21 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.paper.experiments import outcome, pair_of, paper_scenario
+from stewart_drake.logs.log import SimulationLog
+from stewart_drake.paper.experiments import outcome, pair_of, paper_scenario, refusal, score
 from stewart_drake.paper.in_the_loop_section import under_tuner
-from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
+from stewart_drake.paper.plots.sensitivity_plots import plot_effects
 from stewart_drake.paper.report import Section
-from stewart_drake.paper.sensitivity_changes import Change, changes, feedforward_share, longer
+from stewart_drake.paper.sensitivity_changes import Change, changes, feedforward_share
 from stewart_drake.paper.study import Study
-from stewart_drake.paper.tracking_score import TrackingScore, refusal, tracking_score
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario import AnnTuner, Scenario
+from stewart_drake.scenario import Scenario
 
 DURATION = 6.28
 """[s] two periods of (37), (38): errors are judged over the second."""
@@ -30,7 +30,12 @@ MATTERS, HARDLY = 10.0, 1.0
 BLOWN_UP = 2.0
 """Times the unchanged pose RMSE beyond which a run that completes counts as blown up."""
 
-Quantity = Literal["pose_mm", "torque_rms"]
+QUANTITIES = {"pose_mm": "pose RMSE [mm]", "torque_rms": "torque RMS [N m]"}
+"""Of a score -> as its figure names them."""
+
+_UNCHANGED = ("unchanged", "")
+
+Score = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class Effect:
 
     factor: str
     label: str
-    score: TrackingScore | None
+    score: Score | None
     ended: str
 
 
@@ -61,16 +66,16 @@ class Response:
     """
 
     name: str
-    unchanged: TrackingScore | None
+    unchanged: Score | None
     effects: tuple[Effect, ...]
 
-    def shift(self, effect: Effect, quantity: Quantity) -> float | None:
+    def shift(self, effect: Effect, quantity: str) -> float | None:
         """[%] change of a quantity against the unchanged run; None where one of the two did not complete."""
         if effect.score is None or self.unchanged is None:
             return None
-        return 100.0 * (getattr(effect.score, quantity) / getattr(self.unchanged, quantity) - 1.0)
+        return 100.0 * (effect.score[quantity] / self.unchanged[quantity] - 1.0)
 
-    def swings(self, quantity: Quantity) -> dict[str, float]:
+    def swings(self, quantity: str) -> dict[str, float]:
         """[%] largest change up or down by factor, the largest first; inf where a run of the factor ended early."""
         found: dict[str, float] = {}
         for effect in self.effects:
@@ -96,10 +101,12 @@ def make(study: Study) -> Section:
     numbers: dict[str, Any] = {"controllers": {r.name: _numbers(r) for r in responses}}
     if base.gravity != 0.0 and base.lqi.feedforward != "none":
         numbers["feedforward_share"] = {
-            f"{step:+d} mm": feedforward_share(longer(base.robot, 1e-3 * step), base.believed_robot, base.gravity)
+            f"{step:+d} mm": feedforward_share(
+                base.robot.replace(rod_length=base.robot.rod_length + 1e-3 * step), base.believed_robot, base.gravity
+            )
             for step in (-1, 1)
         }
-    figures = {f"sensitivity_{r.name.replace(' ', '_')}": _figure(r) for r in responses if r.unchanged is not None}
+    figures = {f"sensitivity_{r.name.replace(' ', '_')}": _figure(r, r.unchanged) for r in responses if r.unchanged}
     fallen = {r.name: [e.label for e in r.effects if e.factor == "masses" and e.score is None] for r in responses}
     every = dict.fromkeys((e.factor, e.label) for r in responses for e in r.effects)
     return study.section(
@@ -129,11 +136,8 @@ def findings(responses: Sequence[Response]) -> dict[str, Any]:
 
 
 def _numbers(response: Response) -> dict[str, Any]:
-    def of(score: TrackingScore | None) -> dict[str, Any]:
-        return {"score": None if score is None else asdict(score)}
-
-    effects = [{"factor": e.factor, "to": e.label, "ended": e.ended, **of(e.score)} for e in response.effects]
-    return {"unchanged": of(response.unchanged), "effects": effects}
+    effects = [{"factor": e.factor, "to": e.label, "ended": e.ended, "score": e.score} for e in response.effects]
+    return {"unchanged": {"score": response.unchanged}, "effects": effects}
 
 
 def controllers(study: Study) -> dict[str, Scenario]:
@@ -149,30 +153,24 @@ def controllers(study: Study) -> dict[str, Scenario]:
 
 
 def _run(study: Study) -> list[Response]:
-    wanted = [c for c in changes(study.folder / study.name("scaled_tuners")) if c.quick or not study.quick]
     refusals: dict[RobotParameters, str | None] = {study.base.robot: None}
-    plans: list[tuple[str, Change | None, Scenario | str]] = []
+    plans: dict[str, dict[tuple[str, str], Scenario | str]] = {}
     for name, base in controllers(study).items():
-        plans.append((name, None, base))
-        for change in wanted:
-            if change.factor == "window m" and not isinstance(base.tuner, AnnTuner):
-                continue
-            plan = _applied(change, base, refusals)
-            if plan != base:
-                plans.append((name, change, plan))
-    scenarios = [plan for _, _, plan in plans if isinstance(plan, Scenario)]
-    logs = iter(study.store.run_all(scenarios, lambda share: study.progress(0.95 * share), check=False))
-    responses: dict[str, Response] = {}
-    for name, made, plan in plans:
-        log = next(logs) if isinstance(plan, Scenario) else None
-        score = None if log is None else tracking_score(log)
-        if made is None:
-            responses[name] = Response(name, score, ())
-            continue
-        ended = f"not run: {plan}" if log is None else outcome(log)
-        effect = Effect(made.factor, made.label, score, ended)
-        responses[name] = replace(responses[name], effects=(*responses[name].effects, effect))
-    return list(responses.values())
+        every = changes(base, study.folder / study.name("scaled_tuners"))
+        wanted = (change for change in every if change.quick or not study.quick)
+        applied = {(c.factor, c.label): _applied(c, base, refusals) for c in wanted}
+        plans[name] = {_UNCHANGED: base, **{change: plan for change, plan in applied.items() if plan != base}}
+    scenarios = {(n, c): plan for n, of in plans.items() for c, plan in of.items() if isinstance(plan, Scenario)}
+    logs = study.run(scenarios, 0.0, 0.95, check=False)
+    responses = []
+    for name, of in plans.items():
+        effects = [_effect(change, plan, logs.get((name, change))) for change, plan in of.items()]
+        responses.append(Response(name, effects[0].score, tuple(effects[1:])))
+    return responses
+
+
+def _effect(change: tuple[str, str], plan: Scenario | str, log: SimulationLog | None) -> Effect:
+    return Effect(*change, None, f"not run: {plan}") if log is None else Effect(*change, score(log), outcome(log))
 
 
 def _applied(change: Change, base: Scenario, refusals: dict[RobotParameters, str | None]) -> Scenario | str:
@@ -181,7 +179,7 @@ def _applied(change: Change, base: Scenario, refusals: dict[RobotParameters, str
     Whether the robot can follow the reference does not depend on its controller, so each robot is checked once.
     """
     try:
-        scenario = change.apply(base)
+        scenario = base.replace(change.keys)
     except ConfigurationError as error:
         return str(error)
     if scenario.robot not in refusals:
@@ -197,26 +195,18 @@ def _cells(response: Response, factor: str, label: str) -> list[str | None]:
     if effect.score is None:
         return [effect.ended, None]
     cells: list[str | None] = []
-    quantities: tuple[Quantity, ...] = ("pose_mm", "torque_rms")
-    for quantity in quantities:
+    for quantity in QUANTITIES:
         shift = response.shift(effect, quantity)
-        value = f"{getattr(effect.score, quantity):.4g}"
+        value = f"{effect.score[quantity]:.4g}"
         cells.append(value if shift is None or effect.score == response.unchanged else f"{value} ({shift:+z.1f} %)")
     return cells
 
 
-def _figure(response: Response) -> Figure:
-    tornados = []
-    quantities: tuple[tuple[Quantity, str, str], ...] = (
-        ("pose_mm", "pose RMSE", "mm"),
-        ("torque_rms", "torque RMS", "N m"),
-    )
-    for quantity, name, unit in quantities:
-        bars = []
-        for factor in response.swings(quantity):
-            own = [effect for effect in response.effects if effect.factor == factor]
-            levels = [(e.label, None if e.score is None else getattr(e.score, quantity)) for e in own]
-            bars.append(TornadoBar(factor, levels))
-        unchanged = getattr(response.unchanged, quantity)
-        tornados.append(Tornado(name, unit, unchanged, bars, logarithmic=quantity == "pose_mm"))
-    return plot_tornados(tornados)
+def _figure(response: Response, unchanged: Score) -> Figure:
+    order = list(response.swings("pose_mm"))
+    effects = [
+        (e.factor, e.label, [None if e.score is None else e.score[quantity] for quantity in QUANTITIES])
+        for e in sorted(response.effects, key=lambda e: order.index(e.factor))
+    ]
+    values = {words: unchanged[quantity] for quantity, words in QUANTITIES.items()}
+    return plot_effects(values, effects, logarithmic=QUANTITIES["pose_mm"])

@@ -84,25 +84,12 @@ def first_singularity(
 
 
 def measures(robot: RobotParameters, pose: np.ndarray) -> dict[str, float]:
-    """What tells singularities apart: least transmission, conditioning, singular values of M^-1 tau of both maps.
-
-    Returns:
-        `transmission` and `conditioning` [-], and `printed_min`, `statics_min`, `statics_max` [m/s^2 per N m, angles
-        in rad], infinite where a crank is at its dead centre.
-    """
+    """What tells singularities apart: least `transmission` of a leg and `conditioning` of the rods' lines [-]."""
     legs = _dead_made_exact(leg_geometry(robot, pose))
-    printed = np.linalg.svd(_acceleration_map(robot, legs, "printed"), compute_uv=False)
-    values = {
+    return {
         "transmission": float(np.abs(legs.transmission).min()),
         "conditioning": float(line_conditioning(robot, legs)),
-        "printed_min": float(printed[-1]),
-        "statics_min": float("inf"),
-        "statics_max": float("inf"),
     }
-    if values["transmission"] > 0.0:
-        statics = np.linalg.svd(_acceleration_map(robot, legs, "statics"), compute_uv=False)
-        values["statics_min"], values["statics_max"] = float(statics[-1]), float(statics[0])
-    return values
 
 
 def stabilisability_rank(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> int | None:

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stewart_drake.control.riccati import split_gain
 from stewart_drake.control.state_space import AXES, STATES, Discretization, acceleration_map
-from stewart_drake.paper.experiments import PAIRS, RATIOS
+from stewart_drake.paper.experiments import RATIOS
 from stewart_drake.paper.lqi_poles import (
     channel_decay,
     closed_loop,
     decay_limit,
     faster_weights,
-    gain_by_drake,
     gain_of_ratio,
     gain_without_discretisation,
     product_shape,
     riccati_residual,
-    same_gain,
     slowest_decay,
 )
-from stewart_drake.paper.plots.state_space_plots import plot_decay, plot_discretisation
 from stewart_drake.paper.region import NEAR, sample_poses
 from stewart_drake.paper.study import SEED, Study
 
-SAME_GAIN = 1e-10
-"""[-] gains that agree to this share are one controller."""
+ZERO_GAIN = 1e-10
+"""Entries of a gain below this are rounding."""
 PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)
 """[s] control periods of the table; the paper gives none."""
 METHODS: tuple[Discretization, ...] = ("exact", "euler")
@@ -61,15 +56,10 @@ def riccati(at_home: np.ndarray, period: float) -> tuple[dict[str, Any], dict[st
     return numbers, terms
 
 
-def discretisations(study: Study, at_home: np.ndarray) -> tuple[list[dict[str, float]], Figure]:
+def discretisations(at_home: np.ndarray) -> list[dict[str, float]]:
     """The two discretisations at home, for several periods and ratios."""
     some = (0.01, 1.0, 100.0)
-    periods = np.logspace(-4, -1, study.pick(25, 9))
-    compared = {f"{r:g}": [compare_discretisations(at_home, float(p), r) for p in periods] for r in some}
-    gains = {ratio: np.array([row["gain"] for row in rows]) for ratio, rows in compared.items()}
-    decays = {ratio: np.array([row["euler"] / row["exact"] - 1.0 for row in rows]) for ratio, rows in compared.items()}
-    rows = [{"period": p, "ratio": r, **compare_discretisations(at_home, p, r)} for p in PERIODS for r in some]
-    return rows, plot_discretisation(periods, gains, decays)
+    return [{"period": p, "ratio": r, **compare_discretisations(at_home, p, r)} for p in PERIODS for r in some]
 
 
 def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) -> dict[str, float]:
@@ -88,8 +78,8 @@ def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) ->
     }
 
 
-def decay(study: Study, at_home: np.ndarray) -> tuple[dict[str, Any], Figure, int]:
-    """The limit that equal weights put on the decay of the error; numbers, picture, and at how many poses."""
+def decay(study: Study, at_home: np.ndarray) -> tuple[dict[str, Any], int]:
+    """The limit that equal weights put on the decay of the error; numbers, and at how many poses."""
     robot, period = study.base.robot, study.base.lqi.period
     maps = acceleration_map(
         robot, sample_poses(robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2).poses
@@ -106,40 +96,12 @@ def decay(study: Study, at_home: np.ndarray) -> tuple[dict[str, Any], Figure, in
         quick = min(rate(b, split_gain(b, period, tuned)) for b in maps)
         home = rate(at_home, gain_of_ratio(at_home, period, ratio))
         rows.append({"ratio": ratio, "home": home, "least": min(rates), "most": max(rates), "faster": quick})
-    strength = np.logspace(-2, 8, 201)
     squares = np.linalg.svd(at_home, compute_uv=False) ** 2
-    curves = {
-        "equal weights (27)": channel_decay(strength),
-        f"weights 1, 1/{FASTER:g}², {FASTER:g}²": channel_decay(strength, faster),
-    }
     numbers = {
         "limit": decay_limit(),
         "faster_limit": decay_limit(faster),
-        "peak": float(curves["equal weights (27)"].max()),
+        "peak": float(channel_decay(np.logspace(-2, 8, 201)).max()),
         "strongest": float(channel_decay(RATIOS[0] * squares)[0]),
         "rows": rows,
     }
-    channels = {f"{ratio:g}": ratio * squares for ratio in RATIOS}
-    at = {name: channel_decay(g) for name, g in channels.items()}
-    return numbers, plot_decay(strength, curves, (decay_limit(), decay_limit(faster)), channels, at), len(maps)
-
-
-def nine_pairs(at_home: np.ndarray, period: float) -> tuple[dict[str, Any], list[float]]:
-    """The gains of the paper's nine pairs of weights, grouped by what is one controller; and their largest entries."""
-    gains = np.array([gain_by_drake(at_home, period, *pair) for pair in PAIRS])
-    labels = same_gain(gains, SAME_GAIN)
-    size = np.abs(gains).max(axis=(-2, -1))
-    within, between = [], []
-    for i, j in itertools.combinations(range(9), 2):
-        apart = float(np.abs(gains[i] - gains[j]).max())
-        if labels[i] == labels[j]:
-            within.append(apart / float(size[j]))
-        else:
-            between.append(apart / float(max(size[i], size[j])))
-    numbers = {
-        "distinct": len(set(labels.tolist())),
-        "labels": labels.tolist(),
-        "within": max(within, default=None),
-        "between": min(between, default=None),
-    }
-    return numbers, size.tolist()
+    return numbers, len(maps)

@@ -21,9 +21,8 @@ from stewart_drake.control.state_space import (
 )
 from stewart_drake.mechanics.force_map import ForceMapKind, force_map
 from stewart_drake.paper.as_printed import matrices_21_22_24
-from stewart_drake.paper.experiments import PAIRS, RATIOS
+from stewart_drake.paper.experiments import RATIOS
 from stewart_drake.paper.lqi_poles import closed_loop, gain_of_ratio
-from stewart_drake.paper.plots.state_space_plots import plot_matrices, plot_singular
 from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, sample_poses
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.singularities import (
@@ -33,8 +32,9 @@ from stewart_drake.paper.singularities import (
     nonzero_columns,
     stabilisability_rank,
 )
-from stewart_drake.paper.state_space_lqi import PERIODS, SAME_GAIN, decay, discretisations, nine_pairs, riccati
-from stewart_drake.paper.study import AXIS_NAMES, SEED, Study
+from stewart_drake.paper.state_space_lqi import PERIODS, ZERO_GAIN, decay, discretisations, riccati
+from stewart_drake.paper.study import SEED, Study
+from stewart_drake.plotting.panels import COORDINATES, SCALES
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
 
@@ -46,7 +46,6 @@ def make(study: Study) -> Section:
     robot, period = study.base.robot, study.base.lqi.period
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
     a, b, c = state_matrix(), input_matrix(at_home), output_matrix()
-    figures = {"state_matrices": plot_matrices(a, b, c)}
     numbers: dict[str, Any] = {"matrices_as_printed": _as_printed(at_home, a, b, c)}
     radii = {
         name: [float(np.abs(closed_loop(at_home, gain_of_ratio(g, period, r), period)).max()) for r in RATIOS]
@@ -61,35 +60,27 @@ def make(study: Study) -> Section:
         "regions": _ranks(study),
         "singular": [_singular_numbers(robot, found) for found in singular],
     }
-    approaches = _approaches(robot, singular, numbers["hautus"]["singular"], study.pick(60, 30))
-    if approaches:
-        figures["state_space_singular"] = plot_singular(approaches)
     study.progress(0.5)
     numbers["riccati"], terms = riccati(at_home, period)
-    numbers["discretisation"], figures["state_space_discretisation"] = discretisations(study, at_home)
+    numbers["discretisation"] = discretisations(at_home)
     study.progress(0.7)
-    numbers["decay"], figures["state_space_decay"], poses = decay(study, at_home)
-    numbers["nine_pairs"], sizes = nine_pairs(at_home, period)
+    numbers["decay"], poses = decay(study, at_home)
     ours = [row for row in numbers["discretisation"] if row["period"] == PERIODS[2]]
     bare = c.copy()
     bare[:, INTEGRAL] = 0.0
     return study.section(
         "state_space",
         numbers,
-        figures,
         **findings(numbers),
-        axes=AXIS_NAMES,
+        axes=[name for name, _ in COORDINATES],
         tau=tau + 0.0,
         at_home=at_home + 0.0,
         pushed=np.abs(paper_reference().evaluate(np.linspace(0.0, np.pi, 201))[2]).max(axis=0),
         lightness=1.0 / mass_diagonal(robot).min(),
         without_integrals=hautus_detectability(a, bare),
-        approached=bool(approaches),
         terms=terms,
         decay_off=max(abs(row["euler"] / row["exact"] - 1.0) for row in ours),
         decay_poses=poses,
-        pairs=PAIRS,
-        sizes=sizes,
     )
 
 
@@ -101,7 +92,7 @@ def findings(numbers: Mapping[str, Any]) -> dict[str, Any]:
         "regular": all(row["full"] == row["poses"] for row in hautus["regions"].values()),
         "lowest": min(ranks, default=STATES),
         "unstable": [row["ratio"] for row in numbers["tau_for_m_inverse_tau"]["rows"] if row["radius"] > 1.0],
-        "same_gain": SAME_GAIN,
+        "zero_gain": ZERO_GAIN,
     }
 
 
@@ -139,45 +130,14 @@ def _singular(robot: RobotParameters) -> list[Singularity]:
 def _singular_numbers(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
     axis = int(np.abs(found.direction).argmax())
     at = float((found.pose(robot) - robot.home_pose)[axis])
-    pose, told = found.pose(robot), measures(robot, found.pose(robot))
+    pose, (name, unit) = found.pose(robot), COORDINATES[axis]
+    told = measures(robot, pose)
     return {
-        "axis": ("+" if at > 0.0 else "-") + AXIS_NAMES[axis],
-        "at": f"{np.degrees(at):.1f}\u00a0deg" if axis < 3 else f"{1e3 * at:.1f}\u00a0mm",
+        "axis": ("+" if at > 0.0 else "-") + name,
+        "at": f"{SCALES[axis] * at:.1f}\u00a0{unit}",
         "kind": found.kind,
         "transmission": told["transmission"],
         "conditioning": told["conditioning"],
         "rank": {kind: stabilisability_rank(robot, pose, kind) for kind in KINDS},
         "columns": nonzero_columns(robot, pose, "printed"),
     }
-
-
-def _approaches(
-    robot: RobotParameters, singular: list[Singularity], rows: list[dict[str, Any]], count: int
-) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The way to the purest singular pose of each kind: as few dead cranks as can be, and far from the other kind."""
-    approaches = {}
-    for kind in ("serial", "parallel"):
-        of_kind = [i for i, row in enumerate(rows) if row["kind"] == kind]
-        if of_kind:
-            best = max(of_kind, key=lambda i: (rows[i]["columns"], rows[i]["transmission"], rows[i]["conditioning"]))
-            title, approach = _approach(robot, singular[best], count)
-            approaches[title] = approach
-    return approaches
-
-
-def _approach(
-    robot: RobotParameters, found: Singularity, count: int
-) -> tuple[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-    axis = int(np.abs(found.direction).argmax())
-    back = np.logspace(np.log10(0.5 * found.distance), -9, count)
-    values = [measures(robot, found.pose(robot, float(step))) for step in back]
-    names = {
-        "printed_min": "smallest singular value, printed",
-        "statics_min": "smallest singular value, statics",
-        "statics_max": "largest singular value, statics",
-        "transmission": "least transmission",
-        "conditioning": "conditioning",
-    }
-    curves = {name: np.array([v[key] for v in values]) for key, name in names.items()}
-    title = f"{found.kind.capitalize()}, along {AXIS_NAMES[axis]}|{'deg' if axis < 3 else 'mm'}"
-    return title, (back * (180.0 / np.pi if axis < 3 else 1e3), curves)

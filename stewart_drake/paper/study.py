@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.network import default_network_path
 from stewart_drake.files.whole import locked_folder
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.paper.rendering import render
 from stewart_drake.paper.report import Section
 from stewart_drake.runs.outputs import prepare_folder
@@ -21,10 +22,10 @@ from stewart_drake.scenario import Scenario
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_Key = TypeVar("_Key")
+
 SEED = 20_210_601
 """Of every random choice in the report, unless a section says otherwise."""
-AXIS_NAMES = ("roll", "pitch", "yaw", "X", "Y", "Z")
-"""The six coordinates as the report writes them."""
 
 
 def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:
@@ -54,6 +55,13 @@ class Study:
         """Runs that are kept on disk."""
         return RunStore(self.folder / "runs")
 
+    def run(
+        self, scenarios: Mapping[_Key, Scenario], start: float = 0.0, size: float = 1.0, check: bool = True
+    ) -> dict[_Key, SimulationLog]:
+        """Logs of `scenarios`, as by `RunStore.run_all`; progress as by `part`."""
+        logs = self.store.run_all(list(scenarios.values()), self.part(start, size), check=check)
+        return dict(zip(scenarios, logs, strict=True))
+
     @property
     def tuner_file(self) -> Path:
         """Weights of the tuner: those that this report's own training has left, else those of the package."""
@@ -82,6 +90,10 @@ class Study:
     def pick(self, full: Any, quick: Any) -> Any:
         """One of two sizes."""
         return quick if self.quick else full
+
+    def part(self, start: float, size: float) -> Callable[[float], None]:
+        """Progress of a part of the section: of its own share, `size` of the whole from `start` on."""
+        return lambda share: self.progress(start + size * share)
 
     def section(
         self, key: str, numbers: dict[str, Any], figures: Mapping[str, Figure] | None = None, **values: Any

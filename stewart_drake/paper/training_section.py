@@ -51,19 +51,6 @@ def scores_of(result: TrainingResult, side: str) -> Scores:
     return {name: score if np.isfinite(score) else None for name, score in scores.items()}
 
 
-def rounding_of_inference(network: TunerNetwork, densities: np.ndarray) -> float:
-    """Largest relative change of the answers when every sum of the network is taken in the opposite order."""
-    turned = replace(
-        network,
-        input_mean=network.input_mean[::-1],
-        input_scale=network.input_scale[::-1],
-        hidden_weights=network.hidden_weights[::-1, ::-1],
-        hidden_bias=network.hidden_bias[::-1],
-        output_weights=network.output_weights[:, ::-1],
-    )
-    return float(np.abs(turned.weights(densities[:, ::-1]) / network.weights(densities) - 1.0).max())
-
-
 def rounding_of_training(dataset: Dataset, options: TrainingOptions, network: TunerNetwork) -> float:
     """Largest change of log10 of the answers of `network` when it is trained again, from inputs off by the last bit."""
     up = np.random.default_rng(SEED).random(dataset.inputs.shape) < 0.5
@@ -110,7 +97,6 @@ def make(study: Study) -> Section:
         "equal_ratio_spread": label_spread(data[own]),
         "labels_apart": list(labels_apart(data[own], by_runs)),
         "repeatable": twice[0] == twice[1],
-        "rounding_of_inference": rounding_of_inference(network, data[own].inputs),
         "rounding_of_training": rounding_of_training(data[own], options, network),
         "validation": scores_of(results[own, "samples"], "validation"),
     }

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stewart_drake.references import SineReference, paper_reference
-from stewart_drake.section import Vector6
+from stewart_drake.training.collect import six
 
 _SEED = 20_210_602
 """Of the multi-axis mix."""
@@ -73,7 +73,7 @@ def _sines(name: str, duration: float, **axes: tuple[float, float, float]) -> Tr
         amplitude[index] = math.radians(size) if turns else 1e-3 * size
         omega[index], phase[index] = 2.0 * math.pi * frequency, start
         words.append(f"{axis if turns else axis.upper()} {size:g} {'deg' if turns else 'mm'} at {frequency:g} Hz")
-    reference = SineReference(amplitude=_six(amplitude), angular_frequency=_six(omega), phase=_six(phase))
+    reference = SineReference(amplitude=six(amplitude), angular_frequency=six(omega), phase=six(phase))
     return Trajectory(name, ", ".join(words), reference, duration)
 
 
@@ -85,8 +85,3 @@ def _mix(duration: float) -> Trajectory:
     phase = rng.uniform(0.0, 2.0 * math.pi, 6)
     drawn = zip(_AXES, size.round(1).tolist(), frequency.tolist(), phase.tolist(), strict=True)
     return _sines("mix", duration, **{axis: (a, f, p) for axis, a, f, p in drawn})
-
-
-def _six(values: np.ndarray) -> Vector6:
-    a, b, c, d, e, f = values.tolist()
-    return a, b, c, d, e, f

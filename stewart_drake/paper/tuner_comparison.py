@@ -131,41 +131,28 @@ def mean_answer(network: TunerNetwork, log: SimulationLog) -> float:
     return float(log_ratio(network.weights(log["density"][second_half(log)])).mean())
 
 
-@dataclass(frozen=True)
-class AnswerFit:
-    """What the network's answers depend on, over trajectories (rows) and ratios in force (columns).
-
-    Attributes:
-        slope: Of the answer over the ratio in force, both as log10, by least squares: 1 for a perfect estimator, 0 for
-            one that sees nothing of the weights.
-        mean: log10 of the mean answer.
-        by_trajectory: Share of the answers' variance that knowing the trajectory alone accounts for.
-        r_squared: 1 - squared error / variance of the ratio in force; negative where a constant would do better.
-    """
-
-    slope: float
-    mean: float
-    by_trajectory: float
-    r_squared: float
-
-
-def fit_answers(in_force: np.ndarray, answers: np.ndarray) -> AnswerFit:
-    """Least squares over all trajectories.
+def fit_answers(in_force: np.ndarray, answers: np.ndarray) -> dict[str, float]:
+    """What the network's answers depend on, by least squares over all trajectories.
 
     Args:
         in_force: (k,) log10 of the ratios in force.
-        answers: (n, k) log10 of the answers' ratio.
+        answers: (n, k) log10 of the answers' ratio, on n trajectories.
+
+    Returns:
+        `slope` of the answer over the ratio in force: 1 for a perfect estimator, 0 for one that sees nothing of the
+        weights; `mean`, log10 of the mean answer; `by_trajectory`, share of the answers' variance that knowing the
+        trajectory alone accounts for; `r_squared`, negative where a constant would do better.
     """
     truth = np.broadcast_to(in_force, answers.shape)
     centred = truth - truth.mean()
     spread = float(np.sum((answers - answers.mean()) ** 2))
     between = answers.shape[1] * float(np.sum((answers.mean(axis=1) - answers.mean()) ** 2))
-    return AnswerFit(
-        slope=float(np.sum(centred * answers) / np.sum(centred**2)),
-        mean=float(answers.mean()),
-        by_trajectory=between / spread if spread > 0.0 else 0.0,
-        r_squared=1.0 - float(np.sum((answers - truth) ** 2) / np.sum(centred**2)),
-    )
+    return {
+        "slope": float(np.sum(centred * answers) / np.sum(centred**2)),
+        "mean": float(answers.mean()),
+        "by_trajectory": between / spread if spread > 0.0 else 0.0,
+        "r_squared": 1.0 - float(np.sum((answers - truth) ** 2) / np.sum(centred**2)),
+    }
 
 
 def constant_at(comparison: Comparison, ratio_log10: float) -> float | None:

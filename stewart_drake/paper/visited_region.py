@@ -9,15 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.logs.log import AXES, SimulationLog
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
 from stewart_drake.planning.workspace import measure_poses
 from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineReference, paper_reference
+from stewart_drake.robot_scale import LENGTH
+from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.scenario import Scenario
+from stewart_drake.training.collect import six
 
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
@@ -25,7 +30,7 @@ ONE_HERTZ = 2.0 * np.pi
 SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
 """[rad/s] of the motion on all axes at once, around the paper's 2."""
 SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
-"""[rad, m] from which that motion is scaled to what is feasible."""
+"""[rad, m] from which that motion is scaled to what is feasible; lengths are for the paper's robot."""
 
 LARGE_SPREAD = 1.5
 """[-] factor between the largest torques of runs, beyond which the region is the motion's own."""
@@ -34,7 +39,8 @@ LARGE_SPREAD = 1.5
 def controlled_motions(study: Study) -> dict[str, Scenario]:
     """The runs to look at by name; first the base scenario's own motion, the paper's unless the user changes it.
 
-    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed.
+    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed. What this
+    robot cannot do is left out.
     """
     base = study.base
     robot, limits = base.robot, base.limits
@@ -50,28 +56,28 @@ def controlled_motions(study: Study) -> dict[str, Scenario]:
     for axis in study.pick((1, 2, 3, 4), (4,)):
         largest = largest_amplitude(robot, limits, axis, 1.0, base.gravity)
         reference = _sine(base, AMPLITUDE_SHARE * largest * np.eye(6)[axis], np.full(6, ONE_HERTZ))
-        name = AXES[axis] if axis < 3 else AXES[axis].upper()
-        motions[f"{name} at 1 Hz"] = base.replace(short | _as_change(reference))
+        motions[f"{COORDINATES[axis][0]} at 1 Hz"] = base.replace(short | {"reference": dataclasses.asdict(reference)})
 
     def all_axes(scale: float) -> SineReference:
-        return _sine(base, scale * np.array(SIX_AMPLITUDES), np.array(SIX_FREQUENCIES))
+        return _sine(base, scale * np.array(LENGTH.value(SIX_AMPLITUDES, robot)), np.array(SIX_FREQUENCIES))
 
     scale = largest_scale(robot, limits, all_axes, short["duration"], base.gravity)
-    motions["all six axes"] = base.replace(short | _as_change(all_axes(AMPLITUDE_SHARE * scale)))
-    return motions
+    motions["all six axes"] = base.replace(short | {"reference": dataclasses.asdict(all_axes(AMPLITUDE_SHARE * scale))})
+    return {name: motion for name, motion in motions.items() if _can_be_run(motion)}
+
+
+def _can_be_run(scenario: Scenario) -> bool:
+    try:
+        check_scenario(scenario)
+    except ConfigurationError:
+        return False
+    return True
 
 
 def _sine(base: Scenario, amplitude: np.ndarray, angular_frequency: np.ndarray) -> SineReference:
-    center, size, speed = (
-        (float(a), float(b), float(c), float(x), float(y), float(z))
-        for a, b, c, x, y, z in (base.robot.home_pose, amplitude, angular_frequency)
+    return SineReference(
+        center=six(base.robot.home_pose), amplitude=six(amplitude), angular_frequency=six(angular_frequency)
     )
-    return SineReference(center=center, amplitude=size, angular_frequency=speed)
-
-
-def _as_change(reference: SineReference) -> dict[str, Any]:
-    plain = dataclasses.asdict(reference)
-    return {"reference": {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,8 @@ class VisitedRegion:
         log: The run.
         envelope: The box around it.
         use: Utilisation (n,) of each limit at its poses, at rest.
-        reference_use: Of its reference's poses.
+        worst: [-] largest part of a limit that a visited pose takes up, and the limit.
+        reference_worst: The same of its reference's poses.
         peak_torque: [N m] largest of any motor, within its limit.
         reference_torque: [N m] largest that the reference itself asks for, by the exact inverse dynamics.
     """
@@ -92,7 +99,8 @@ class VisitedRegion:
     log: SimulationLog
     envelope: MotionEnvelope
     use: dict[str, np.ndarray]
-    reference_use: dict[str, np.ndarray]
+    worst: tuple[float, str]
+    reference_worst: tuple[float, str]
     peak_torque: float
     reference_torque: float
 
@@ -118,16 +126,6 @@ class VisitedRegion:
         """[W] largest of any motor, either way."""
         return float(np.abs(self.envelope.power).max())
 
-    @property
-    def worst(self) -> tuple[float, str]:
-        """[-] largest part of a limit that a visited pose takes up, and the limit."""
-        return _worst(self.use)
-
-    @property
-    def reference_worst(self) -> tuple[float, str]:
-        """[-] largest part of a limit that a pose of the reference takes up, and the limit."""
-        return _worst(self.reference_use)
-
 
 def _worst(of: dict[str, np.ndarray]) -> tuple[float, str]:
     use, cause = governing_limit(of)
@@ -139,14 +137,15 @@ def visited_region(name: str, log: SimulationLog) -> VisitedRegion:
     """What one run visited, up to where it ended."""
     scenario = log.scenario
     robot, limits, gravity = scenario.robot, scenario.limits, scenario.gravity
-    use, reference_use = (
+    uses = [
         utilisation(robot, limits, pose, measure_poses(robot, pose, gravity))
         for pose in (log["pose"], log["reference"])
-    )
+    ]
     motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
     wanted = inverse_dynamics(robot, *motion, gravity)
     peaks = (float(np.abs(torque).max()) for torque in (log["torque_applied"], wanted))
-    return VisitedRegion(name, log, motion_envelope(log), use, reference_use, *peaks)
+    worst, reference_worst = map(_worst, uses)
+    return VisitedRegion(name, log, motion_envelope(log), uses[0], worst, reference_worst, *peaks)
 
 
 def findings(regions: Sequence[VisitedRegion], runs: int) -> dict[str, Any]:

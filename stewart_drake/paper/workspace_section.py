@@ -9,37 +9,25 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stewart_drake.logs.motion_envelope import envelope_of_all
-from stewart_drake.paper.pose_study import (
-    KINDS,
-    PoseStudy,
-    motion_slice,
-    part_of,
-    slice_surveys,
-    survey_poses,
-)
+from stewart_drake.paper.pose_study import KINDS, PoseStudy, motion_slice, slice_surveys, survey_poses
 from stewart_drake.paper.report import Section
-from stewart_drake.paper.study import AXIS_NAMES, Study
-from stewart_drake.paper.visited_region import (
-    VisitedRegion,
-    controlled_motions,
-    findings,
-    visited_region,
-)
+from stewart_drake.paper.study import Study
+from stewart_drake.paper.visited_region import VisitedRegion, controlled_motions, findings, visited_region
 from stewart_drake.planning.limits import RULES, limit_bounds
 from stewart_drake.planning.workspace_region import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
 from stewart_drake.plotting.envelope_plots import plot_motion_map, plot_state_region, plot_torque_region
-from stewart_drake.plotting.workspace_plots import plot_boundaries, plot_capability, plot_losses, plot_slices
-
-CAPABILITIES = (
-    ("transmission", "transmission [-]", 1.0),
-    ("conditioning", "conditioning [-]", 1.0),
-    ("clearance", "clearance of links [mm]", 1e3),
-    ("holding_torque", "holding torque [N m]", 1.0),
-    ("force", "force in any direction [N]", 1.0),
-    ("moment", "moment in any direction [N m]", 1.0),
+from stewart_drake.plotting.panels import COORDINATES, SCALES
+from stewart_drake.plotting.workspace_plots import (
+    CAPABILITIES,
+    WORDS,
+    plot_boundaries,
+    plot_capability,
+    plot_losses,
+    plot_slices,
 )
-_SCALES = (180.0 / np.pi,) * 3 + (1e3,) * 3
-_UNITS = ("deg",) * 3 + ("mm",) * 3
+
+MASKS = ("spanning", "regular", "feasible", "connected")
+"""Which poses a workspace counts: ever fewer."""
 
 
 def make(study: Study) -> Section:
@@ -59,9 +47,8 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
         ConfigurationError: A center that `check_center` refuses; too few samples; a motion that is refused.
     """
     poses = survey_poses(study, samples, center)
-    motions = controlled_motions(study)
-    logs = study.store.run_all(list(motions.values()), part_of(study, 0.6, 0.3))
-    regions = [visited_region(name, log) for name, log in zip(motions, logs, strict=True) if len(log.time)]
+    logs = study.run(controlled_motions(study), 0.6, 0.3)
+    regions = [visited_region(name, log) for name, log in logs.items() if len(log.time)]
     lost = {kind: losses(found) for kind, found in poses.surveys.items()}
     numbers: dict[str, Any] = {
         "poses": sum(len(found.grid.poses) for found in poses.surveys.values()),
@@ -78,29 +65,31 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
     figures = _pose_figures(study, poses, lost)
     values: dict[str, Any] = {}
     if regions:
+        first = regions[0]
         numbers["motions"] = {region.name: _motion_numbers(region) for region in regions}
         figures |= _motion_figures(study, poses, regions)
-        values["first"] = regions[0].envelope
-        values["whole"] = envelope_of_all([region.log for region in regions])
-        values["added"] = max((region.peak_torque - region.reference_torque, region.name) for region in regions)
-        values["too_weak"] = [_too_weak(poses.surveys[kind], regions[0].peak_torque) for kind in KINDS]
+        values = {
+            "first": first.envelope,
+            "whole": envelope_of_all([region.log for region in regions]),
+            "added": max((region.peak_torque - region.reference_torque, region.name) for region in regions),
+            "too_weak": [_too_weak(poses.surveys[kind], first.peak_torque) for kind in KINDS],
+        }
+    around = [("the centre", kind, poses.surveys[kind]) for kind in KINDS]
     section = study.section(
         "workspace",
         numbers,
         figures,
-        **findings(regions, len(motions)),
+        **findings(regions, len(logs)),
         **values,
-        axes=AXIS_NAMES,
-        scales=_SCALES,
-        units=_UNITS,
+        coordinates=list(zip(COORDINATES, SCALES, strict=True)),
         ranges=poses.ranges,
         limits=_limits_words(study),
-        limit=_limit_words,
-        near={kind: _near_singularities(numbers["workspaces"][kind]["first"]) for kind in KINDS},
-        surveys=_all_surveys(poses),
+        limit={None: "nothing", **WORDS},
+        singularities=SINGULARITIES,
+        surveys=[(f"{kind}s, {name}", kind, found) for name, kind, found in (*around, *poses.others)],
         sizes=sizes,
         span=_span,
-        capabilities={label: _capability_cells(poses, name, scale) for name, label, scale in CAPABILITIES},
+        capabilities={label: _capability_cells(poses, name, scale) for name, (label, scale, _) in CAPABILITIES.items()},
     )
     study.progress(1.0)
     return section
@@ -145,24 +134,18 @@ def _motion_figures(study: Study, poses: PoseStudy, regions: Sequence[VisitedReg
     }
 
 
-def _all_surveys(poses: PoseStudy) -> list[tuple[str, Kind, Survey | None]]:
-    named = {"position": "positions", "orientation": "orientations"}
-    around = [(f"{named[kind]} around the centre", kind, poses.surveys[kind]) for kind in KINDS]
-    return [*around, *((f"{named[kind]}, centre with {name}", kind, found) for name, kind, found in poses.others)]
-
-
 def sizes(kind: Kind, found: Survey | None) -> list[str]:
     """Sizes of a workspace and the box around it, as cells of a table; dashes where its centre is out of reach."""
     if found is None:
-        return ["-"] * 5
+        return ["-"] * (len(MASKS) + 1)
     scale, unit = (1e3, "L") if kind == "position" else (100.0, "%")
     box, ends = found.bounding_box(found.connected), "-"
     if box is not None:
-        sides = zip(found.grid.coordinates, box.T, strict=True)
-        ends = ", ".join(f"{AXIS_NAMES[i]} {_span(side, _SCALES[i])}" for i, side in sides)
-        ends += f" {_UNITS[found.grid.coordinates[0]]}"
-    masks = (found.spanning, found.regular, found.feasible, found.connected)
-    return [*(f"{scale * found.size(mask):.3g} {unit}" for mask in masks), ends]
+        axes = found.grid.coordinates
+        sides = zip(axes, box.T, strict=True)
+        ends = ", ".join(f"{COORDINATES[i][0]} {_span(side, SCALES[i])}" for i, side in sides)
+        ends += f" {COORDINATES[axes[0]][1]}"
+    return [*(f"{scale * found.size(getattr(found, mask)):.3g} {unit}" for mask in MASKS), ends]
 
 
 def _limits_words(study: Study) -> list[str]:
@@ -170,25 +153,12 @@ def _limits_words(study: Study) -> list[str]:
     bounds = limit_bounds(study.base.robot, study.base.limits)
     words = []
     for name, bound in bounds.items():
-        if name == "crank_speed":
-            continue
-        if RULES[name][0] == "rad":
-            words.append(RULES[name][1].replace("{:.4g} rad", "{:.4g} deg").format(np.degrees(bound)))
-        else:
-            words.append(RULES[name][1].format(bound))
+        unit, rule = RULES[name]
+        if unit == "rad":
+            rule, bound = rule.replace(" rad", " deg"), float(np.degrees(bound))
+        if name != "crank_speed":
+            words.append(rule.format(bound))
     return words
-
-
-def _limit_words(name: str | None) -> str:
-    if name is None:
-        return "nothing"
-    kind = SINGULARITIES.get(name)
-    return name.replace("_", " ") + (f" ({kind} singularity)" if kind else "")
-
-
-def _near_singularities(first: dict[str, float]) -> str:
-    near = sorted({SINGULARITIES[name] for name in first if name in SINGULARITIES})
-    return f"a {' and a '.join(near)} singularity ends some" if near else "none ends near a singularity"
 
 
 def _capability_cells(poses: PoseStudy, name: str, scale: float) -> list[str]:
@@ -217,10 +187,7 @@ def _numbers(poses: PoseStudy, kind: Kind, lost: Sequence[Loss]) -> dict[str, An
     }
     return {
         "cells": list(found.grid.counts),
-        "spanning": found.size(found.spanning),
-        "regular": found.size(found.regular),
-        "feasible": found.size(found.feasible),
-        "connected": found.size(found.connected),
+        **{mask: found.size(getattr(found, mask)) for mask in MASKS},
         "box": None if box is None else box.tolist(),
         "inscribed_radius": float(surface.radius.min()),
         "boundary_volume": surface.volume,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
+from stewart_drake.robot_scale import LENGTH
 from stewart_drake.section import Positive, Section
 
 
@@ -11,14 +13,14 @@ class Bounds(Section, key="bounds"):
     """What a run must keep to for its motion to count as followed. A bound that is null is off.
 
     A bound acts while the controller is in charge, from the time on when the run has first been inside it: a start that
-    is off by more has to come back.
+    is off by more has to come back. Lengths are for the paper's robot; another has them in proportion.
     """
 
     rotation: Positive | None = math.radians(10.0)
     """[rad] largest angle between the platform and its reference."""
-    position: Positive | None = 0.03
+    position: Annotated[Positive | None, LENGTH] = 0.03
     """[m] largest distance between the platform and its reference."""
-    loop_gap: Positive | None = 0.001
+    loop_gap: Annotated[Positive | None, LENGTH] = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
     motion_ratio: Positive | None = 0.25
     """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all

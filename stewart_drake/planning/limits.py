@@ -27,6 +27,7 @@ from stewart_drake.mechanics.kinematics import (
     rotation_matrix,
 )
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot_scale import LENGTH
 from stewart_drake.section import Positive, Section
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries
@@ -52,8 +53,9 @@ class Limits(Section, key="limits"):
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = math.radians(65.0)
     """[rad] largest swing of a rod from home, seen in the platform (ball) and in its crank (universal joint). The
     paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
-    clearance: Positive | None = 0.005
-    """[m] smallest distance between the surfaces of links (cranks, rods) of different legs."""
+    clearance: Annotated[Positive | None, LENGTH] = 0.005
+    """[m] smallest distance between the surfaces of links (cranks, rods) of different legs; for another
+    robot than the paper's in proportion."""
     crank_speed: Positive | None = 10.0
     """[rad/s] largest |theta'|."""
     torque_fraction: Positive | None = 1.0
@@ -127,6 +129,11 @@ def crank_strokes(robot: RobotParameters, crank_angles: np.ndarray) -> tuple[np.
     low, high = np.where(stops, robot.crank_angle_ranges, [-2.0 * math.pi, 2.0 * math.pi]).T
     off = crank_angles - 0.5 * (low + high)
     return np.abs(np.arctan2(np.sin(off), np.cos(off))), 0.5 * (high - low)
+
+
+def smallest_clearance(robot: RobotParameters, pose: np.ndarray) -> float:
+    """[m] smallest distance between the surfaces of links of different legs at a pose (6,) in reach."""
+    return float(_link_distance(robot, leg_geometry(robot, pose[None]), pose[None]).min())
 
 
 def limit_margins(

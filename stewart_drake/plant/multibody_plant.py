@@ -20,22 +20,21 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     LinearBushingRollPitchYaw,
-    PdControllerGains,
     SpatialInertia,
     UnitInertia,
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
-from pydrake.systems.primitives import ConstantVectorSource, MatrixGain
 
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
+from stewart_drake.plant.motor_friction import MotorFriction, add_friction_actuators, wire_friction
+from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import Leg, check_value, is_finite
+from stewart_drake.section import LegNumber, check_value, is_finite
 
 
 class StewartPlant(StateMap):
@@ -63,11 +62,12 @@ class StewartPlant(StateMap):
         plant: MultibodyPlant,
         scene_graph: SceneGraph | None,
         torque_input_port: InputPort,
+        friction: MotorFriction | None = None,
     ) -> None:
         super().__init__(robot, options.rod_joint, _state_indices(plant, options.rod_joint))
         self.options, self.gravity = options, gravity
         self.plant, self.scene_graph = plant, scene_graph
-        self.torque_input_port = torque_input_port
+        self.torque_input_port, self._friction = torque_input_port, friction
         # The SDF has them leg by leg, and no other constraints.
         self._closures = tuple(plant.GetConstraintIds())
         self.state_output_port: OutputPort = plant.get_state_output_port()
@@ -84,13 +84,13 @@ class StewartPlant(StateMap):
             ConfigurationError: Another leg.
             DrakeCheckError: The Context is not that of the Diagram around this plant.
         """
-        check_value("leg", leg, Leg)
+        check_value("leg", leg, LegNumber)
         with drake_guard("breaking a rod"):
             mine = self.plant.GetMyMutableContextFromRoot(context)
             self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
 
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Puts the plant into `assemble(pose, pose_rate)`.
+        """Puts the plant into `assemble(pose, pose_rate)`, friction without tension.
 
         Args:
             context: Context of the whole Diagram, not the plant's own in it.
@@ -104,6 +104,8 @@ class StewartPlant(StateMap):
         state = self.assemble(pose, pose_rate)
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
+            if self._friction is not None:
+                self._friction.relax(context, state)
 
 
 def add_plant(
@@ -116,11 +118,11 @@ def add_plant(
 ) -> StewartPlant:
     """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
 
-    Like Drake's `AddMultibodyPlantSceneGraph` it wires what belongs to the plant alone: the SceneGraph, and the two
-    sources that friction needs. Where neither pictures nor collision are asked for there is no SceneGraph.
+    Like Drake's `AddMultibodyPlantSceneGraph` it wires what belongs to the plant alone: the SceneGraph, and
+    what friction needs. Where neither pictures nor collision are asked for there is no SceneGraph.
 
     Args:
-        builder: Receives the system `plant`, and as needed `scene_graph`, `friction_torque`, `friction_target`.
+        builder: Receives the system `plant`, and as needed `scene_graph`, `friction` and its `friction_...`.
         robot: Geometry and masses.
         options: What else is modelled; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
@@ -160,16 +162,16 @@ def add_plant(
         text = sdf_text(robot, rod_joint=options.rod_joint, collision=options.collision)
         Parser(plant).AddModelsFromString(text, "sdf")
         plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
-        _add_damping(plant, robot, options)
-        if options.motor_friction > 0.0:
-            _add_friction_actuators(plant, options.motor_friction)
+        law = options.friction_law(robot)
+        _add_damping(plant, robot, options, law.viscous)
+        add_friction_actuators(plant, law)
         if options.payload_mass > 0.0:
             _add_payload(plant, options)
         plant.Finalize()
-        torque_input_port = plant.get_actuation_input_port()
-        if options.motor_friction > 0.0:
-            torque_input_port = _wire_friction(builder, plant)
-    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port)
+        torque_input_port, friction = plant.get_actuation_input_port(), None
+        if law.break_away.any():
+            torque_input_port, friction = wire_friction(builder, plant, law)
+    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, friction)
 
 
 def build_plant(
@@ -198,7 +200,7 @@ def build_plant(
         return builder.Build(), stewart
 
 
-def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions) -> None:
+def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOptions, viscous: np.ndarray) -> None:
     """Damping in the tree's joints, which SAP takes implicitly, and in the loop closures, which are no joints.
 
     There a bushing without stiffness resists the rates of the platform's roll, pitch, yaw in the rod, zero at home.
@@ -206,7 +208,7 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
     Its energy is not implemented: `MultibodyPlant.CalcPotentialEnergy` raises on such a plant.
     """
     for leg in range(LEGS):
-        for name, damping in (("motor", options.motor_damping), (options.rod_joint, options.universal_damping)):
+        for name, damping in (("motor", viscous[leg]), (options.rod_joint, options.universal_damping)):
             joint = plant.GetJointByName(f"{name}_{leg}")
             joint.set_default_damping_vector(np.full(joint.num_velocities(), damping))
     if options.platform_joint_damping == 0.0:
@@ -227,29 +229,6 @@ def _add_payload(plant: MultibodyPlant, options: PlantOptions) -> None:
     body = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
     at = RigidTransform(np.array(options.payload_position))
     plant.WeldFrames(plant.GetFrameByName("platform"), body.body_frame(), at)
-
-
-def _add_friction_actuators(plant: MultibodyPlant, friction: float) -> None:
-    """Dry friction, which Drake's joints lack: a servo on each motor that asks for rest with limited effort."""
-    gains = PdControllerGains(p=0.0, d=friction / STICTION_SPEED)
-    for leg in range(LEGS):
-        actuator = plant.AddJointActuator(f"friction_{leg}", plant.GetJointByName(f"motor_{leg}"), friction)
-        actuator.set_controller_gains(gains)
-
-
-def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant) -> InputPort:
-    """Feeds the twelve actuators: motors from the port returned, friction from zeros."""
-    rows = [plant.GetJointActuatorByName(f"motor_{leg}").input_start() for leg in range(LEGS)]
-    selection = np.zeros((plant.num_actuators(), LEGS))
-    selection[rows, np.arange(LEGS)] = 1.0
-    spread = builder.AddNamedSystem("friction_torque", MatrixGain(selection))
-    # A desired state left unconnected would disarm the servos without a word.
-    target = builder.AddNamedSystem("friction_target", ConstantVectorSource(np.zeros(2 * plant.num_actuators())))
-    instance = plant.GetModelInstanceByName("stewart")
-    builder.Connect(spread.get_output_port(), plant.get_actuation_input_port())
-    builder.Connect(target.get_output_port(), plant.get_desired_state_input_port(instance))
-    port: InputPort = spread.get_input_port()
-    return port
 
 
 def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
-from stewart_drake.leg import LARGEST
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.leg import LARGEST, LEGS, Size
+from stewart_drake.mechanics.friction import FrictionLaw, friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Flag, Leg, NotNegative, Real, Section
-
-STICTION_SPEED = 1e-4
-"""[rad/s] below this speed friction of a motor is viscous, in proportion to speed: what should stick creeps."""
+from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section, check_value
+from stewart_drake.wording import as_problem
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""
@@ -24,10 +25,57 @@ Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 class BrokenRod(Section, key="plant.broken_rod"):
     """A rod that comes off the platform and hangs from its crank."""
 
-    leg: Leg
+    leg: LegNumber
     """0 to 5."""
     time: NotNegative
     """[s] when it breaks."""
+
+
+class _Each:
+    """In `Annotated`: one number in place of six stands for all motors."""
+
+    def __init__(self, number: Any) -> None:
+        self._number = number
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._six, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        six = handler(schema)
+        return {"anyOf": [six["prefixItems"][0], six]}
+
+    def _six(self, given: Any) -> Any:
+        if not isinstance(given, (int, float)):
+            return given
+        try:
+            check_value("", given, self._number)
+        except ConfigurationError as error:
+            raise as_problem(ConfigurationError("", given, f"{error.allowed}, or six of them")) from None
+        return (given,) * LEGS
+
+
+_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], _Each(Moderate)]
+EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], _Each(Size)]
+
+
+class FrictionOptions(Section, key="plant.friction"):
+    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor."""
+
+    coulomb: EachMotor = _NONE
+    """[N m] dry friction in sliding."""
+    break_away: EachMotor | None = None
+    """[N m] what moves a motor that rests, at least `coulomb`; null: the same."""
+    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
+    """[rad/s] of sliding at which 37 % of what `break_away` is above `coulomb` are left; the default is our own."""
+    viscous: EachMotor = _NONE
+    """[N m s/rad] beside it, in proportion to speed."""
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        for above, below in zip(self.break_away or (), self.coulomb, strict=False):
+            if above < below:
+                raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
 
 
 class PlantOptions(Section, key="plant"):
@@ -44,20 +92,37 @@ class PlantOptions(Section, key="plant"):
     collision: Flag = False
     """Links collide: cranks, rods, platform and base, except where a joint holds them together."""
     motor_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction of each motor; implicit, stable at any step."""
+    """[N m s/rad] viscous friction of each motor; implicit, stable at any step. Short for `friction.viscous`."""
     universal_damping: Moderate = 0.0
     """[N m s/rad] viscous friction about each axis of each joint between crank and rod; implicit."""
     platform_joint_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of each ball between rod and platform; explicit, see `platform_damping_limit`. The
     same in all directions near home only: at 45 deg of swing it is 0.6 to 3.4 times as large, by direction."""
     motor_friction: Moderate = 0.0
-    """[N m] Coulomb friction of each motor; implicit, viscous below `STICTION_SPEED`, so that a held robot creeps."""
+    """[N m] dry friction of each motor, the same at rest and in sliding. Short for `friction.coulomb`."""
+    friction: FrictionOptions | None = None
+    """Friction of the motors, one by one and weaker in sliding, in place of these two; null for what they say."""
     payload_mass: Moderate = 0.0
     """[kg] of a point that the platform carries and nobody but the plant knows of: not `robot`, nor the controller."""
     payload_position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
     """[m] of the payload, in P."""
     broken_rod: BrokenRod | None = None
     """A rod that breaks midway, see `simulation.run`; null for none."""
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        for name in ("motor_friction", "motor_damping"):
+            if self.friction is not None and getattr(self, name) > 0.0:
+                raise ConfigurationError(name, getattr(self, name), "0 beside `friction`, which says it")
+
+    def friction_law(self, robot: RobotParameters) -> FrictionLaw:
+        """Friction of the motors of a robot, with the bristles that the time step carries."""
+        said = self.friction
+        if said is None:
+            said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})
+        break_away = said.coulomb if said.break_away is None else said.break_away
+        levels = said.coulomb, break_away, said.stribeck_velocity, said.viscous
+        return friction_law(*levels, robot.crank_axis_inertias, self.time_step)
 
 
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:

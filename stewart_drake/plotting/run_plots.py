@@ -205,7 +205,7 @@ def _plot_weights(panels: np.ndarray, log: SimulationLog) -> None:
             (q, {"color": _AXIS_COLORS[2], "linewidth": 2.4, "label": r"$\omega_Q$"}),
             (r, {"color": _AXIS_COLORS[0], "linewidth": 1.2, "label": r"$\omega_R$"}),
         ]
-        shown += [("Output of the ANN" if log.scenario.tuner.kind == "ann" else "Weights, held fixed", "weight", both)]
+        shown += [(log.scenario.tuner.label, "weight", both)]
         ratio = "Ratio of the weights, on which alone the gain depends"
         shown += [(ratio, r"$\omega_Q\,/\,\omega_R$", [(q / r, {"color": look.TEXT})])]
     elif "block_weights" in log.signals:

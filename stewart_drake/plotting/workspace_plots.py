@@ -51,6 +51,15 @@ WORDS = {
     "euler_pitch": "pitch of the Euler angles",
     "crank_range": "stops of the cranks",
 }
+CAPABILITIES = {
+    "transmission": ("Transmission, serial [-]", 1.0, "YlOrBr_r"),
+    "conditioning": ("Conditioning, parallel [-]", 1.0, "RdBu"),
+    "clearance": ("Clearance of links [mm]", 1e3, "cividis"),
+    "holding_torque": ("Holding torque [N m]", 1.0, "magma_r"),
+    "force": ("Force in any direction [N]", 1.0, "viridis"),
+    "moment": ("Moment in any direction [N m]", 1.0, "viridis"),
+}
+"""Measures of what the robot can do at a pose: name with unit, factor to it, colours."""
 _OUT_OF_REACH = "#E9E9E6"
 _USE = LinearSegmentedColormap.from_list("use", ["#FFFDE9", "#F3E2A9", "#C9C08A", "#86977C", "#49706F", "#1F4A5C"])
 
@@ -157,23 +166,15 @@ def plot_capability(found: Survey) -> Figure:
     Args:
         found: Survey of a grid with one side of a single cell.
     """
-    drawn, measures = Slice(found), found.measures
+    drawn = Slice(found)
     left, right, bottom, top = drawn.extent
     height = 2.9 * (top - bottom) / (right - left) if drawn.equal else 2.5
     figure, axes = look.wide(2, 3, 1.1 + 2.0 * (1.0 + height))
-    panels: list[tuple[str, np.ndarray, str]] = [
-        ("Transmission, serial [-]", measures.transmission, "YlOrBr_r"),
-        ("Conditioning, parallel [-]", measures.conditioning, "RdBu"),
-        ("Clearance of links [mm]", 1e3 * measures.clearance, "cividis"),
-        ("Holding torque [N m]", measures.holding_torque, "magma_r"),
-        ("Force in any direction [N]", measures.force, "viridis"),
-        ("Moment in any direction [N m]", measures.moment, "viridis"),
-    ]
-    for panel, (title, values, cmap) in zip(axes.flat, panels, strict=True):
+    for panel, (name, (title, scale, cmap)) in zip(axes.flat, CAPABILITIES.items(), strict=True):
         drawn.prepare(panel)
         panel.set_facecolor(_OUT_OF_REACH)
         look.headline(panel, title)
-        field = np.ma.masked_invalid(drawn.field(values))
+        field = np.ma.masked_invalid(drawn.field(scale * getattr(found.measures, name)))
         # Near a singularity forces and torques have no bound; a few pixels must not take all the colours.
         low, high = np.percentile(field.compressed(), [3.0, 97.0]) if field.count() else (0.0, 1.0)
         if cmap == "RdBu":

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, smoothstep
+from stewart_drake.robot_scale import HOME_POSE, LENGTH
 from stewart_drake.section import Positive, Section, Vector6
 
 
@@ -17,8 +18,8 @@ class HoldReference(Section, key="reference"):
     """A pose held still."""
 
     kind: Literal["hold"] = "hold"
-    pose: Vector6 = HOME
-    """[rad, m]"""
+    pose: Annotated[Vector6, HOME_POSE] = HOME
+    """[rad, m] by default the robot's home."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `Reference.evaluate`."""
@@ -29,13 +30,14 @@ class HoldReference(Section, key="reference"):
 class SineReference(Section, key="reference"):
     """center + amplitude sin(angular_frequency t + phase) on each axis.
 
-    The defaults are the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
+    The defaults are the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero; for another
+    robot about its home, with lengths in proportion.
     """
 
     kind: Literal["sine"] = "sine"
-    center: Vector6 = HOME
-    """[rad, m]"""
-    amplitude: Vector6 = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
+    center: Annotated[Vector6, HOME_POSE] = HOME
+    """[rad, m] by default the robot's home."""
+    amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     """[rad, m]"""
     angular_frequency: Vector6 = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
     """[rad/s]"""
@@ -62,8 +64,8 @@ class SineBurstsReference(Section, key="reference"):
     """[Hz] one per burst."""
     amplitude: tuple[Vector6, ...]
     """[rad, m] one vector per burst."""
-    center: Vector6 = HOME
-    """[rad, m]"""
+    center: Annotated[Vector6, HOME_POSE] = HOME
+    """[rad, m] by default the robot's home."""
     phase: Vector6 = ZERO
     """[rad] per axis, the same in every burst."""
     burst_duration: Positive = 1.6

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, smoothstep
+from stewart_drake.robot_scale import HOME_POSE
 from stewart_drake.section import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
 
 _SLOW_BAND = (0.04, 0.15)
@@ -31,7 +32,7 @@ class BreathingReference(Section, key="reference"):
     """
 
     kind: Literal["breathing"] = "breathing"
-    center: Vector6 = HOME
+    center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] pose at end-exhale, where breathing rests longest."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.002, 0.002, 0.012)
     """[rad, m] from end-exhale to end-inhale, peak to peak; its sign is the direction."""
@@ -71,7 +72,7 @@ class HeartbeatReference(Section, key="reference"):
     """
 
     kind: Literal["heartbeat"] = "heartbeat"
-    center: Vector6 = HOME
+    center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] mean of the wave."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.003, 0.002, 0.006)
     """[rad, m] peak to peak; its sign is the direction."""
@@ -193,7 +194,7 @@ class TremorReference(Section, key="reference"):
     """
 
     kind: Literal["tremor"] = "tremor"
-    center: Vector6 = HOME
+    center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m]"""
     rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
     """[rad, m] root mean square over a long time; peaks are some three times as large."""

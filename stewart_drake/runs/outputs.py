@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -13,15 +12,18 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.named_files import file_digests, take_code_along
-from stewart_drake.files.whole import read_checked, sync_folder, write_atomically
+from stewart_drake.files.whole import read_checked, sync_folder, take_lock, write_atomically
 from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import UNFINISHED, SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.scenario import Scenario
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 SPACE = 50_000_000
 """[byte] that a command asks for before it begins."""
@@ -124,7 +126,7 @@ class ResultsFolder:
         self._before = self.place.with_name(f".{self.place.name}.before")
         self._named = str(place)
         self.left_out: list[str] = []
-        self._lock: BinaryIO | None = None
+        self._lock: FileLock | None = None
         self._done = False
         self._files = _own_files(scenario)
         # Nothing is made as long as something may be refused.
@@ -191,11 +193,10 @@ class ResultsFolder:
         if not self._done and not kept:
             shutil.rmtree(self.folder, ignore_errors=True)
         if self._lock is not None:
-            self._lock.close()
+            self._lock.release()
 
     def _take(self) -> None:
         """Makes the folder under construction, or takes over one that nobody works in."""
-        taken = ConfigurationError("--out", self._named, "a folder that no other process is writing")
         # One that is empty may be of a process that was killed before it could say whose it is.
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
@@ -204,18 +205,9 @@ class ResultsFolder:
                 allowed = f"a folder beside which no {path.name} of your own stands"
                 raise ConfigurationError("--out", self._named, allowed)
         self.folder.mkdir(exist_ok=True)
-        self._lock = (self.folder / _MARK).open("ab")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._lock.close()
-            raise taken from None
-        try:
-            # Another process may have finished there since the file was opened.
-            if not os.path.samestat(os.fstat(self._lock.fileno()), (self.folder / _MARK).stat()):
-                raise taken
-        except FileNotFoundError:
-            raise taken from None
+        # Another process may finish there meanwhile: the mark that it deletes is no lock.
+        taken = ConfigurationError("--out", self._named, "a folder that no other process is writing")
+        self._lock = take_lock(self.folder / _MARK, taken)
 
     def _refuse_loss(self) -> None:
         """Refuses a place that cannot be, or where something would be lost."""

@@ -13,7 +13,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import OlderFileWarning
-from stewart_drake.logs.metric_table import METRICS
+from stewart_drake.logs.metric_table import metrics_of
+from stewart_drake.logs.outcomes import told
 
 if TYPE_CHECKING:
     from stewart_drake.logs.log import SimulationLog
@@ -139,10 +140,10 @@ def print_margins(title: str, report: FeasibilityReport) -> None:
 def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None:
     """How a run went, as a table."""
     rows = [
-        ("status", log.status if log.reason is None else f"{log.status}: {log.reason}"),
+        ("status", told(log.status, log.reason)),
         ("simulated time", f"{log.end_time:.3f} s"),
     ]
-    for metric in METRICS:
+    for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("late")):

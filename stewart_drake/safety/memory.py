@@ -10,28 +10,14 @@ import numpy as np
 
 from stewart_drake.compiled.constants import SAFETY_MEMORY
 from stewart_drake.errors import FAILURES
+from stewart_drake.registry import BUILT_IN_MONITORS
 
 Level = Literal["none", "hold", "ramp", "safe_hold", "end"]
 LEVELS: tuple[Level, ...] = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 
-MONITORS = (
-    "none",
-    "measurement_not_finite",
-    "sensor_failed",
-    "controller_failed",
-    "command_not_finite",
-    "deadline",
-    "workspace",
-    "serial_singularity",
-    "parallel_singularity",
-    "crank_speed",
-    "following_error",
-    "torque_limit",
-    "torque_rate",
-)
-"""Stable names, by their number in the log. The first five after `none`, and a torque far beyond all limits, are held;
-the others ramp at once."""
+MONITORS = ("none", *BUILT_IN_MONITORS.names)
+"""Stable names, by their number in the log."""
 MEMORY_SIZE: int = SAFETY_MEMORY.size
 
 

@@ -1,114 +1,145 @@
-"""What the monitors see in a measurement and in a message; pure."""
+"""The monitors of the safety layer: what each sees in a measurement or in a message; pure.
+
+A monitor is an object here and a line in the registry. One of what is measured says by which margin its limit is kept,
+of one pose or of a whole motion: a tick and what is refused before a run ask the same function.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import UnreachablePoseError, failure_code
-from stewart_drake.mechanics.dynamics import static_torque_of_legs
-from stewart_drake.mechanics.kinematics import (
-    crank_rates,
-    leg_geometry,
-    line_conditioning,
-    pose_rate_to_twist,
-    rod_lines,
-    rotation_angle,
-    rotation_matrix,
-)
+from stewart_drake.errors import failure_code
+from stewart_drake.mechanics import kinematics_core as core
+from stewart_drake.mechanics.arrays import arrays_of, last
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
+from stewart_drake.registry import BUILT_IN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import HOLD, MONITORS, RAMP, SafetyInputs, Trip
 from stewart_drake.safety.safety_options import SafetyOptions
 
 _ABSURD = 10.0
 """A command of so many times the limit is an error of the controller and no wish for torque."""
-USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
-"""Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
+_SMALLEST = 1e-9
+"""Transmission at a dead centre, for the speed of that crank."""
 
 
-class View(NamedTuple):
-    """What a measurement means.
+class Seen(NamedTuple):
+    """What measurements mean, led ahead; where that is out of reach, speeds are those of the pose itself.
 
     Attributes:
-        speed: (6,) [rad/s] of the cranks.
-        weight: (6,) [N m] that carry the robot there; None too near to a singularity.
-        side: Sign of the rods' determinant.
-        trip: What the pose breaks.
+        legs: Leg vectors, see `kinematics_core.Legs`.
+        reached: (...) whether the pose led ahead is within reach.
+        from_home: (2, ...) [rad, m] angle of the rotation and distance from the home pose.
+        transmission: (..., 6) [-] sizes; 0 where a rod does not span.
+        conditioning: (...) [-]; negative where the rods' determinant has changed its sign, infinite out of reach.
+        side: (...) sign of the rods' determinant.
+        speed: (..., 6) [rad/s] of the cranks; 0 where the pose itself is out of reach.
+        from_reference: (2, ...) [rad, m] likewise, of the pose itself.
     """
 
+    legs: core.Legs
+    reached: np.ndarray
+    from_home: np.ndarray
+    transmission: np.ndarray
+    conditioning: np.ndarray
+    side: np.ndarray
     speed: np.ndarray
-    weight: np.ndarray | None
-    side: float
-    trip: Trip | None
+    from_reference: np.ndarray
 
 
-def look(robot: RobotParameters, options: SafetyOptions, gravity: float, inputs: SafetyInputs, side: float) -> View:
-    """Speeds, weight and broken limits at a finite measurement.
+def see(
+    robot: RobotParameters, horizon: float, pose: np.ndarray, rate: np.ndarray, reference: np.ndarray, side: float = 0.0
+) -> Seen:
+    """What finite measurements mean.
 
     Args:
         robot: As believed.
-        options: Limits.
-        gravity: [m/s^2].
-        inputs: See `SafetyInputs`.
+        horizon: [s] by which poses are led ahead.
+        pose: (..., 6) [rad, m].
+        rate: (..., 6) [rad/s, m/s].
+        reference: (..., 6) [rad, m].
         side: Sign of the rods' determinant at the start; 0 if that is now.
     """
-    pose, rate = inputs.pose, inputs.pose_rate
-    ahead = pose + options.horizon * rate
-    still = np.zeros(6)
-    turn = float(rotation_angle(rotation_matrix(ahead[:3])))
-    outside = turn, float(np.linalg.norm(ahead[3:] - robot.home_pose[3:]))
-    far = options.workspace is not None and _beyond(outside, options.workspace)
-    beyond = Trip(MONITORS.index("workspace"), RAMP) if far else None
-    try:
-        legs = leg_geometry(robot, ahead)
-    except UnreachablePoseError as error:
-        # A crank carried across its dead centre: reach ends there.
-        trip = beyond or _too_fast(robot, options, pose, rate)
-        if trip is None and options.transmission is not None:
-            trip = Trip(MONITORS.index("serial_singularity"), RAMP, -1 if error.leg is None else error.leg)
-        return View(still, None, side, trip)
-    transmission = np.abs(legs.transmission)
-    lines = rod_lines(legs)
-    conditioning, now = float(line_conditioning(robot, legs)), float(np.sign(np.linalg.det(lines)))
-    smallest = max(float(transmission.min()), 1e-9)
-    speed = lines @ pose_rate_to_twist(pose, rate) / (robot.crank_lengths * np.maximum(transmission, 1e-9))
-    speed *= np.where(legs.transmission < 0.0, -1.0, 1.0)
-    usable = smallest > USABLE_TRANSMISSION and conditioning > USABLE_CONDITIONING
-    weight = static_torque_of_legs(robot, legs, gravity) if usable else None
-    trip = beyond
-    if trip is None and options.crank_speed is not None and not np.abs(speed).max() <= options.crank_speed:
-        trip = Trip(MONITORS.index("crank_speed"), RAMP, int(np.abs(speed).argmax()))
-    if trip is None and options.transmission is not None and not smallest >= options.transmission:
-        trip = Trip(MONITORS.index("serial_singularity"), RAMP, int(transmission.argmin()))
-    across = side != 0.0 and now != side
-    if trip is None and options.conditioning is not None and (not conditioning >= options.conditioning or across):
-        trip = Trip(MONITORS.index("parallel_singularity"), RAMP)
-    if trip is None and options.following_error is not None:
-        off = rotation_matrix(pose[:3]) @ rotation_matrix(inputs.reference[:3]).T
-        away = float(rotation_angle(off)), float(np.linalg.norm(pose[3:] - inputs.reference[3:]))
-        if _beyond(away, options.following_error):
-            trip = Trip(MONITORS.index("following_error"), RAMP)
-    return View(speed, weight, now, trip)
-
-
-def _too_fast(robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, rate: np.ndarray) -> Trip | None:
-    """Whether the cranks turn too fast at a pose of which only what lies ahead of it is out of reach."""
-    if options.crank_speed is None:
-        return None
-    try:
-        legs = leg_geometry(robot, pose)
-    except UnreachablePoseError:
-        return None
-    speed = np.abs(crank_rates(robot, legs, pose, rate))
-    return (
-        None if speed.max() <= options.crank_speed else Trip(MONITORS.index("crank_speed"), RAMP, int(speed.argmax()))
+    ahead, own = pose + horizon * rate, arrays_of(robot, pose)
+    reach = last(np, core.reach_margin(own, ahead), 1)
+    reached = (reach >= 0.0).all(axis=-1)
+    here = (core.reach_margin(own, pose) >= 0.0).all(axis=0)
+    # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
+    legs = core.legs_at(own, np.where(reached[..., None], ahead, np.where(here[..., None], pose, robot.home_pose)))
+    lines, signed = last(np, core.rod_lines(legs), 2), last(np, legs.transmission, 1)
+    sigma = np.linalg.svd(lines / np.repeat([robot.characteristic_length, 1.0], 3), compute_uv=False)
+    now = np.sign(np.linalg.det(lines))
+    crossed = np.where((side != 0.0) & (now != side), -1.0, 1.0)
+    along = (lines @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
+    speed = along / (robot.crank_lengths * np.maximum(np.abs(signed), _SMALLEST))
+    return Seen(
+        legs,
+        reached,
+        _apart(rotation_matrix(ahead[..., :3]), ahead[..., 3:] - robot.home_pose[3:]),
+        np.where(reach >= 0.0, np.abs(signed), 0.0),
+        np.where(reached, crossed * sigma[..., -1] / sigma[..., 0], np.inf),
+        np.where(reached, now, side),
+        np.where((reached | here)[..., None], speed * np.where(signed < 0.0, -1.0, 1.0), 0.0),
+        _apart(
+            rotation_matrix(pose[..., :3]) @ np.swapaxes(rotation_matrix(reference[..., :3]), -1, -2),
+            pose[..., 3:] - reference[..., 3:],
+        ),
     )
 
 
-def _beyond(values: tuple[float, float], limits: tuple[float, float]) -> bool:
-    """Whether one of two values is above its limit, or not a number."""
-    return not (values[0] <= limits[0] and values[1] <= limits[1])
+def _apart(rotation: np.ndarray, way: np.ndarray) -> np.ndarray:
+    return np.stack([rotation_angle(rotation), np.linalg.norm(way, axis=-1)])
+
+
+class Monitor(NamedTuple):
+    """A monitor, of what is measured or of messages; neither for what `tick` sees as it cuts commands.
+
+    Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
+    command is held.
+
+    Attributes:
+        key: Of `safety`, the value of the limit; null there switches it off.
+        margin: (...) or (..., 6) for each leg, of the value of `key` and of `Seen`; negative where the limit is broken.
+        rank: Lower ones are asked first: what they see explains the others.
+        trips: Leg or -1, and cause, see `Trip`, of the options, `SafetyInputs` and the torque limit [N m]; None where
+            nothing is wrong.
+    """
+
+    key: str = ""
+    margin: Callable[[Any, Seen], np.ndarray] | None = None
+    rank: int = 1
+    trips: Callable[[SafetyOptions, SafetyInputs, float], tuple[int, int] | None] | None = None
+
+
+def _nearer(limit: tuple[float, float], apart: np.ndarray) -> np.ndarray:
+    return np.minimum(limit[0] - apart[0], limit[1] - apart[1])
+
+
+WORKSPACE = Monitor("workspace", lambda limit, seen: _nearer(limit, seen.from_home), rank=0)
+CRANK_SPEED = Monitor("crank_speed", lambda limit, seen: limit - np.abs(seen.speed), rank=0)
+SERIAL = Monitor("transmission", lambda limit, seen: seen.transmission - limit)
+PARALLEL = Monitor("conditioning", lambda limit, seen: seen.conditioning - limit)
+FOLLOWING = Monitor("following_error", lambda limit, seen: _nearer(limit, seen.from_reference))
+
+
+def limits(options: SafetyOptions, seen: Seen) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Name, key and margin of each limit that is on, in the order in which they are asked."""
+    named = sorted(((name, BUILT_IN_MONITORS[name]) for name in BUILT_IN_MONITORS.names), key=lambda each: each[1].rank)
+    for name, monitor in named:
+        value = getattr(options, monitor.key) if monitor.margin is not None else None
+        if value is not None:
+            yield name, monitor.key, monitor.margin(value, seen)
+
+
+def broken(options: SafetyOptions, seen: Seen) -> Trip | None:
+    """The first limit that one measurement breaks."""
+    for name, _, margin in limits(options, seen):
+        if not margin.min() >= 0.0:
+            return Trip(MONITORS.index(name), RAMP, int(margin.argmin()) if margin.ndim else -1)
+    return None
 
 
 def measured(options: SafetyOptions, inputs: SafetyInputs) -> bool:
@@ -123,21 +154,46 @@ def failed(options: SafetyOptions, health: tuple[float, float]) -> bool:
     return health[0] == failure_code("frozen") or (options.failures and health[0] != 0.0)
 
 
+def _failure(options: SafetyOptions, health: tuple[float, float]) -> tuple[int, int] | None:
+    cause, leg = (int(x) if np.isfinite(x) else -1 for x in health)
+    return (leg, cause) if failed(options, health) else None
+
+
+def _unmeasured(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+    return (-1, 0) if options.finite and not measured(options, inputs) else None
+
+
+def _no_number(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+    finite = np.isfinite(inputs.command)
+    return (int(finite.argmin()), 0) if options.finite and not finite.all() else None
+
+
+def _absurd(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+    size = np.abs(inputs.command)
+    return (int(size.argmax()), 0) if size.max() > _ABSURD * limit else None
+
+
+def _late(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+    return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
+
+
+MEASUREMENT = Monitor(trips=_unmeasured)
+SENSOR = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.sensor))
+CONTROLLER = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.controller))
+COMMAND = Monitor(trips=_no_number)
+DEADLINE = Monitor(trips=_late)
+TORQUE_LIMIT = Monitor(trips=_absurd)
+"""What is at the limit for too long `tick` sees, which cuts it."""
+TORQUE_RATE = Monitor()
+
+
 def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> Trip | None:
     """What is wrong with this tick's messages, apart from what they say."""
-    if options.finite and not measured(options, inputs):
-        return Trip(MONITORS.index("measurement_not_finite"), HOLD)
-    for name, health in (("sensor_failed", inputs.sensor), ("controller_failed", inputs.controller)):
-        if failed(options, health):
-            cause, leg = (float(x) if np.isfinite(x) else -1.0 for x in health)
-            return Trip(MONITORS.index(name), HOLD, int(leg), int(cause))
-    finite = np.isfinite(inputs.command)
-    if options.finite and not finite.all():
-        return Trip(MONITORS.index("command_not_finite"), HOLD, int(finite.argmin()))
-    if options.deadline is not None and not inputs.age <= options.deadline:
-        return Trip(MONITORS.index("deadline"), HOLD)
-    if np.abs(inputs.command).max() > _ABSURD * limit:
-        return Trip(MONITORS.index("torque_limit"), HOLD, int(np.abs(inputs.command).argmax()))
+    for name in BUILT_IN_MONITORS.names:
+        monitor = BUILT_IN_MONITORS[name]
+        found = None if monitor.trips is None else monitor.trips(options, inputs, limit)
+        if found is not None:
+            return Trip(MONITORS.index(name), HOLD, *found)
     return None
 
 

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import MONITORS as MONITORS_OF_USERS
+from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.memory import MONITORS
 from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 
@@ -18,7 +19,8 @@ class SafetyOptions(Section, key="safety"):
     """Limits and reactions of the safety layer; a limit that is null is off.
 
     The defaults are assumptions of this project: wide enough for every motion that keeps to `limits`, and inside of
-    what the controllers themselves bear.
+    what the controllers themselves bear. Lengths and torques are for the paper's robot: another has them in proportion
+    to its characteristic length and effort limit.
     """
 
     finite: Flag = True
@@ -30,19 +32,19 @@ class SafetyOptions(Section, key="safety"):
     frozen_encoder: Positive | None = 0.04
     """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
     bit."""
-    frozen_pose: PositivePair | None = (0.01, 0.001)
+    frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
     torque_limit_time: NotNegative = 0.1
     """[s] for which a command may be at the limit or beyond, in sum; good ticks take away from the sum."""
-    torque_rate: Positive | None = 4000.0
+    torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
     """[N m/s] by which a motor's torque may change. In a tick whose command jumps further the last good one stands;
     what comes next is led after at that rate."""
     torque_rate_time: NotNegative = 0.01
     """[s] for which commands may jump further, in sum; good ticks take away from the sum."""
-    workspace: PositivePair | None = (1.2, 0.12)
+    workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] farthest from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = 0.1
     """[-] smallest |e_l . e_N|: nearer to its dead centre a crank may not come (serial singularity)."""
@@ -52,7 +54,7 @@ class SafetyOptions(Section, key="safety"):
     """[s] by which the pose is led ahead of the measurement, at its rate, for the three limits above."""
     crank_speed: Positive | None = 15.0
     """[rad/s] largest |theta'|."""
-    following_error: PositivePair | None = (0.1, 0.02)
+    following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
     """[rad, m] largest distance to the reference: angle of the rotation, and distance of P."""
     hold_ticks: Annotated[Natural, Field(le=20)] = 20
     """Ticks for which the last good command is repeated at most, up to 20."""
@@ -64,7 +66,7 @@ class SafetyOptions(Section, key="safety"):
     """[N m s/rad] of each crank while ramping and in the safe hold; null takes 0.7 of `largest_damping`."""
     safe_hold_time: Positive = 0.5
     """[s] after which a safe hold ends the run."""
-    monitors: tuple[Annotated[Any, MONITORS_OF_USERS], ...] = ()
+    monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Further monitors, each a class of the user's own by its import path, see `UserMonitor`."""
     runaway: Annotated[Real, Field(ge=1.0)] = 2.0
     """[-] times `crank_speed` (times 15 rad/s where that is off) at which a robot that is ramping or held is given up:

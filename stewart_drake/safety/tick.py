@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from stewart_drake.compiled.constants import SAFETY_NUMBERS, filled
 from stewart_drake.errors import SafetyStop
+from stewart_drake.mechanics import dynamics_core
+from stewart_drake.mechanics.arrays import arrays_of
+from stewart_drake.registry import BUILT_IN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.memory import (
     END,
@@ -22,20 +26,98 @@ from stewart_drake.safety.memory import (
     Trip,
     first_trip,
 )
-from stewart_drake.safety.monitors import (
-    USABLE_CONDITIONING,
-    USABLE_TRANSMISSION,
-    View,
-    failed,
-    further,
-    look,
-    measured,
-    unusable,
-)
+from stewart_drake.safety.monitors import Seen, broken, failed, further, measured, see, unusable
 from stewart_drake.safety.safety_options import SafetyOptions
 
 _REFILL = 0.05
 """Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
+USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
+"""Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
+COMPILED = 12
+"""Monitors, the first of the registry, that the compiled tick knows; with others the reference runs alone."""
+
+
+class _Layer(NamedTuple):
+    """What stays the same from tick to tick: robot as believed, options, gravity [m/s^2], period [s]."""
+
+    robot: RobotParameters
+    options: SafetyOptions
+    gravity: float
+    period: float
+
+    def limit(self, otherwise: float) -> float:
+        """[N m] of a motor."""
+        limit = self.options.torque_limit
+        return otherwise if limit is None else limit * self.robot.effort_limit
+
+    def led(self, torque: np.ndarray, memory: SafetyMemory) -> np.ndarray:
+        """Torques (6,) [N m] towards those wanted; to the last bit those, where nothing limits the change."""
+        ahead, bound = torque - memory.torque, self.largest_change(memory)
+        return np.where(np.abs(ahead) > bound, memory.torque + np.clip(ahead, -bound, bound), torque)
+
+    def largest_change(self, memory: SafetyMemory) -> float:
+        """[N m] from one tick to the next; the first command has nothing before it."""
+        rate = self.options.torque_rate
+        return math.inf if rate is None or memory.ticks <= 1.0 else rate * self.period
+
+    def weight(self, seen: Seen) -> np.ndarray | None:
+        """Torques (6,) [N m] that carry the robot where it is seen; None out of reach or too near to a singularity."""
+        far = seen.transmission.min() > USABLE_TRANSMISSION and np.abs(seen.conditioning) > USABLE_CONDITIONING
+        if not (seen.reached and far):
+            return None
+        own = arrays_of(self.robot, seen.speed)
+        return np.asarray(dynamics_core.static_torque(own, seen.legs, self.gravity, masked=False))
+
+    def react(self, seen: Seen | None, memory: SafetyMemory, trip: Trip) -> SafetyMemory:
+        """Holds where that may still be done, else begins to ramp."""
+        first, held = memory.first, memory.held + 1.0
+        level = HOLD if trip.level == HOLD and held <= self.options.budget(self.period) else RAMP
+        if first[0] == 0.0:
+            first = np.array([trip.monitor, level, trip.leg, memory.ticks - 1.0, trip.cause], dtype=float)
+        memory = memory._replace(
+            level=float(level),
+            monitor=float(trip.monitor),
+            leg=float(trip.leg),
+            held=held,
+            first=first,
+            worst=max(memory.worst, float(level)),
+        )
+        return memory._replace(torque=self.led(memory.good, memory)) if level == HOLD else self.stopping(seen, memory)
+
+    def stopping(self, seen: Seen | None, memory: SafetyMemory) -> SafetyMemory:
+        """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
+        options, period = self.options, self.period
+        memory = memory._replace(since=memory.since + 1.0)
+        if seen is None and memory.held >= options.budget(period):
+            # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
+            raise self.stop(memory, "stopped: no measurement to hold the robot by", held=False)
+        speed = seen.speed if seen is not None and seen.reached else np.zeros(6)
+        fastest = options.runaway * (15.0 if options.crank_speed is None else options.crank_speed)
+        if np.abs(speed).max() > fastest:
+            text = f"stopping, but a crank turns at {np.abs(speed).max():.3g} rad/s"
+            raise self.stop(memory, text, held=False)
+        if memory.since * period > options.ramp_time + options.safe_hold_time + 1e-9:
+            raise self.stop(memory, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
+        share = min(1.0, memory.since * period / options.ramp_time)
+        level = SAFE_HOLD if share >= 1.0 else RAMP
+        largest = options.largest_damping(self.robot, period)
+        damping = 0.7 * largest if options.damping is None else options.damping
+        torque = (1.0 - share) * memory.good + share * memory.weight - damping * speed
+        limit = self.limit(self.robot.effort_limit)
+        return memory._replace(
+            torque=self.led(np.clip(torque, -limit, limit), memory),
+            level=float(level),
+            held=memory.held + 1.0 if seen is None else 0.0,
+            worst=max(memory.worst, float(level)),
+        )
+
+    def stop(self, memory: SafetyMemory, what: str, held: bool) -> SafetyStop:
+        """The end of the run."""
+        names = self.options.monitor_names
+        name = names[int(memory.monitor)]
+        last = memory if held else memory._replace(level=float(END), worst=float(END))
+        leg = int(memory.leg) if memory.leg >= 0.0 else None
+        return SafetyStop(name, f"{name}: {what}", leg, first_trip(last, self.period, names))
 
 
 def safety_tick(
@@ -59,35 +141,35 @@ def safety_tick(
     Raises:
         SafetyStop: The run is over; its reason is the monitor that tripped.
     """
+    layer, seen = _Layer(robot, options, gravity, period), None
+    memory = memory._replace(ticks=memory.ticks + 1.0)
     # A finite blow-up may overflow on the way; what is not a number then trips a monitor.
     with np.errstate(all="ignore"):
-        seen = measured(options, inputs) and not failed(options, inputs.sensor)
-        view = look(robot, options, gravity, inputs, memory.side) if seen else None
-    memory = memory._replace(ticks=memory.ticks + 1.0)
-    if view is not None:
-        memory = memory._replace(
-            side=memory.side or view.side, weight=memory.weight if view.weight is None else view.weight
-        )
+        if measured(options, inputs) and not failed(options, inputs.sensor):
+            seen = see(robot, options.horizon, inputs.pose, inputs.pose_rate, inputs.reference, memory.side)
+            weight = layer.weight(seen)
+            memory = memory._replace(
+                side=memory.side or float(seen.side), weight=memory.weight if weight is None else weight
+            )
     if memory.level >= RAMP:
-        return _stopping(robot, options, period, view, memory)
-    limit = math.inf if options.torque_limit is None else options.torque_limit * robot.effort_limit
-    trip = view.trip if view is not None else None
+        return layer.stopping(seen, memory)
+    limit = layer.limit(math.inf)
+    trip = None if seen is None else broken(options, seen)
     trip = trip or unusable(options, inputs, limit)
-    if trip is None and seen:
+    if trip is None and seen is not None:
         trip = further(options, inputs)
     if trip is not None:
-        return _react(robot, options, period, view, memory, trip)
+        return layer.react(seen, memory, trip)
 
     command = inputs.command
     torque = np.clip(command, -limit, limit)
     full = np.abs(command) >= limit * (1.0 - 1e-9)
     change = command - memory.command
-    bound = _largest_change(options, period, memory)
-    steep = np.abs(change) > bound * (1.0 + 1e-9)
+    steep = np.abs(change) > layer.largest_change(memory) * (1.0 + 1e-9)
     if steep.any():
         # Led after it, a command that chatters would leave a mean torque that nobody asked for.
         torque = memory.good
-    led = _led(torque, memory, bound)
+    led = layer.led(torque, memory)
     memory = memory._replace(
         command=command,
         at_limit=max(0.0, memory.at_limit + (1.0 if full.any() else -1.0)),
@@ -98,22 +180,11 @@ def safety_tick(
     elif memory.too_fast * period > options.torque_rate_time + 1e-9:
         trip = Trip(MONITORS.index("torque_rate"), RAMP, int(np.abs(change).argmax()))
     if trip is not None:
-        return _react(robot, options, period, view, memory, trip)
+        return layer.react(seen, memory, trip)
     good = memory.good if full.any() or steep.any() or np.any(led != torque) else torque
     return memory._replace(
         torque=led, good=good, level=0.0, monitor=0.0, leg=-1.0, held=max(0.0, memory.held - _REFILL)
     )
-
-
-def _largest_change(options: SafetyOptions, period: float, memory: SafetyMemory) -> float:
-    """[N m] from one tick to the next; the first command has nothing before it."""
-    return math.inf if options.torque_rate is None or memory.ticks <= 1.0 else options.torque_rate * period
-
-
-def _led(torque: np.ndarray, memory: SafetyMemory, bound: float) -> np.ndarray:
-    """Torques (6,) [N m] towards those wanted; to the last bit those, where nothing limits the change."""
-    ahead = torque - memory.torque
-    return np.where(np.abs(ahead) > bound, memory.torque + np.clip(ahead, -bound, bound), torque)
 
 
 FlatTick = Callable[[SafetyInputs, np.ndarray], np.ndarray]
@@ -128,7 +199,7 @@ def flat_tick(
         before = SafetyMemory.from_flat(memory)
         return safety_tick(robot, options, gravity, period, inputs, before).flat()
 
-    if not compiled or options.monitors:
+    if not compiled or options.monitors or len(BUILT_IN_MONITORS.names) > COMPILED:
         return reference
     # numba takes half a second to import, and compiles on first use.
     from stewart_drake.compiled.mechanism import pack
@@ -168,67 +239,3 @@ def flat_tick(
         return reference(inputs, memory)
 
     return tick
-
-
-def _react(
-    robot: RobotParameters,
-    options: SafetyOptions,
-    period: float,
-    view: View | None,
-    memory: SafetyMemory,
-    trip: Trip,
-) -> SafetyMemory:
-    """Holds where that may still be done, else begins to ramp."""
-    first = memory.first
-    held = memory.held + 1.0
-    level = HOLD if trip.level == HOLD and held <= options.budget(period) else RAMP
-    if first[0] == 0.0:
-        first = np.array([trip.monitor, level, trip.leg, memory.ticks - 1.0, trip.cause], dtype=float)
-    memory = memory._replace(
-        level=float(level),
-        monitor=float(trip.monitor),
-        leg=float(trip.leg),
-        held=held,
-        first=first,
-        worst=max(memory.worst, float(level)),
-    )
-    if level == HOLD:
-        return memory._replace(torque=_led(memory.good, memory, _largest_change(options, period, memory)))
-    return _stopping(robot, options, period, view, memory)
-
-
-def _stopping(
-    robot: RobotParameters, options: SafetyOptions, period: float, view: View | None, memory: SafetyMemory
-) -> SafetyMemory:
-    """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on."""
-    memory = memory._replace(since=memory.since + 1.0)
-    if view is None and memory.held >= options.budget(period):
-        # Nobody can hold this robot without seeing it: an open loop falls over within half a second.
-        raise _stop(options, memory, period, "stopped: no measurement to hold the robot by", held=False)
-    speed = np.zeros(6) if view is None else view.speed
-    fastest = options.runaway * (15.0 if options.crank_speed is None else options.crank_speed)
-    if np.abs(speed).max() > fastest:
-        raise _stop(
-            options, memory, period, f"stopping, but a crank turns at {np.abs(speed).max():.3g} rad/s", held=False
-        )
-    if memory.since * period > options.ramp_time + options.safe_hold_time + 1e-9:
-        raise _stop(options, memory, period, f"stopped, and held for {options.safe_hold_time:g} s", held=True)
-    share = min(1.0, memory.since * period / options.ramp_time)
-    level = SAFE_HOLD if share >= 1.0 else RAMP
-    damping = 0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping
-    torque = (1.0 - share) * memory.good + share * memory.weight - damping * speed
-    limit = robot.effort_limit * (1.0 if options.torque_limit is None else options.torque_limit)
-    return memory._replace(
-        torque=_led(np.clip(torque, -limit, limit), memory, _largest_change(options, period, memory)),
-        level=float(level),
-        held=memory.held + 1.0 if view is None else 0.0,
-        worst=max(memory.worst, float(level)),
-    )
-
-
-def _stop(options: SafetyOptions, memory: SafetyMemory, period: float, what: str, held: bool) -> SafetyStop:
-    name = options.monitor_names[int(memory.monitor)]
-    trip = first_trip(
-        memory if held else memory._replace(level=float(END), worst=float(END)), period, options.monitor_names
-    )
-    return SafetyStop(name, f"{name}: {what}", int(memory.leg) if memory.leg >= 0.0 else None, trip)

@@ -1,20 +1,25 @@
-"""The neural tuner as a LeafSystem."""
+"""The tuners as systems: the neural one, and weights that stay."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
+from pydrake.systems.primitives import ConstantVectorSource
 
+from stewart_drake.control import tuners
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.sampling import on_grid
 from stewart_drake.section import Real, check_value
 
 
-class AnnTuner(LeafSystem):
-    """omega_Q and omega_R from the densities, Fig. 5.
+class NetworkTuner(LeafSystem):
+    """omega_Q and omega_R from the densities, Fig. 5; public as `systems.AnnTuner`.
+
+    `stewart_drake.AnnTuner` is the section of a scenario that asks for it.
 
     The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs the
     weights. Until the first inference they are `initial`; they are never zero and never outside the range that the
@@ -59,3 +64,19 @@ class AnnTuner(LeafSystem):
             error.time = context.get_time()
             raise error
         discrete_state.set_value(weights)
+
+
+AnnTuner = NetworkTuner
+"""The public name."""
+
+
+def add_network_tuner(wiring: Any, options: tuners.AnnTuner, density: OutputPort) -> OutputPort:
+    """Adds the network to a closed loop; its weights (2,)."""
+    tuner = NetworkTuner(options.network(), wiring.period, options.weights, wiring.scenario.compiled)
+    return wiring.add("tuner", tuner, density=density).weights
+
+
+def add_fixed_weights(wiring: Any, options: tuners.Tuner, density: OutputPort) -> OutputPort:  # noqa: ARG001 - they stay
+    """Adds weights that stay to a closed loop, (2,) or (4,)."""
+    port: OutputPort = wiring.add("tuner", ConstantVectorSource(options.weights)).get_output_port()
+    return port

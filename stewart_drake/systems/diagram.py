@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import (
-    ConstantVectorSource,
     Demultiplexer,
     LogVectorOutput,
     VectorLogSink,
@@ -20,10 +19,9 @@ from pydrake.systems.primitives import (
 from stewart_drake.errors import UnreachablePoseError, drake_guard
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
-from stewart_drake.registry import CONTROLLERS, SENSORS
+from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
-from stewart_drake.systems.ann_tuner import AnnTuner
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
@@ -212,16 +210,11 @@ class _Wiring:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
         if not self.controller.HasInputPort("weights"):
             return
-        section, compiled = self.scenario.tuner, self.scenario.compiled
-        network = self.scenario.load_tuner_network()
-        features = DensityFeatures(section.window, self.period, section.density, compiled)
+        tuner = self.scenario.tuner
+        features = DensityFeatures(tuner.window, self.period, tuner.density, self.scenario.compiled)
         self.add("density", features, error=self.signals["error"], torque=self.signals["torque"])
         (density,) = self.parts("densities", features, 12)
-        if network is None:
-            weights = self.add("tuner", ConstantVectorSource(section.weights)).get_output_port()
-        else:
-            tuner = AnnTuner(network, self.period, section.weights, compiled)
-            weights = self.add("tuner", tuner, density=density).weights
+        weights = TUNERS.system(tuner.kind)(self, tuner, density)
         self.builder.Connect(weights, self.controller.GetInputPort("weights"))
         self.signals |= {"weights": weights, "density": density}
 

@@ -1,11 +1,11 @@
 """Steps a second of Drake's plant and of MuJoCo: the same mechanism, motion and step, in one run: `make bench`."""
 
 import pytest
-from mujoco_model import MujocoRobot
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import RobotParameters, build_plant
+from stewart_drake import PlantOptions, RobotParameters, build_plant
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mujoco_model import MujocoRobot
 
 ROBOT = RobotParameters()
 STEP, STEPS = 0.001, 150
@@ -51,7 +51,10 @@ def test_drake(record):
 
 @pytest.mark.parametrize("integrator", ["Euler", "RK4"])
 def test_mujoco(record, integrator):
-    engine, (_, plant) = MujocoRobot(ROBOT, STANDARD_GRAVITY, STEP, integrator), build_plant(ROBOT)
+    engine, (_, plant) = (
+        MujocoRobot(ROBOT, STANDARD_GRAVITY, PlantOptions(time_step=STEP), integrator),
+        build_plant(ROBOT),
+    )
     start = plant.assemble(ROBOT.home_pose)
     record(f"mujoco {integrator}", lambda: engine.set_state(plant, start), lambda: engine.advance(TORQUE, STEPS))
     sunk = ROBOT.home_height - engine.platform[2]

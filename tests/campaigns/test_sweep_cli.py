@@ -2,8 +2,6 @@ import functools
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -11,9 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import alive
 
-from stewart_drake.campaigns.sweep_table import INCIDENTAL
-
-ROOT = Path(__file__).parent.parent.parent
 TINY = """
 scenario: paper_fig7
 runs: {runs}
@@ -22,18 +17,10 @@ distributions:
   initial_offset[0]: {{kind: uniform, low: -0.05, high: 0.05}}
   initial_offset[5]: {{kind: choice, values: [0.0, 0.0, 0.3]}}
 """
-MAIN = "from stewart_drake.cli.app import main; main()"
 
 
 def write(folder, name="tiny", runs=4, duration=0.05):
     (folder / f"{name}.yaml").write_text(TINY.format(runs=runs, duration=duration))
-
-
-def start(*args, cwd, **options):
-    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    pipe = subprocess.PIPE
-    command = [sys.executable, "-c", MAIN, "sweep", *map(str, args)]
-    return subprocess.Popen(command, cwd=cwd, env=env, stdout=pipe, stderr=pipe, text=True, **options)
 
 
 @pytest.fixture
@@ -43,9 +30,9 @@ def call(call):
 
 
 @pytest.mark.slow
-def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(tmp_path):
+def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(start, tmp_path):
     write(tmp_path)
-    process = start("tiny.yaml", "--workers", 2, cwd=tmp_path)
+    process = start("sweep", "tiny.yaml", "--workers", 2)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert {path.name for path in (tmp_path / "runs" / "tiny").iterdir()} == {
@@ -60,12 +47,12 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert 1 <= rejected <= 3
     lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
     assert lines["completed"] == str(4 - rejected)
-    assert lines["rejected: configuration"] == str(rejected)
+    assert lines["rejected, configuration"] == str(rejected)
     assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
     assert lines["table in"] == "runs/tiny/sweep.parquet"
     assert "4 / 4 runs" in err
     # Two more: the first four are not run again.
-    process = start("tiny.yaml", "--runs", 6, "--quiet", "--workers", 1, cwd=tmp_path)
+    process = start("sweep", "tiny.yaml", "--runs", 6, "--quiet", "--workers", 1)
     assert process.communicate(timeout=120) == ("", "")
     more = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
     assert more.num_rows == 6
@@ -74,9 +61,9 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path):
     write(tmp_path, runs=12, duration=0.3)
-    process = start("tiny.yaml", "--workers", 2, "--out", "out", cwd=tmp_path, start_new_session=True)
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out")
     rows = tmp_path / "out" / "rows.jsonl"
     deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline and (not rows.exists() or rows.read_bytes().count(b"\n") < 2):
@@ -92,56 +79,11 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     while time.monotonic() < deadline and alive(process.pid):  # a worker may be a moment behind its caller
         time.sleep(0.1)
     assert alive(process.pid) == []
-    process = start("tiny.yaml", "--workers", 2, "--out", "out", "--quiet", cwd=tmp_path)
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out", "--quiet")
     assert process.communicate(timeout=120) == ("", "")
     assert process.returncode == 0
     assert rows.read_bytes().splitlines()[: len(kept)] == kept
     assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))
-
-
-@pytest.mark.slow
-def test_on_a_dask_cluster_the_table_is_the_same(call, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    write(tmp_path)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        status, out, _ = call("tiny.yaml", "--scheduler", cluster.scheduler_address, "--out", "dask")
-    assert status == 0
-    assert "completed" in out
-    assert call("tiny.yaml", "--workers", 1, "--out", "local", "--quiet") == (0, "", "")
-    dask, local = (
-        pq.read_table(f"{name}/sweep.parquet").drop([column.name for column in INCIDENTAL])
-        for name in ("dask", "local")
-    )
-    assert dask.equals(local, check_metadata=True)
-
-
-BAD = [
-    ([], ["SWEEP"]),
-    (["initial_ofset"], ["sweep file", "'initial_ofset'", "initial_offset"]),
-    (["tiny.yaml", "--workers", 0], ["--workers", "0"]),
-    (["tiny.yaml", "--runs", 0], ["--runs", "0"]),
-    (["tiny.yaml", "--runs", 10**9], ["runs", "1000000000", "to 1000000"]),
-    (["tiny.yaml", "--out", "tiny.yaml"], ["--out", "this is a file"]),
-    (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1", "--workers", 2], ["--workers", "--scheduler"]),
-    (["tiny.yaml", "--scheduler", "tcp://127.0.0.1:1"], ["--scheduler", "tcp://127.0.0.1:1", "answers"]),
-    (["long.yaml"], ["sweep file long.yaml", "at most"]),
-]
-
-
-@pytest.mark.parametrize(("args", "words"), BAD, ids=[" ".join(map(str, args)) for args, _ in BAD])
-def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, tmp_path, monkeypatch, args, words):
-    from stewart_drake.campaigns import executors
-
-    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
-    write(tmp_path)
-    (tmp_path / "long.yaml").write_bytes(b"#" * 2_000_000)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    status, out, err = call(*args)
-    assert (status, out) == (2, ""), err
-    assert err.startswith("stewart-drake: ")
-    assert err.count("\n") == 1, err
-    assert [word for word in words if word not in err] == [], err
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.slow
@@ -154,12 +96,3 @@ def test_another_sweep_in_the_folder_is_refused_until_it_is_thrown_away(call, tm
     assert "--restart" in err.splitlines()[-1]
     assert call("tiny.yaml", "--out", "out", "--workers", 1, "--runs", 1, "--restart", "--quiet") == (0, "", "")
     assert pq.read_table("out/sweep.parquet").num_rows == 1
-
-
-@pytest.mark.slow
-def test_the_command_line_loads_none_of_it_before_it_is_needed():
-    code = "import sys, stewart_drake.cli.app; print([m for m in sys.modules if 'sweeps' in m or m == 'distributed'])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert done.stdout == "[]\n"

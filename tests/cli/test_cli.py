@@ -1,11 +1,8 @@
 import functools
 import json
-import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,15 +11,14 @@ import pytest
 from conftest import resealed
 
 from stewart_drake import scenario as scenario_module
+from stewart_drake.campaigns import executors
 from stewart_drake.cli.app import cli
 from stewart_drake.control.network import default_network_path
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import simulation
 from stewart_drake.scenario import load_scenario, scenario_schema
 
-ROOT = Path(__file__).parents[2]
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
 
 
@@ -34,21 +30,6 @@ outputs.ResultsFolder.finish = functools.partialmethod(outputs.ResultsFolder.fin
 main()
 """
 """Pictures take seconds; one test looks at them."""
-
-
-def start(*args, cwd, code="from stewart_drake.cli.app import main; main()", **options):
-    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    command = [sys.executable, "-c", code, *map(str, args)]
-    return subprocess.Popen(
-        command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
-    )
-
-
-def shell(*args, cwd, **options):
-    """The command as a process: status, stdout, stderr."""
-    process = start(*args, cwd=cwd, **options)
-    out, err = process.communicate(timeout=120)
-    return process.returncode, out, err
 
 
 @pytest.fixture
@@ -63,8 +44,8 @@ def without_pictures(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(tmp_path):
-    status, out, err = shell("run", "paper_fig7", *QUICK, cwd=tmp_path)
+def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(shell, tmp_path):
+    status, out, err = shell("run", "paper_fig7", *QUICK)
     assert status == 0, err
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
     folder = tmp_path / "runs" / "paper_fig7"
@@ -82,41 +63,27 @@ def test_a_run_from_the_shell_leaves_its_files_and_prints_its_table(tmp_path):
 
 @pytest.mark.usefixtures("without_pictures")
 def test_the_scenario_as_run_runs_again_the_same(call, tmp_path):
-    status, _, _ = call("run", "paper_fig7", *QUICK, "--out", "first", "--quiet")
-    assert status == 0
-    status, _, _ = call("run", "first/scenario.yaml", "--out", "second", "--quiet")
-    assert status == 0
+    assert call("run", "paper_fig7", *QUICK, "--out", "first", "--quiet") == (0, "", "")
+    assert call("run", "first/scenario.yaml", "--out", "second", "--quiet") == (0, "", "")
     first, second = load_log("first"), load_log(tmp_path / "second")
     assert (first["torque"] == second["torque"]).all()
     assert first.scenario == second.scenario
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_quiet_says_nothing(call):
-    assert call("run", "paper_fig7", *QUICK, "--quiet") == (0, "", "")
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_a_folder_with_brackets_is_printed_as_it_is(call):
-    status, out, _ = call("run", "paper_fig7", *QUICK, "--out", "deep/[a] b")
+def test_set_changes_what_runs_and_a_folder_with_brackets_is_printed_as_it_is(call):
+    sets = ("--set", "controller.solver=split", "--set", "name=mine")
+    status, out, _ = call("run", "paper_fig7", *QUICK, *sets, "--out", "deep/[a] b")
     assert status == 0
     assert "deep/[a] b" in out
-    assert Path("deep/[a] b/metrics.json").is_file()
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_set_changes_what_runs(call):
-    status, _, _ = call(
-        "run", "paper_fig7", *QUICK, "--set", "controller.solver=split", "--set", "name=mine", "--quiet"
-    )
-    assert status == 0
-    scenario = load_log("runs/mine").scenario
-    assert (scenario.controller.solver, scenario.tuner.kind, scenario.duration) == ("split", "fixed", 0.05)
+    scenario = load_log("deep/[a] b").scenario
+    assert (scenario.name, scenario.controller.solver, scenario.tuner.kind) == ("mine", "split", "fixed")
 
 
 def test_the_help_of_every_command_tells_its_arguments(call):
     status, out, _ = call("--help")
     assert status == 0
+    assert call() == call("--help")
     assert {"run", "collect", "train", "schema", "write-sdf"} <= set(cli.commands)
     for command in cli.commands:
         assert command in out
@@ -126,22 +93,10 @@ def test_the_help_of_every_command_tells_its_arguments(call):
     assert "Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed" in " ".join(call("run", "-h")[1].split())
 
 
-def test_the_bare_command_shows_its_help(call):
-    assert call() == call("--help")
-
-
 def test_the_version_is_one_line(call):
     status, out, err = call("--version")
     assert (status, err) == (0, "")
     assert re.fullmatch(r"stewart-drake (\d+\.\d+\.\d+\S*|not installed)\n", out)
-
-
-@pytest.mark.slow
-def test_the_package_runs_as_a_module(tmp_path):
-    code = "import runpy; runpy.run_module('stewart_drake', run_name='__main__')"
-    status, out, err = shell("--help", cwd=tmp_path, code=code)
-    assert (status, err) == (0, "")
-    assert "Usage: " in out
 
 
 def test_the_schema_command_writes_what_the_checkout_holds(call):
@@ -166,83 +121,70 @@ def test_the_sdf_command_writes_the_robot_of_the_scenario(call):
 
 # --- bad input ----------------------------------------------------------------------------------------------------
 
+# What a scenario refuses is in test_scenario.py, what a check before the run finds in runs/test_simulation.py.
 BAD = [
     # arguments, words that the line must have
-    (["rum"], ["rum", "Did you mean 'run'?"]),
-    (["run"], ["SCENARIO"]),
-    (["run", "a", "b"], ["b"]),
-    (["run", "paper_fig7", "--ot", "x"], ["--ot", "--out"]),
-    (["run", "paper_fig7", "--set"], ["--set"]),
-    (["run", "paper_fig8"], ["'paper_fig8'", "paper_fig7"]),
-    (["run", "folder"], ["'folder'", "an existing file"]),
-    (["run", "a" * 300], ["scenario file", "aaaa"]),
-    (["run", "empty.yaml"], ["empty.yaml", "an empty file"]),
-    (["run", "binary.yaml"], ["binary.yaml", "UTF-8"]),
-    (["run", "twice.yaml"], ["twice.yaml", "line 2", 'duplicate key "duration"']),
-    (["run", "typo.yaml"], ["plant.time_stp", "did you mean time_step?"]),
-    (["run", "paper_fig7", "--set", "duration"], ["--set", "'duration'", "key=value"]),
-    (["run", "paper_fig7", "--set", "duration.x=3"], ["duration", "10.0", "a section"]),
-    (["run", "paper_fig7", "--set", "duration=[1"], ["--set duration", "line 1"]),
-    (["run", "paper_fig7", "--set", "duration='10'"], ["duration", "'10'", "(without quotes)"]),
-    (["run", "paper_fig7", "--set", "plant.time_step=0.003"], ["controller.period", "0.005", "multiple", "0.003"]),
-    (["run", "paper_fig7", "--set", "reference.kind=sin"], ["reference.kind", "'sin'", "hold, sine, sine_bursts"]),
-    (["run", "paper_fig7", "--set", "reference.center=[0,0,0,0,0,0.6]"], ["reach", "t = 0.000 s", "leg 0", "0.98"]),
-    (["run", "paper_fig7", "--set", "reference.amplitude=[2,0,0,0,0,0]"], ["joint_swing", "t = 0.282 s", "leg 5"]),
-    (["run", "paper_fig7", "--set", "reference.angular_frequency=[1e200,0,0,0,0,0]"], ["reference", "finite"]),
-    (["run", "paper_fig7", "--set", "initial_offset=[0,0,0,0,0,0.3]"], ["initial_offset", "out of reach of leg 0"]),
-    (["run", "paper_fig7", "--set", "plant.platform_joint_damping=5"], ["plant.platform_joint_damping", "at most"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=none.json"], ["none.json", "No such file"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=folder"], ["folder", "a regular file"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=typo.yaml"], ["typo.yaml", "JSON"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=nan.json"], ["nan.json", "JSON"]),
-    (["run", "paper_fig7", "--set", "tuner.weights_file=short.json"], ["short.json", "hidden_weights", "(10, 12)"]),
-    (["run", "paper_fig7", "--set", "tuner.density=signed"], ["tuner.density", "'signed'", "magnitude"]),
-    (["run", "paper_fig7", "--out", "empty.yaml"], ["--out", "'empty.yaml'", "this is a file"]),
-    (["run", "paper_fig7", "--out", "empty.yaml/x"], ["--out", "'empty.yaml/x'", "this is a file"]),
-    (["run", "paper_fig7", "--out", ""], ["--out", "empty text"]),
-    (["run", "paper_fig7", "--out", "a" * 300], ["--out", "too long"]),
-    (["run", "scenario.yaml", "--out", "folder/.."], ["--out", "a folder of its own"]),
-    (["run", "paper_fig7", "--out", "."], ["--out", "a folder of its own"]),
-    (["run", "exact_fig7", "--set", "safety={horizon: 5}"], ["safety.horizon", "does not trip workspace"]),
-    (["run", "exact_fig7", "--set", "safety={horizon: 1e300}"], ["safety.horizon", "does not trip workspace"]),
-    (["run", "exact_fig7", "--set", "safety={}", "--set", f"initial_offset={[1e300] * 6}"], ["initial_offset"]),
+    ("rum", ["rum", "Did you mean 'run'?"]),
+    ("run", ["SCENARIO"]),
+    ("run a b", ["b"]),
+    ("run paper_fig7 --ot x", ["--ot", "--out"]),
+    ("run paper_fig8", ["'paper_fig8'", "paper_fig7"]),
+    ("run folder", ["'folder'", "an existing file"]),
+    ("run twice.yaml", ["twice.yaml", "line 2", 'duplicate key "duration"']),
+    ("run typo.yaml", ["plant.time_stp", "did you mean time_step?"]),
+    ("run paper_fig7 --set duration", ["--set", "'duration'", "key=value"]),
+    ("run paper_fig7 --set reference.center=[0,0,0,0,0,0.6]", ["reach", "t = 0.000 s", "leg 0", "0.98"]),
+    ("run paper_fig7 --set plant.platform_joint_damping=5", ["plant.platform_joint_damping", "at most"]),
+    ("run paper_fig7 --set tuner.weights_file=none.json", ["none.json", "No such file"]),
+    ("run paper_fig7 --set tuner.weights_file=folder", ["folder", "a regular file"]),
+    ("run paper_fig7 --set tuner.weights_file=nan.json", ["nan.json", "JSON"]),
+    ("run paper_fig7 --set tuner.weights_file=short.json", ["short.json", "hidden_weights", "(10, 12)"]),
+    ("run paper_fig7 --set tuner.density=signed", ["tuner.density", "'signed'", "magnitude"]),
+    ("run paper_fig7 --out empty.yaml/x", ["--out", "'empty.yaml/x'", "this is a file"]),
+    ("run paper_fig7 --out ''", ["--out", "empty text"]),
+    (f"run paper_fig7 --out {'a' * 300}", ["--out", "too long"]),
+    ("run scenario.yaml --out folder/..", ["--out", "a folder of its own"]),
+    ("run exact_fig7 --set 'safety={horizon: 1e300}'", ["safety.horizon", "does not trip workspace"]),
+    (f"run exact_fig7 --set 'safety={{}}' --set 'initial_offset={[1e300] * 6}'", ["initial_offset"]),
     (
-        [
-            "run",
-            "paper_fig7",
-            "--set",
-            "plant.time_step=1e-6",
-            "--set",
-            "controller.period=1e-6",
-            "--set",
-            "duration=200",
-        ],
+        "run paper_fig7 --set plant.time_step=1e-6 --set controller.period=1e-6 --set duration=200",
         ["log_period", "1e8 rows"],
     ),
-    (["collect", "--out", "a" * 300], ["--out", "too long"]),
-    (["collect", "--out", "folder"], ["--out", "directory"]),
-    (["train", "--out", "folder"], ["--out", "directory"]),
-    (["train", "data.parquet", "--out", ""], ["--out", "empty text"]),
-    (["schema", "--out", "no/schema.json"], ["no/schema.json", "writable folder"]),
-    (["schema", "--out", "folder"], ["folder", "is a directory"]),
-    (["write-sdf", "no/robot.sdf"], ["no/robot.sdf", "writable folder"]),
-    (["write-sdf", "x.sdf", "--set", "robot.rod_lenght=1"], ["robot.rod_lenght", "did you mean rod_length?"]),
-    (["train", "none.parquet"], ["none.parquet", "collect"]),
-    (["train", "empty.yaml"], ["empty.yaml", "a Parquet file"]),
-    (["train", "--epochs", "0"], ["--epochs", "0"]),
+    (f"collect --out {'a' * 300}", ["--out", "too long"]),
+    ("train --out folder", ["--out", "directory"]),
+    ("train data.parquet --out ''", ["--out", "empty text"]),
+    ("schema --out no/schema.json", ["no/schema.json", "writable folder"]),
+    ("write-sdf no/robot.sdf", ["no/robot.sdf", "writable folder"]),
+    ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
+    ("train none.parquet", ["none.parquet", "collect"]),
+    ("train --epochs 0", ["--epochs", "0"]),
+    ("check paper_fig7 --out fit.yaml", ["--out needs one of --scale and --retime"]),
+    ("check paper_fig7 --scale --retime --out fit.yaml", ["--out needs one of --scale and --retime"]),
+    ("compare none_of_this_name", ["controllers, tracking"]),
+    ("compare compare.yaml", ["weak, hold, nominal: controller.kpp"]),
+    ("sweep", ["SWEEP"]),
+    ("sweep initial_ofset", ["sweep file", "'initial_ofset'", "initial_offset"]),
+    ("sweep tiny.yaml --workers 0", ["--workers", "0"]),
+    ("sweep tiny.yaml --runs 1000000000", ["runs", "1000000000", "to 1000000"]),
+    ("sweep tiny.yaml --out tiny.yaml", ["--out", "this is a file"]),
+    ("sweep tiny.yaml --scheduler tcp://127.0.0.1:1 --workers 2", ["--workers", "--scheduler"]),
+    ("sweep tiny.yaml --scheduler tcp://127.0.0.1:1", ["--scheduler", "tcp://127.0.0.1:1", "answers"]),
 ]
 
 
 @pytest.fixture
-def bad_files(tmp_path):
+def bad_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
     (tmp_path / "folder").mkdir()
     weights = json.loads(default_network_path().read_text())
     contents = {
         "empty.yaml": b"",
         "scenario.yaml": b"duration: 0.1\n",
-        "binary.yaml": b"\x89PNG\xff\x00",
         "twice.yaml": b"duration: 1\nduration: 2\n",
         "typo.yaml": b"plant: {time_stp: 0.001}\n",
+        "tiny.yaml": b"{scenario: paper_fig7, runs: 4, distributions: {gravity: {kind: uniform, low: 9, high: 10}}}",
+        "compare.yaml": b"{scenario: paper_fig7, set: {controller: {kind: pid}}, "
+        b"controllers: {weak: {controller.kpp: 20.0}}, references: {hold: {reference: {kind: hold}}}}",
         "nan.json": json.dumps(weights | {"hidden_bias": [float("nan")] * 10}).encode(),
         "short.json": resealed(weights | {"hidden_weights": weights["hidden_weights"][:9]}),
     }
@@ -266,16 +208,15 @@ def contents(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("args", "words"), BAD, ids=[" ".join(args)[:60] for args, _ in BAD])
+@pytest.mark.parametrize(("args", "words"), BAD, ids=lambda v: v[:60] if isinstance(v, str) else "")
 def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_files, tmp_path, args, words):
-    assert_refused(*call(*args), words)
+    assert_refused(*call(*shlex.split(args)), words)
     assert contents(tmp_path) == bad_files
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("args", "words"), BAD[::12], ids=[" ".join(args)[:60] for args, _ in BAD[::12]])
-def test_bad_input_from_a_shell_too(bad_files, tmp_path, args, words):
-    assert_refused(*shell(*args, cwd=tmp_path), words)
+def test_bad_input_from_a_shell_too(shell, bad_files, tmp_path):
+    assert_refused(*shell("run", "typo.yaml"), ["plant.time_stp", "did you mean time_step?"])
     assert contents(tmp_path) == bad_files
 
 
@@ -286,35 +227,22 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_run(call, monkey
 
 
 @pytest.mark.slow
-def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(tmp_path):
-    for args in ([b"run", b"\xff"], [b"run", b"paper_fig7", b"--set", b"name=\xff"]):
-        command = [sys.executable, "-c", "from stewart_drake.cli.app import main; main()", *args]
-        env = os.environ | {"PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, check=False)
-        assert done.returncode == 2
-        assert done.stderr.count(b"\n") == 1
-        assert b"Traceback" not in done.stderr
+def test_a_command_line_that_is_not_utf_8_is_refused_in_one_line(shell, tmp_path):
+    status, _, err = shell(b"run", b"paper_fig7", b"--set", b"name=\xff")
+    assert (status, err.count("\n")) == (2, 1), err
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("args", [["schema"], ["run", "paper_fig7", "--set", "duration=0.02", "--out", "out"]])
-def test_output_that_cannot_be_written_is_no_traceback(tmp_path, args):
-    if not Path("/dev/full").exists():
-        pytest.skip("needs /dev/full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_is_no_traceback(start):
     with Path("/dev/full").open("w") as full:
-        process = subprocess.run(
-            [sys.executable, "-c", WITHOUT_PICTURES, *args],
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        args = ("run", "paper_fig7", "--set", "duration=0.02", "--out", "out")
+        process = start(*args, code=WITHOUT_PICTURES, stdout=full)
+        _, err = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert "Traceback" not in process.stderr
-    assert "standard output" in process.stderr
+    assert "Traceback" not in err
+    assert "standard output" in err
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -328,18 +256,14 @@ def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("args", [["--version"], ["schema"]])
-def test_a_standard_output_that_is_closed_is_no_traceback(tmp_path, args):
-    code = "from stewart_drake.cli.app import main; main()"
-    command = shlex.join([sys.executable, "-c", code, *args])
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(["sh", "-c", f"{command} >&-"], cwd=tmp_path, env=env, capture_output=True, check=False)
-    assert b"Traceback" not in done.stderr
+def test_a_standard_output_that_is_closed_is_no_traceback(shell):
+    code = "import os; os.close(1); from stewart_drake.cli.app import main; main()"
+    assert "Traceback" not in shell("schema", code=code)[2]
 
 
 @pytest.mark.slow
-def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
-    process = start("run", "paper_fig7", "--set", "duration=0.3", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
+def test_a_broken_standard_error_takes_nothing_from_standard_output(start):
+    process = start("run", "paper_fig7", "--set", "duration=0.3", "--out", "out", code=WITHOUT_PICTURES)
     process.stderr.close()
     with process.stdout as stream:
         out = stream.read()
@@ -348,9 +272,9 @@ def test_a_broken_standard_error_takes_nothing_from_standard_output(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_reader_that_leaves_early_changes_no_exit_status(tmp_path):
+def test_a_reader_that_leaves_early_changes_no_exit_status(start, tmp_path):
     args = ["run", "paper_fig7_uncompensated", "--set", "controller.feedforward=none", "--out", "out"]
-    process = start(*args, cwd=tmp_path, code=WITHOUT_PICTURES)
+    process = start(*args, code=WITHOUT_PICTURES)
     process.stdout.close()
     with process.stderr as stream:
         assert "Traceback" not in stream.read()
@@ -371,28 +295,19 @@ def test_a_run_without_figures_is_told_all_the_same(call):
 
 
 @pytest.mark.slow
-def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(tmp_path):
-    status, out, err = shell("run", "paper_fig7_uncompensated", "--out", "out", cwd=tmp_path, code=WITHOUT_PICTURES)
+def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(shell, tmp_path):
+    status, out, err = shell("run", "paper_fig7_uncompensated", "--out", "out", code=WITHOUT_PICTURES)
     assert status == 3
     log = load_log(tmp_path / "out")
     assert (log.status, log.reason) == ("failed", "crank_dead_centre")
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert (metrics["status"], metrics["reason"], metrics["leg"]) == ("failed", "crank_dead_centre", log.leg)
     assert metrics["rmse_deg"] is None
-    assert "failed: crank_dead_centre" in out
+    assert "failed, crank_dead_centre" in out
     last = err.splitlines()[-1]
     assert last.startswith(f"stewart-drake: failed, crank_dead_centre at t = {log.end_time:.3f} s: ")
     assert f"leg {log.leg}" in last
     assert "Traceback" not in err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_pictures")
-def test_a_quiet_run_that_breaks_still_says_why(call):
-    status, out, err = call("run", "paper_fig7_uncompensated", "--quiet")
-    assert (status, out) == (3, "")
-    assert err.count("\n") == 1
-    assert "crank_dead_centre" in err
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -407,7 +322,7 @@ def test_a_run_that_breaks_at_its_first_tick_is_reported_the_same_way(call):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
+def test_ctrl_c_keeps_the_log_and_ends_with_status_130(start, tmp_path, how):
     code = (
         "from stewart_drake.runs import terminal\n"
         "real = terminal.ProgressBar._advance\n"
@@ -417,7 +332,7 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
         "terminal.ProgressBar._advance = advance\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=100", "--out", "out")
-    process = start(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
+    process = start(*args, code=code + WITHOUT_PICTURES)
     deadline = time.monotonic() + 60
     while not (tmp_path / "ticking").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -436,7 +351,7 @@ def test_ctrl_c_keeps_the_log_and_ends_with_status_130(tmp_path, how):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs SIGHUP")
-def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
+def test_a_hangup_that_nohup_has_shut_out_changes_nothing(shell, tmp_path):
     code = (
         "import os, signal\n"
         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
@@ -445,7 +360,7 @@ def test_a_hangup_that_nohup_has_shut_out_changes_nothing(tmp_path):
         "terminal.ProgressBar._advance = lambda *args: (os.kill(os.getpid(), signal.SIGHUP), real(*args))\n"
     )
     args = ("run", "paper_fig7", "--set", "duration=0.1", "--out", "out")
-    status, _, err = shell(*args, cwd=tmp_path, code=code + WITHOUT_PICTURES)
+    status, _, err = shell(*args, code=code + WITHOUT_PICTURES)
     assert status == 0, err
     assert load_log(tmp_path / "out").status == "completed"
 
@@ -494,36 +409,33 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
 
 # --- what a start loads -------------------------------------------------------------------------------------------
 
-HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "array_api_compat.numpy")
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "distributed", "array_api_compat.numpy")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "args"),
     [
-        ("import stewart_drake", []),
         ("from stewart_drake.cli.app import main; main()", ["--help"]),
-        ("from stewart_drake.cli.app import main; main()", ["run", "--help"]),
         ("from stewart_drake.cli.app import main; main()", ["run", "paper_fig7", "--set", "durration=3"]),
         ("from stewart_drake import Scenario, inverse_kinematics, ControlLaw; Scenario().control_law()", []),
     ],
-    ids=["import", "help", "run help", "typing mistake", "pure parts"],
+    ids=["help", "typing mistake", "pure parts"],
 )
-def test_nothing_heavy_loads_before_it_is_needed(tmp_path, code, args):
+def test_nothing_heavy_loads_before_it_is_needed(shell, code, args):
     spy = f"import atexit, sys; atexit.register(lambda: print('LOADED', [m for m in {HEAVY} if m in sys.modules]))"
-    code = f"{spy}\n{code}"
-    _, out, _ = shell(*args, cwd=tmp_path, code=code)
+    _, out, _ = shell(*args, code=f"{spy}\n{code}")
     assert out.splitlines()[-1] == "LOADED []"
 
 
 @pytest.mark.slow
-def test_a_run_without_training_needs_no_torch(tmp_path):
+def test_a_run_without_training_needs_no_torch(shell):
     spy = (
         "import sys; sys.modules['torch'] = None\n"
         "from stewart_drake import Scenario, run\n"
         "print(run(Scenario(duration=0.01)).status)"
     )
-    status, out, err = shell(cwd=tmp_path, code=spy)
+    status, out, err = shell(code=spy)
     assert (status, out) == (0, "completed\n"), err
 
 
@@ -531,10 +443,8 @@ def test_a_run_without_training_needs_no_torch(tmp_path):
     ("error", "status", "words"),
     [
         (MemoryError(), 3, "out of memory"),
-        (ZeroDivisionError("mine"), 4, r"internal error: ZeroDivisionError: mine \(test_cli\.py, line"),
         (np.linalg.LinAlgError("Singular"), 4, r"internal error: LinAlgError: Singular \(test_cli\.py, line"),
         (OSError(13, "Permission denied"), 4, "internal error: PermissionError"),
-        (ImportError("no such name"), 4, "internal error: ImportError: no such name"),
         (SystemExit("Failure at plant.cc:1"), 4, "internal error: SystemExit: Failure at plant.cc:1"),
     ],
 )  # fmt: skip
@@ -551,13 +461,3 @@ def test_what_nobody_expected_is_one_line_and_on_request_a_traceback(call, monke
     assert re.match(f"stewart-drake: {words}", err.splitlines()[-1])
     assert ("Traceback" in err) is (shown and status == 4)
     assert shown or len(err.splitlines()) == 1
-
-
-def test_no_library_warns_of_a_blow_up_on_the_terminal(call, monkeypatch):
-    def noisy(*_):
-        np.float64(1e200) ** 2
-        np.mean([])
-        raise ConfigurationError("key", 1, "2")
-
-    monkeypatch.setattr(scenario_module, "load_scenario", noisy)
-    assert call("run", "paper_fig7") == (2, "", "stewart-drake: key: got 1; allowed: 2\n")

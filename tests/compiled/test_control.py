@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from robots import PAPER, ROBOTS, offsets, robots
+from robots import PAPER, offsets, robots
 from strategies import vectors
 
 from stewart_drake.compiled import control, mechanism
@@ -12,7 +12,7 @@ from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.lqi import initial_memory, lqi_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import acceleration_map
-from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
+from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin
 
@@ -153,29 +153,43 @@ def test_an_option_is_none_that_changes_nothing():
 # --- failures ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("where", ["pose", "rate", "reference", "reference rate", "reference acceleration", "all"])
-def test_numbers_that_are_not_finite(robot, bad, where):
-    home, broken = robot.home_pose, np.array([0.0, 0.0, bad, 0.0, 0.0, 0.0])
-    measurement = Measurement(
-        broken if where in ("pose", "all") else home, broken if where in ("rate", "all") else REST
-    )
-    setpoint = Setpoint(
-        broken if where in ("reference", "all") else home,
-        broken if where in ("reference rate", "all") else REST,
-        broken if where in ("reference acceleration", "all") else REST,
-    )
-    one, other = both(robot, EXACT, measurement, setpoint, BLOCKS)
-    assert_same_failure(one, other, NotFiniteError)
+AT_HOME = {"pose": PAPER.home_pose, "rate": REST, "reference": PAPER.home_pose, "reference rate": REST}
+AT_HOME |= {"acceleration": REST, "weights": BLOCKS, "z": REST}
 
 
-def test_a_torque_beyond_all_numbers():
-    memory = initial_memory()._replace(integral=np.full(6, 1e308))
-    setpoint = Setpoint(PAPER.home_pose, REST, REST)
-    one, other = both(PAPER, EXACT, Measurement(PAPER.home_pose, REST), setpoint, BLOCKS, memory)
+def at_home(**changes):
+    """What both make of a tick at home in which something is wrong."""
+    given_ = AT_HOME | changes
+    measurement = Measurement(given_["pose"], given_["rate"])
+    setpoint = Setpoint(given_["reference"], given_["reference rate"], given_["acceleration"])
+    memory = initial_memory()._replace(integral=given_["z"])
+    return both(PAPER, EXACT, measurement, setpoint, np.array(given_["weights"]), memory)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("where", "signal"),
+    [
+        *(("pose", "measured pose"), ("rate", "measured pose rate"), ("z", "torque")),
+        *((name, "reference") for name in ("reference", "reference rate", "acceleration")),
+    ],
+)
+def test_numbers_that_are_not_finite(where, signal, bad):
+    one, other = at_home(**{where: np.array([0.0, 0.0, bad, 0.0, 0.0, 0.0])})
     assert_same_failure(one, other, NotFiniteError)
-    assert other.signal == "torque"
+    assert signal in other.signal
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [[1.0, 0.0], [np.nan, 1.0], [1.0] * 3, [1e-300] * 3 + [1e300], [1e300] * 3 + [1e-300], [1e300, 1e-300, 1e300, 1.0]],
+)
+def test_weights_that_are_none_or_beyond_floating_point(weights):
+    one, other = at_home(weights=weights)
+    if isinstance(one, RunFailure):
+        assert_same_failure(one, other, RiccatiError)
+    else:
+        assert_same_memory(one, other)
 
 
 @settings(max_examples=80)
@@ -198,90 +212,13 @@ def test_poses_out_of_reach_and_singular_ones(robot, offset, at):
         assert not isinstance(other, RunFailure)
 
 
-def bisect(good, bad, passes):
-    for _ in range(60):
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if passes(middle) else (good, middle)
-    return good, bad
-
-
-def test_a_crank_at_its_dead_centre():
-    """Just inside the limit of transmission, just outside of it, and just out of reach, where it has been carried."""
-    up = np.array([0.15, -0.1, 0.1, 0.02, 0.01, 0.0])
-
-    def pose_at(z):
-        return PAPER.home_pose + up + [0, 0, 0, 0, 0, z]
-
-    def worst(z):
-        return np.abs(leg_geometry(PAPER, pose_at(z)).transmission).min()
-
-    _, edge = bisect(0.0, 0.3, lambda z: reach_margin(PAPER, pose_at(z)).min() > 0.0)
-    inside, outside = bisect(0.0, edge - 1e-6, lambda z: worst(z) > 0.02)
-    for z, kind in ((inside - 1e-9, None), (outside + 1e-9, SingularPoseError), (edge + 1e-4, SingularPoseError)):
-        pose = pose_at(z)
-        setpoint = Setpoint(pose if kind is None else PAPER.home_pose, REST, REST)
-        one, other = both(PAPER, EXACT, Measurement(pose, REST), setpoint, BLOCKS)
-        if kind is None:
-            assert not isinstance(one, RunFailure)
-            assert not isinstance(other, RunFailure)
-        else:
-            assert_same_failure(one, other, kind)
-            assert other.reason == "crank_dead_centre"
-
-
-def test_a_parallel_singularity():
-    options = dict(EXACT)
-    home = Setpoint(PAPER.home_pose, REST, REST)
-    conditioning = float(line_conditioning(PAPER, leg_geometry(PAPER, PAPER.home_pose)))
-    for limit, bad in ((0.99 * conditioning, False), (1.01 * conditioning, True)):
-        options["min_conditioning"] = limit
-        one, other = both(PAPER, options, Measurement(PAPER.home_pose, REST), home, BLOCKS)
-        if bad:
-            assert_same_failure(one, other, SingularPoseError)
-            assert other.reason == "parallel_singularity"
-        else:
-            assert_same_memory(one, other)
-
-
-@pytest.mark.parametrize(
-    "weights", [[1.0, 0.0], [-1.0, 1.0], [np.nan, 1.0], [1.0, 1.0, np.inf, 1.0], [1.0], [1.0] * 3, [1.0] * 5]
-)
-def test_weights(weights):
-    home = Setpoint(PAPER.home_pose, REST, REST)
-    one, other = both(PAPER, EXACT, Measurement(PAPER.home_pose, REST), home, np.array(weights))
-    assert_same_failure(one, other, RiccatiError)
-    assert str(one) == str(other)
-
-
-@pytest.mark.parametrize("weights", [[1e-300] * 3 + [1e300], [1e300] * 3 + [1e-300], [1e300, 1e-300, 1e300, 1.0]])
-def test_weights_beyond_floating_point(weights):
-    home = Setpoint(PAPER.home_pose, REST, REST)
-    one, other = both(PAPER, EXACT, Measurement(PAPER.home_pose, REST), home, np.array(weights))
-    if isinstance(one, RunFailure):
-        assert_same_failure(one, other, RiccatiError)
-    else:
-        assert_same_memory(one, other)
-
-
 def test_of_two_faults_both_name_the_same():
     """The order of checks: rate, reference, pose, reach, weights."""
-    home, nan = PAPER.home_pose, np.full(6, np.nan)
-    far = home + [0, 0, 0, 0, 0, 1.0]
-    faults = {
-        "rate": {"rate": nan},
-        "reference": {"reference": nan},
-        "pose": {"pose": nan},
-        "reach": {"pose": far},
-        "weights": {"weights": np.array([-1.0, 1.0])},
-    }
-    for (first, one_fault), (second, other_fault) in itertools.combinations(faults.items(), 2):
-        given_ = {"pose": home, "rate": REST, "reference": home, "weights": BLOCKS} | other_fault | one_fault
-        one, other = both(
-            PAPER,
-            EXACT,
-            Measurement(given_["pose"], given_["rate"]),
-            Setpoint(given_["reference"], REST, REST),
-            given_["weights"],
-        )
+    nan, far = np.full(6, np.nan), PAPER.home_pose + [0, 0, 0, 0, 0, 1.0]
+    faults = [("rate", nan), ("reference", nan), ("pose", nan), ("pose", far), ("weights", [-1.0, 1.0])]
+    for (first, bad), (second, worse) in itertools.combinations(faults, 2):
+        one, other = at_home(**{second: worse, first: bad})
         assert isinstance(one, RunFailure), (first, second)
         assert_same_failure(one, other, type(one))
+        alone = at_home(**{first: bad})
+        assert_same_failure(alone[0], other, type(alone[0]))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from robots import PAPER, ROBOTS, offsets, robots
+from robots import PAPER, offsets, robots
 
 from stewart_drake.compiled import mechanism
 from stewart_drake.errors import UnreachablePoseError
@@ -59,13 +59,6 @@ def test_leg_vectors_find_the_same_leg_out_of_reach(robot, offset):
     assert legs[bad, 13] == pytest.approx(caught.value.margin, rel=1e-9)
 
 
-def test_a_pose_beyond_all_numbers_is_out_of_reach_by_both():
-    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e200])
-    assert legs_of(PAPER, pose)[0] >= 0
-    with np.errstate(all="ignore"), pytest.raises(UnreachablePoseError):
-        kinematics.leg_geometry(PAPER, pose)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("theta", [np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1]), np.full(6, np.nan)])
 def test_forward_kinematics_says_when_it_has_not_converged(theta):
@@ -79,21 +72,3 @@ def test_inverse_dynamics_says_so_of_lines_without_rank():
         mechanism.pack(PAPER), own, np.zeros((6, 6)), np.eye(3), np.zeros(6), np.zeros(6), 9.81, torque
     )
     assert not done
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_a_robot_packs_all_that_the_functions_use(robot):
-    packed = mechanism.pack(robot)
-    assert packed.shape == (8, 16)
-    assert packed.flags.c_contiguous
-    np.testing.assert_array_equal(packed[:6, mechanism.JOINT : mechanism.ZERO], robot.platform_joints)
-    np.testing.assert_array_equal(packed[:6, mechanism.BRANCH], robot.branches)
-    np.testing.assert_array_equal(packed[:6, mechanism.CRANK_AXIS_INERTIA], robot.crank_axis_inertias)
-    for index, value in (
-        (mechanism.PLATFORM_TENSOR + 1, robot.platform_inertia_about_origin[0, 1]),
-        (mechanism.PLATFORM_MOMENT + 2, robot.platform_moment[2]),
-        (mechanism.PLATFORM_INERTIA + 1, robot.platform_inertia[1]),
-        (mechanism.LENGTH, robot.characteristic_length),
-        (mechanism.EFFORT, robot.effort_limit),
-    ):
-        assert mechanism.scalar(packed, index) == value

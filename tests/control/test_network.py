@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_network, python, resealed
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import vectors
@@ -25,7 +25,6 @@ ARRAYS = {
     "omega_max": (2,),
 }
 finite = st.floats(allow_nan=False, allow_infinity=False)
-reuse_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def written(network, path):
@@ -69,40 +68,27 @@ def test_limits_bind_on_both_sides_and_are_met_exactly():
     assert ((answers > 0.1) & (answers < 10.0)).any()
 
 
-@given(arrays(float, 12, elements=finite), st.floats(0.0, 1e40), st.sampled_from([1e-90, 1e-9, 0.5, 1e90]))
-def test_weights_never_leave_the_trained_range_whatever_comes_in(densities, gain, scale):
+@given(
+    arrays(float, 12, elements=finite | st.sampled_from([np.inf, -np.inf])),
+    st.floats(0.0, 1e40),
+    st.sampled_from([1e-90, 1e-9, 0.5, 1e90]),
+    st.floats(1e-99, 1e99),
+    st.floats(1.0, 1e6),
+)
+def test_weights_never_leave_the_trained_range_whatever_comes_in(densities, gain, scale, smallest, width):
     base = make_network(3)
-    names = ("hidden_weights", "hidden_bias", "output_weights", "output_bias")
+    layers = ("hidden_weights", "hidden_bias", "output_weights", "output_bias")
     network = TunerNetwork(
-        **{name: getattr(base, name) for name in ARRAYS if name not in (*names, "input_scale")},
-        **{name: gain * getattr(base, name) for name in names},
+        input_mean=base.input_mean,
         input_scale=np.full(12, scale),
+        **{name: gain * getattr(base, name) for name in layers},
+        omega_min=np.full(2, smallest),
+        omega_max=np.full(2, min(smallest * width, 9e99)),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         answer = network.weights(densities)
     assert np.all((answer >= network.omega_min) & (answer <= network.omega_max))
-
-
-@pytest.mark.parametrize("value", [0.0, 1e300, -1e300, 1.7e308, np.inf, -np.inf, 5e-324])
-def test_weights_stay_in_range_on_absurd_inputs(network, value):
-    alternating = np.where(np.arange(12) % 2, value, -value)
-    for densities in (np.full(12, value), alternating):
-        answer = network.weights(densities)
-        assert np.all((answer >= 0.1) & (answer <= 10.0))
-
-
-@given(st.floats(1e-99, 1e99), st.floats(1.0, 1e6))
-def test_a_range_of_any_size_is_kept(smallest, width):
-    base = make_network(4, gain=1e3)
-    network = TunerNetwork(
-        **{name: getattr(base, name) for name in ARRAYS if not name.startswith("omega")},
-        omega_min=np.full(2, smallest),
-        omega_max=np.full(2, min(smallest * width, 9e99)),
-    )
-    for value in (-1e300, -3.0, 0.0, 3.0, 1e300):
-        answer = network.weights(np.full(12, value))
-        assert np.all((answer >= network.omega_min) & (answer <= network.omega_max))
 
 
 # --- file ----------------------------------------------------------------------------------------------------------
@@ -135,67 +121,42 @@ def test_whole_numbers_in_the_file_are_numbers(tmp_path, network):
     assert load_network(tmp_path / "net.json").omega_max.dtype == float
 
 
-NOT_JSON = {
-    "empty": b"",
-    "half of a file": b'{"format": "stewart-drake tuner", "ver',
-    "binary": bytes(range(256)),
-    "not UTF-8": b'{"format": "\xff"}',
-    "nested without end": b"[" * 100_000,
-    "a huge integer": b"[" + b"9" * 5000 + b"]",
-}
-NO_TUNER = {"a list": b"[1, 2]", "a text": b'"tuner"', "null": b"null", "another format": b'{"format": "onnx"}'}
-
-
-@pytest.mark.parametrize("content", [*NOT_JSON.values(), *NO_TUNER.values()], ids=[*NOT_JSON, *NO_TUNER])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b'{"format": "stewart-drake tuner", "ver', b'{"format": "\xff"}', b"[" * 100_000, b"[" + b"9" * 5000 + b"]"]
+    + [b"[1, 2]", b'"tuner"', b"null", b'{"format": "onnx"}', None],
+    ids=lambda content: str(content)[:20],
+)
 def test_a_file_that_is_no_tuner_is_refused_by_name(tmp_path, content):
     path = tmp_path / "net.json"
-    path.write_bytes(content)
+    if content is not None:
+        path.write_bytes(content)
     with pytest.raises(ConfigurationError) as caught:
         load_network(path)
     assert str(path) in caught.value.key
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    for path in (tmp_path / "nowhere.json", tmp_path, tmp_path / "no" / "folder.json"):
-        with pytest.raises(ConfigurationError, match=r"readable file|regular file"):
-            load_network(path)
-
-
-KEYS = [
-    ("version", 1),
-    ("version", "2"),
-    ("version", None),
-    ("density", "relative"),
-    ("density", None),
-    ("density", ["magnitude"]),
-    ("window", 0),
-    ("window", -49),
-    ("window", 49.0),
-    ("window", True),
-    ("window", "49"),
-    ("window", None),
-    ("provenance", ["a", "list"]),
-    ("provenance", None),
-    ("input_scale", [0.0] + [1.0] * 11),
-    ("input_scale", [-1.0] + [1.0] * 11),
-    ("input_scale", [1e-200] + [1.0] * 11),
-    ("omega_min", [0.0, 0.1]),
-    ("omega_min", [-0.1, 0.1]),
-    ("omega_max", [10.0, 0.0]),
-    ("omega_max", [10.0, 0.05]),
+BAD = [
+    *(("version", value) for value in ("2", None)),
+    *(("density", value) for value in ("relative", None, ["magnitude"])),
+    *(("window", value) for value in (0, 49.0, True, "49", None)),
+    *(("provenance", value) for value in (["a", "list"], None)),
+    *(("input_scale", [value] + [1.0] * 11) for value in (0.0, -1.0, 1e-200)),
+    *(("omega_min", value) for value in ([0.0, 0.1], [-0.1, 0.1], [0.1, 10.5])),
+    *(("hidden_bias", value) for value in ([0.0] * 9, ["a"] * 10)),
 ]
 
 
-@pytest.mark.parametrize(("name", "value"), KEYS)
-def test_a_wrong_value_is_refused_under_its_key(tmp_path, network, name, value):
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_a_wrong_value_is_refused_under_its_key_in_a_file_and_in_python(tmp_path, network, name, value):
     path = tmp_path / "net.json"
-    document = written(network, path)
-    document[name] = value
-    path.write_bytes(resealed(document))
+    path.write_bytes(resealed(written(network, path) | {name: value}))
     with pytest.raises(ConfigurationError) as caught:
         load_network(path)
-    # A range upside down is reported under its lower end.
-    assert caught.value.key.endswith("omega_min" if value == [10.0, 0.05] else name)
+    assert caught.value.key.endswith(name)
+    if name not in ("version", "provenance"):
+        with pytest.raises(ConfigurationError, match=name):
+            replace(network, **{name: value})
 
 
 CORRUPTIONS = {
@@ -205,7 +166,6 @@ CORRUPTIONS = {
     "too long": lambda a: [*a, a[0]],
     "nested": lambda a: [a],
     "ragged": lambda a: [a[0], [a[1]], *a[2:]],
-    "NaN": lambda a: _set(a, float("nan")),
     "infinite": lambda a: _set(a, float("inf")),
     "beyond 1e100": lambda a: _set(a, 1e101),
     "text": lambda a: _set(a, "1.0"),
@@ -217,40 +177,21 @@ CORRUPTIONS = {
 
 
 def _set(values, value):
-    values = json.loads(json.dumps(values))
-    inner = values
-    while isinstance(inner[0], list):
-        inner = inner[0]
-    inner[0] = value
-    return values
+    return [_set(values[0], value) if isinstance(values[0], list) else value, *values[1:]]
 
 
-@pytest.mark.parametrize("name", ARRAYS)
 @pytest.mark.parametrize("corruption", CORRUPTIONS)
-def test_every_array_is_checked_for_shape_kind_and_finiteness(tmp_path, network, name, corruption):
+def test_every_array_is_checked_for_shape_kind_and_finiteness(tmp_path, network, corruption):
     path = tmp_path / "net.json"
     document = written(network, path)
-    value = CORRUPTIONS[corruption](document[name])
-    if corruption == "missing":
-        del document[name]
-    else:
-        document[name] = value
-    path.write_bytes(resealed(document))
-    with pytest.raises(ConfigurationError) as caught:
-        load_network(path)
-    # What is no number in JSON has no checksum either.
-    assert caught.value.key.endswith(name) or corruption in ("NaN", "infinite")
-
-
-@reuse_folder
-@given(share=st.floats(0.0, 1.0, exclude_max=True))
-def test_every_torn_file_is_refused(tmp_path, network, share):
-    path = tmp_path / "net.json"
-    network.save(path)
-    content = path.read_bytes().rstrip()
-    path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(ConfigurationError):
-        load_network(path)
+    for name in ARRAYS:
+        changed = document | {name: CORRUPTIONS[corruption](document[name])}
+        if corruption == "missing":
+            del changed[name]
+        path.write_bytes(resealed(changed))
+        with pytest.raises(ConfigurationError) as caught:
+            load_network(path)
+        assert caught.value.key.endswith(name) or corruption == "infinite"
 
 
 def test_a_flipped_bit_changes_no_number(tmp_path, network):
@@ -259,7 +200,7 @@ def test_a_flipped_bit_changes_no_number(tmp_path, network):
     content = network.to_bytes()
     rng = np.random.default_rng(5)
     refused = []
-    for place in rng.integers(0, 8 * len(content), 400):
+    for place in rng.integers(0, 8 * len(content), 100):
         flipped = bytearray(content)
         flipped[place // 8] ^= 1 << (place % 8)
         path.write_bytes(flipped)
@@ -269,7 +210,7 @@ def test_a_flipped_bit_changes_no_number(tmp_path, network):
             refused.append(str(error))
         else:
             assert loaded.to_bytes() == content
-    assert len(refused) > 390
+    assert len(refused) > 95
     assert all(line.isprintable() for line in refused)
 
 
@@ -304,21 +245,3 @@ def test_inference_needs_neither_torch_nor_drake():
     )
     expected = load_network(default_network_path()).weights(np.full(12, 1.5))
     np.testing.assert_array_equal(json.loads(python("-c", code)), expected)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"omega_min": np.zeros(2)}, "omega_min.*positive"),
-        ({"omega_min": np.full(2, 1e3)}, "at most omega_max"),
-        ({"input_scale": np.full(12, np.nan)}, "input_scale"),
-        ({"hidden_bias": np.zeros(9)}, r"hidden_bias.*\(10,\)"),
-        ({"omega_min": [0.0, 0.0]}, "omega_min.*positive"),
-        ({"input_mean": np.array(["a"] * 12)}, "input_mean.*finite numbers"),
-        ({"window": 0}, "window"),
-        ({"density": "loud"}, "magnitude or signed"),
-    ],
-)
-def test_a_network_made_in_python_is_checked_as_one_of_a_file_is(changes, words):
-    with pytest.raises(ConfigurationError, match=words):
-        replace(load_network(), **changes)

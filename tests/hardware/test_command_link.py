@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.hardware.command_link import MEMORY_SIZE, CommandFault, LinkOptions, link_step
+from stewart_drake.hardware.command_link import MEMORY_SIZE, Command, CommandFault, LinkOptions, link_step
 
 STEPS = 4
 
@@ -78,7 +78,7 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
 )
 def test_commands_are_spoilt_as_told(fault, expected):
     command = np.arange(6.0)
-    fault.spoil(command, tick=7, time=0.1)
+    fault.spoil(0.1, Command(command, 7))
     np.testing.assert_array_equal(command, expected)
 
 

@@ -36,6 +36,8 @@ def test_disturbances_add_up_and_none_is_zero():
     times = np.linspace(0.0, 1.0, 50)
     np.testing.assert_allclose(total_wrench(ALL, times), sum(one.evaluate(times) for one in ALL), atol=1e-12)
     np.testing.assert_array_equal(total_wrench((), times), np.zeros((50, 6)))
+    sine = np.sin(2.0 * np.pi * 5.0 * times + 0.4)[:, None] * WRENCH
+    np.testing.assert_allclose(ALL[3].evaluate(times), sine, atol=1e-12)
 
 
 def test_a_step_begins_and_ends_when_it_says():
@@ -51,13 +53,6 @@ def test_the_plants_steps_take_an_impulse_in_full(step, time):
     blow = ImpulseWrench(impulse=WRENCH, time=time, duration=0.01)
     samples = np.arange(round(10.0 / step)) * on_grid(step)
     np.testing.assert_allclose(blow.evaluate(samples).sum(axis=0) * step, WRENCH, rtol=1e-9)
-
-
-def test_a_sine_is_one():
-    sine = SineWrench(wrench=WRENCH, frequency=5.0, phase=0.4)
-    times = np.linspace(0.0, 1.0, 101)
-    expected = np.sin(2.0 * np.pi * 5.0 * times + 0.4)[:, None] * WRENCH
-    np.testing.assert_allclose(sine.evaluate(times), expected, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import (
     AssemblyModeError,
-    EncoderError,
     ForwardKinematicsError,
+    RunFailure,
     SingularPoseError,
 )
 from stewart_drake.hardware.estimator import EncoderOptions, estimate, flat_estimate, initial_memory
@@ -19,7 +19,6 @@ from stewart_drake.mechanics.kinematics import (
     rod_lines,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario import Scenario
 
 HOME = ROBOT.home_pose
 PERIOD = 0.001
@@ -46,15 +45,6 @@ def at(pose, robot=ROBOT):
 
 
 # --- pose and rate -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@few
-@given(poses(0.8), vectors(6, 0.01), st.booleans())
-def test_the_pose_is_exact_without_quanta_and_stands_still_at_first(pose, away, compiled):
-    memory = run(ROBOT, SMOOTH, [at(pose)], pose + away, compiled=compiled)[0]
-    np.testing.assert_allclose(memory[:6], pose, atol=1e-9)
-    np.testing.assert_array_equal(memory[6:12], 0.0)
 
 
 @few
@@ -84,20 +74,11 @@ def test_the_rate_is_that_of_now_to_first_order_in_the_period(robot, compiled):
 
 
 @few
-@given(poses(0.8), vectors(6, 1.0))
-def test_half_a_tick_is_all_that_the_crank_rates_lag(pose, rate):
-    theta_rate = pose_jacobian(ROBOT, pose - 0.5 * PERIOD * rate) @ rate
-    memory = run(ROBOT, SMOOTH, [at(pose - PERIOD * rate), at(pose)], pose)[-1]
-    # What is left is the third derivative's share.
-    tolerance = PERIOD**2 * (1.0 + np.abs(theta_rate).max()) ** 3
-    np.testing.assert_allclose(memory[18:24], theta_rate, atol=tolerance)
-
-
-@few
 @given(poses(0.7), st.sampled_from([10, 14, 17]))
 def test_the_pose_is_as_good_as_the_counts(pose, bits):
     options = EncoderOptions(resolution_bits=bits)
-    readings = options.read(at(pose))
+    # Whole turns of a crank are no matter.
+    readings = options.read(at(pose)) + 2.0 * np.pi * np.array([1, -1, 0, 3, 0, 2])
     memory = run(ROBOT, options, [readings], pose)[0]
     bound = np.abs(np.linalg.inv(pose_jacobian(ROBOT, pose))) @ np.full(6, 0.5 * options.quantum)
     assert (np.abs(memory[:6] - pose) <= 1.1 * bound + 1e-9).all()
@@ -112,14 +93,6 @@ def test_readings_are_whole_counts_of_angle_plus_offset(angles, bits, offset):
     assert np.abs(readings - angles - offset).max() <= 0.5 * quantum * (1.0 + 1e-9)
     without = EncoderOptions(resolution_bits=0, offset=tuple(offset))
     np.testing.assert_array_equal(without.read(angles), angles + offset)
-
-
-@few
-@given(poses(0.7), vectors(6, 1e-4))
-def test_an_offset_moves_the_pose_by_the_inverse_jacobian(pose, offset):
-    memory = run(ROBOT, SMOOTH, [EncoderOptions(resolution_bits=0, offset=tuple(offset)).read(at(pose))], pose)[0]
-    expected = np.linalg.solve(pose_jacobian(ROBOT, pose), offset)
-    np.testing.assert_allclose(memory[:6] - pose, expected, atol=1e-5)
 
 
 @both
@@ -143,15 +116,6 @@ def standing(robot=ROBOT, pose=HOME):
     return estimate(robot, SMOOTH, PERIOD, at(pose, robot), initial_memory(pose))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_readings_that_are_not_finite_are_refused(value):
-    angles = at(HOME)
-    angles[3] = value
-    with pytest.raises(EncoderError, match="finite") as caught:
-        estimate(ROBOT, SMOOTH, PERIOD, angles, standing())
-    assert caught.value.reason == "encoder"
-
-
 def test_a_reading_may_move_as_fast_as_the_option_says_and_no_faster():
     options = EncoderOptions(resolution_bits=0, max_speed=10.0)
     for share, believed in ((0.99, True), (1.01, False)):
@@ -160,7 +124,7 @@ def test_a_reading_may_move_as_fast_as_the_option_says_and_no_faster():
         if believed:
             assert estimate(ROBOT, options, PERIOD, angles, standing())[20] == pytest.approx(share * 10.0)
         else:
-            with pytest.raises(EncoderError, match="faster than 10"):
+            with pytest.raises(RunFailure, match="faster than 10"):
                 estimate(ROBOT, options, PERIOD, angles, standing())
     # Not at the first reading, which has none before it.
     estimate(ROBOT, options, PERIOD, angles, initial_memory(HOME))
@@ -216,6 +180,15 @@ def test_another_assembly_mode_of_the_same_cranks_is_refused(compiled):
 
 
 @both
+def test_cranks_for_which_there_is_no_pose_are_named(compiled):
+    options = EncoderOptions(resolution_bits=0, max_speed=1e9, hold_ticks=0)
+    with pytest.raises(ForwardKinematicsError) as caught:
+        flat_estimate(ROBOT, options, PERIOD, compiled)(np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1]), standing())
+    assert caught.value.reason == "forward_kinematics"
+    assert caught.value.residual > 1e-6
+
+
+@both
 @pytest.mark.parametrize("leg", [0, 3])
 def test_a_crank_beyond_its_dead_centre_is_named_though_the_pose_is_the_same(leg, compiled):
     pose = HOME + [0.1, -0.05, 0.08, 0.01, 0.02, -0.005]
@@ -228,39 +201,21 @@ def test_a_crank_beyond_its_dead_centre_is_named_though_the_pose_is_the_same(leg
     assert (caught.value.reason, caught.value.leg) == ("crank_dead_centre", leg)
 
 
-def test_whole_turns_of_a_crank_are_no_matter():
-    angles = at(HOME) + 2.0 * np.pi * np.array([1, -1, 0, 3, 0, 2])
-    np.testing.assert_allclose(estimate(ROBOT, SMOOTH, PERIOD, angles, initial_memory(HOME))[:6], HOME, atol=1e-9)
-
-
-def unassemblable():
-    """Cranks for which there is no pose: neighbours far apart."""
-    return np.array([3.0, 0.1, 3.0, 0.1, 3.0, 0.1])
-
-
-@both
-def test_newtons_failure_is_named(compiled):
-    options = EncoderOptions(resolution_bits=0, max_speed=1e9, hold_ticks=0)
-    with pytest.raises(ForwardKinematicsError) as caught:
-        flat_estimate(ROBOT, options, PERIOD, compiled)(unassemblable(), standing())
-    assert caught.value.reason == "forward_kinematics"
-    assert caught.value.residual > 1e-6
-
-
 # --- held ticks ----------------------------------------------------------------------------------------------------
 
-BAD = {
-    "not finite": (np.full(6, np.nan), EncoderError),
-    "jump": (at(HOME) + [0, 0, 0.5, 0, 0, 0], EncoderError),
-}
+BAD = {"not a number": np.nan, "infinite": -np.inf, "jump": at(HOME)[2] + 0.5}
 
 
 @both
-@pytest.mark.parametrize(("bad", "kind"), BAD.values(), ids=BAD.keys())
-def test_the_last_good_pose_stands_in_for_so_many_ticks_and_no_more(bad, kind, compiled):
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
+def test_the_last_good_pose_stands_in_for_so_many_ticks_and_no_more(bad, compiled):
     options = EncoderOptions(resolution_bits=0, hold_ticks=3)
     tick = flat_estimate(ROBOT, options, PERIOD, compiled)
     angles = at(HOME)
+    bad = np.where(np.arange(6) == 2, bad, angles)
+    if not np.isfinite(bad).all():
+        with pytest.raises(RunFailure, match="finite"):
+            tick(bad, initial_memory(HOME))
     good = tick(angles + 1e-4, tick(angles, initial_memory(HOME)))
     assert np.abs(good[6:12]).max() > 0.0
     memory = good
@@ -276,15 +231,9 @@ def test_the_last_good_pose_stands_in_for_so_many_ticks_and_no_more(bad, kind, c
         good = memory = tick(angles + 1e-4, memory)
     for _ in range(3):
         memory = tick(bad, memory)
-    with pytest.raises(kind):
+    with pytest.raises(RunFailure) as caught:
         tick(bad, memory)
-
-
-@both
-def test_nothing_is_bridged_before_a_good_tick(compiled):
-    tick = flat_estimate(ROBOT, EncoderOptions(resolution_bits=0, hold_ticks=5), PERIOD, compiled)
-    with pytest.raises(EncoderError):
-        tick(np.full(6, np.nan), initial_memory(HOME))
+    assert caught.value.reason == "encoder"
 
 
 # --- compiled ------------------------------------------------------------------------------------------------------
@@ -316,18 +265,9 @@ def test_compiled_refuses_what_numpy_refuses_by_the_same_name(angles):
     for compiled in (False, True):
         try:
             outcomes.append(flat_estimate(ROBOT, options, PERIOD, compiled)(at(HOME) + angles, standing())[:12])
-        except (EncoderError, ForwardKinematicsError, AssemblyModeError, SingularPoseError) as error:
+        except RunFailure as error:
             outcomes.append(error.reason)
     if isinstance(outcomes[0], str):
         assert outcomes[1] == outcomes[0]
     else:
         np.testing.assert_allclose(outcomes[1], outcomes[0], rtol=1e-7, atol=1e-8)
-
-
-# --- options -------------------------------------------------------------------------------------------------------
-
-
-def test_another_kind_of_sensors_drops_the_keys_of_the_old_one():
-    scenario = Scenario.from_dict({"sensors": {"kind": "encoders", "resolution_bits": 12}})
-    assert scenario.replace({"sensors.kind": "ideal"}).sensors.kind == "ideal"
-    assert scenario.replace({"sensors.kind": "encoders"}).sensors.resolution_bits == 12

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import METRICS, columns, flat
 from stewart_drake.logs.metrics import (
     error_norms,
@@ -16,7 +15,6 @@ from stewart_drake.logs.metrics import (
     tracking_error,
 )
 from stewart_drake.logs.tally import Tally
-from stewart_drake.scenario import Scenario
 
 PROMISED = {
     "rmse_deg", "rmse_mm", "peak_deg", "peak_mm", "torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m",
@@ -64,34 +62,35 @@ def test_a_run_that_broke_before_the_second_half_has_no_rmse():
     assert metrics["torque_rms"] == 0.0
 
 
-def test_torque_figures_are_over_the_whole_run_and_within_the_limit():
-    torque = np.zeros((101, 6))
+def test_figures_of_the_whole_run_count_every_row_and_torques_within_the_limit_of_the_robot():
+    torque, gap, pose = np.zeros((101, 6)), np.full((101, 6), 1e-9), np.zeros((101, 6))
     torque[10, 2] = -7.0  # beyond the limit of 5
-    torque[20, :] = 5.0  # at the limit: nothing was cut off
-    log = made_log(torque=torque, torque_applied=np.clip(torque, -5.0, 5.0))
-    metrics = run_metrics(log)
-    assert metrics["torque_peak"] == 5.0
-    assert metrics["torque_rms"] == pytest.approx(5.0 * np.sqrt(7 / 606))
-    assert metrics["saturated_fraction"] == pytest.approx(1 / 606)
-
-
-def test_saturation_follows_the_limit_of_the_robot():
-    torque = np.full((101, 6), 0.4)
-    for limit, fraction in ((0.3, 1.0), (0.4, 0.0)):
-        log = made_log(scenario={"robot": {"effort_limit": limit}}, torque=torque)
-        assert run_metrics(log)["saturated_fraction"] == fraction
-
-
-def test_the_loop_gap_is_the_largest_of_all_legs_at_all_times():
-    gap = np.full((101, 6), 1e-9)
+    torque[60, :] = 5.0  # at the limit: nothing was cut off
     gap[3, 4] = 2e-7
-    assert run_metrics(made_log(loop_gap=gap))["loop_gap_max_m"] == 2e-7
-
-
-def test_weights_are_means_over_the_run():
+    pose[:, 0], pose[:, 1], pose[:, 3], pose[:, 5] = 0.03, 0.04, 0.001, 0.002
     weights = np.column_stack([np.linspace(1.0, 3.0, 101), np.full(101, 0.5)])
-    metrics = run_metrics(made_log(weights=weights))
-    assert (metrics["omega_q"], metrics["omega_r"]) == (pytest.approx(2.0), 0.5)
+    signals = {"torque": torque, "torque_applied": np.clip(torque, -5.0, 5.0), "loop_gap": gap, "weights": weights}
+    log = made_log(pose=pose, wall_time=4.0, **signals)
+    metrics = run_metrics(log)
+    expected = {
+        "torque_peak": 5.0,
+        "torque_rms": 5.0 * np.sqrt(7 / 606),
+        "torque_rms_second_half": 5.0 * np.sqrt(6 / 306),
+        "saturated_fraction": 1 / 606,
+        "loop_gap_max_m": 2e-7,
+        "omega_q": 2.0,
+        "omega_r": 0.5,
+        "rmse_norm_deg": np.degrees(0.05),
+        "rmse_norm_mm": np.sqrt(5.0),
+        "real_time_factor": 2.5,
+    }
+    assert {name: metrics[name] for name in expected} == pytest.approx(expected)
+    rotation, position = error_norms(log)
+    np.testing.assert_allclose([rotation, position], np.multiply.outer([np.degrees(0.05), np.sqrt(5.0)], np.ones(101)))
+    weak = made_log(scenario={"robot": {"effort_limit": 0.3}}, torque=np.full((101, 6), 0.4))
+    assert run_metrics(weak)["saturated_fraction"] == 1.0
+    assert run_metrics(made_log(wall_time=0.0))["real_time_factor"] is None
+    assert (metrics["git_revision"], metrics["versions"]) == ("abc", {"python": "3"})
 
 
 def test_the_integral_is_that_of_the_row_at_five_seconds():
@@ -101,6 +100,9 @@ def test_the_integral_is_that_of_the_row_at_five_seconds():
     np.testing.assert_array_equal(integral_at(log, 5.04), integral[50])
     np.testing.assert_array_equal(integral_at(log, 0.0), integral[0])
     np.testing.assert_array_equal(integral_at(log, 10.0), integral[100])
+    assert integral_at(made_log(rows=50), 5.0) is None
+    assert integral_at(made_log(rows=51), 5.0) is not None
+    assert integral_at(made_log(rows=0), 0.0) is None
 
 
 def test_rounding_of_times_does_not_move_the_row():
@@ -111,54 +113,13 @@ def test_rounding_of_times_does_not_move_the_row():
             assert integral_at(log, log.time[row] + nudge)[0] == row
 
 
-def test_a_run_that_ended_sooner_has_no_integral_then():
-    assert integral_at(made_log(rows=50), 5.0) is None
-    assert integral_at(made_log(rows=51), 5.0) is not None
-    assert integral_at(made_log(rows=0), 0.0) is None
-
-
-def test_the_real_time_factor_is_simulated_over_wall_time():
-    assert run_metrics(made_log(wall_time=4.0))["real_time_factor"] == 2.5
-    assert run_metrics(made_log(wall_time=0.0))["real_time_factor"] is None
-
-
-def test_the_revision_stands_apart_from_the_versions():
-    metrics = run_metrics(made_log())
-    assert metrics["git_revision"] == "abc"
-    assert metrics["versions"] == {"python": "3"}
-    assert run_metrics(made_log(versions={}))["git_revision"] is None
-
-
 @pytest.mark.parametrize("rows", [0, 1, 50, 101])
 def test_every_promised_key_is_there_however_short_the_run_and_json_can_hold_it(rows):
     log = made_log(rows=rows)
     metrics = run_metrics(log)
     assert set(metrics) >= PROMISED
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
-
-
-def test_a_log_without_a_row_has_no_figures():
-    metrics = run_metrics(made_log(rows=0))
-    assert {metrics[name] for name in ("torque_rms", "torque_peak", "saturated_fraction", "loop_gap_max_m")} == {None}
-
-
-def test_metrics_change_nothing_in_the_log():
-    log = made_log()
-    before = {name: values.copy() for name, values in log.signals.items()}
-    run_metrics(log)
-    for name, values in before.items():
-        np.testing.assert_array_equal(log[name], values)
-    assert log.versions == {"python": "3", "git_revision": "abc"}
-    assert isinstance(log, SimulationLog)
-    assert isinstance(log.scenario, Scenario)
-
-
-def test_norms_of_the_error_are_lengths_in_degrees_and_millimetres():
-    pose = np.zeros((101, 6))
-    pose[:, 0], pose[:, 1], pose[:, 3], pose[:, 5] = 0.03, 0.04, 0.001, 0.002
-    rotation, position = error_norms(made_log(pose=pose))
-    np.testing.assert_allclose(rotation, np.degrees(0.05))
-    np.testing.assert_allclose(position, np.sqrt(5.0))
+    assert rows or {metrics[metric.name] for metric in METRICS} == {None}
 
 
 def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reached():
@@ -169,14 +130,6 @@ def test_the_worst_half_is_the_larger_rms_and_none_where_the_second_was_not_reac
     backwards = run_metrics(made_log(pose=pose[::-1]))["worst_half_rmse_norm_mm"]
     assert backwards == pytest.approx(np.sqrt((50 * 9 + 1) / 51))
     assert run_metrics(made_log(rows=50, pose=pose[:50]))["worst_half_rmse_norm_mm"] is None
-
-
-def test_torque_of_the_second_half_has_a_name_of_its_own():
-    torque = np.zeros((101, 6))
-    torque[50:] = 1.0
-    metrics = run_metrics(made_log(torque_applied=torque))
-    assert metrics["torque_rms_second_half"] == 1.0
-    assert metrics["torque_rms"] == pytest.approx(np.sqrt(51 / 101))
 
 
 def test_every_metric_says_what_it_is_and_each_name_means_one_thing():

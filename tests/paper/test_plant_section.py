@@ -18,8 +18,6 @@ from stewart_drake.paper.plant_section import (
     observed_orders,
     plant_motion,
 )
-from stewart_drake.paper.plots.plant_plots import plot_convergence
-from stewart_drake.paper.rendering import render
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
@@ -82,39 +80,3 @@ def test_the_plant_converges_to_the_exact_motion_with_first_order_and_its_gap_wi
     assert np.abs(pose - exact_motion(ROBOT, 9.81))[3:].max() == n["position_error"][at]
     cells = (n["angle_error"][at], n["position_error"][at], n["orders"][at - 1], n["loop_gap"][at])
     assert "| 1 | {:.2e} | {:.2e} | {:.2f} | {:.1e} |".format(*cells) in body
-
-
-NUMBERS = {
-    "step": [2e-3, 1e-3, 5e-4],
-    "position_error": [4e-4, 2e-4, 1e-4],
-    "loop_gap": [4e-6, 1e-6, 2.5e-7],
-    "orders": [1.0, 1.0],
-}
-
-
-def verdict(nearest=1, **changes):
-    return render("plant", "verdict", n=NUMBERS | changes, nearest=nearest, duration=DURATION)
-
-
-def test_the_verdict_follows_from_the_numbers():
-    text = verdict()
-    assert text.startswith(
-        "Holds: the plant converges to rigid-body mechanics, with order 1.00 in the step; at 1 ms it"
-    )
-    assert text.endswith("0.2 mm off after 0.15 s and its loops are open by 0.001 mm.")
-    assert "at 0.5 ms it is 0.1 mm" in verdict(2)
-    for broken in ({"orders": [1.0, 0.1]}, {"orders": [-1.0, -1.0]}, {"position_error": [1e-4, 2e-4, 4e-4]}):
-        assert verdict(**broken).startswith("Does not hold: the plant does not converge to rigid-body mechanics")
-
-
-def test_the_figure_has_labelled_logarithmic_axes():
-    steps = np.array(NUMBERS["step"])
-    figure = plot_convergence(steps, np.array(NUMBERS["position_error"]), np.array(NUMBERS["loop_gap"]))
-    (axes,) = figure.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("step [ms]", "error, gap [m]")
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    np.testing.assert_allclose(axes.lines[0].get_xdata(), [2.0, 1.0, 0.5])
-    np.testing.assert_allclose(axes.lines[0].get_ydata(), NUMBERS["position_error"])
-    # The guides run beside the points, not on them, with the slope that their label names.
-    np.testing.assert_allclose(axes.lines[1].get_ydata(), [2e-4, 1e-4, 5e-5])
-    np.testing.assert_allclose(axes.lines[3].get_ydata(), [2e-6, 5e-7, 1.25e-7])

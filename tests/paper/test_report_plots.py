@@ -2,41 +2,26 @@ import numpy as np
 import pytest
 from matplotlib.ticker import FuncFormatter
 
-from stewart_drake.control.state_space import acceleration_map, input_matrix, output_matrix, state_matrix
 from stewart_drake.paper.experiments import RATIOS
-from stewart_drake.paper.plots import force_map_plots as force_map
-from stewart_drake.paper.plots import in_the_loop_plots as loop
-from stewart_drake.paper.plots import kinematics_plots as kinematics
-from stewart_drake.paper.plots import state_space_plots as state_space
+from stewart_drake.paper.plots.force_map_plots import plot_rod_force
+from stewart_drake.paper.plots.in_the_loop_plots import plot_ranking, plot_weights_in_force
+from stewart_drake.paper.plots.kinematics_plots import plot_misprints
 from stewart_drake.paper.plots.plant_plots import plot_convergence
-from stewart_drake.paper.plots.sensitivity_plots import Tornado, TornadoBar, plot_tornados
+from stewart_drake.paper.plots.sensitivity_plots import plot_effects
 from stewart_drake.paper.tuner_comparison import Comparison
-from stewart_drake.robot import RobotParameters
 
-ROBOT = RobotParameters()
 X, GRID = np.array([1.0, 0.1]), np.linspace(0.1, 1.0, 9).reshape(3, 3)
 AXIS, FIXED = np.array([-0.1, 0.0, 0.1]), dict.fromkeys(RATIOS, 2.0)
-MODELS = {"statics": [0.1, 0.2, 0.3]}
-SLICE = force_map.RatioSlice("a", np.arange(3.0), np.arange(3.0), GRID, "roll [deg]", "Z [mm]", np.eye(2))
-FOUND = (np.array([0.3, 0.1, 0.2]), np.array([1e-14, 0.3, np.nan]), np.array([False, True, True]))
-B = input_matrix(acceleration_map(ROBOT, ROBOT.home_pose))
+UNCHANGED = {"pose RMSE [mm]": 4.0, "torque RMS [N m]": 1.0}
+EFFECTS = [("masses", "+20 %", [None, None]), ("omega_Q", "-50 %", [9.0, 1.1]), ("window m", "10", [2.0, 0.9])]
 
 PLOTS = {
     "convergence": lambda: plot_convergence(X, X, X),
-    "forward": lambda: kinematics.plot_forward({"near": (2, 1, 0)}, *FOUND),
-    "misprints": lambda: kinematics.plot_misprints(AXIS, 9.0 * GRID, 9.0 * GRID, GRID < 0.5),
-    "ratio": lambda: force_map.plot_ratio({"near": GRID.ravel()}, [SLICE] * 3),
-    "measured": lambda: force_map.plot_measured(X, 1.0 / X, X, {"Drake": X}, X, {"Table I": X}),
-    "models": lambda: force_map.plot_models({"massless legs": MODELS, "Table I": MODELS}),
-    "tilt": lambda: force_map.plot_tilt(np.array([0.0, 0.5]), {"a": np.array([0.0, 0.3])}, 0.3),
-    "matrices": lambda: state_space.plot_matrices(state_matrix(), B, output_matrix()),
-    "singular": lambda: state_space.plot_singular({"Serial|mm": (X, {"c": X}), "Parallel|deg": (X, {"c": X})}),
-    "decay": lambda: state_space.plot_decay(X, {"equal": X}, (0.87,), {"1": X}, {"1": X}),
-    "discretisation": lambda: state_space.plot_discretisation(X, {"1": X}, {"1": X}),
-    "ranking": lambda: loop.plot_ranking([Comparison("one", 5.0, FIXED)]),
-    "weights": lambda: loop.plot_weights_in_force({"a": (X, X), "b": (X, X)}, {"a": 100.0, "b": None}),
-    "answers": lambda: loop.plot_answers(RATIOS, {"a": [0.0] * 5, "b": [1.0] * 5}),
-    "tornados": lambda: plot_tornados([Tornado("pose RMSE", "mm", 4.0, [TornadoBar("a", [("+", 5.0)])])]),
+    "misprints": lambda: plot_misprints(AXIS, 9.0 * GRID, 9.0 * GRID, GRID < 0.5),
+    "rod force": lambda: plot_rod_force(X, 1.0 / X),
+    "ranking": lambda: plot_ranking([Comparison("one", 5.0, FIXED), Comparison("two", None, {**FIXED, 100.0: None})]),
+    "weights": lambda: plot_weights_in_force({"a": (X, X), "b": (X, X)}, {"a": 100.0, "b": None}),
+    "effects": lambda: plot_effects(UNCHANGED, EFFECTS, "pose RMSE [mm]"),
 }
 
 
@@ -58,3 +43,16 @@ def test_every_panel_is_drawn_and_says_its_quantities_with_their_units(name):
         shared = [other for other in panels if panel.get_shared_y_axes().joined(panel, other)]
         assert any(said(other.yaxis) for other in shared or [panel]), title
     assert all(said(bar.yaxis) for bar in figure.axes if bar.get_label() == "<colorbar>")
+
+
+def test_effects_are_bars_from_the_unchanged_value_in_the_order_given_and_lost_runs_are_named():
+    pose, torque = plot_effects(UNCHANGED, EFFECTS, "pose RMSE [mm]").axes
+    assert [text.get_text() for text in pose.get_yticklabels()] == [
+        "masses, +20 %",
+        r"$\omega_Q$, -50 %",
+        "window m, 10",
+    ]
+    assert list(pose.get_yticks()) == [2, 1, 0]
+    assert [(bar.get_x(), bar.get_width()) for bar in pose.patches] == [(4.0, 0.0), (4.0, 5.0), (4.0, -2.0)]
+    assert [text.get_text() for text in pose.texts] == ["ends early"]
+    assert (pose.get_xscale(), torque.get_xscale()) == ("log", "linear")

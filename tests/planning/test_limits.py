@@ -2,9 +2,8 @@ import dataclasses
 import math
 
 import numpy as np
-import pydantic
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RollPitchYaw
 from scipy.optimize import minimize_scalar
@@ -48,14 +47,8 @@ def brute_distance(a, b, c, d):
     return min(inside.fun, from_point(0.0), from_point(1.0))
 
 
-@given(points=vectors(12))
-def test_segment_distance_is_the_minimum_over_both_segments(points):
-    a, b, c, d = points.reshape(4, 3)
-    assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
-
-
-@given(points=st.lists(st.integers(-2, 2), min_size=12, max_size=12).map(np.array))
-def test_segment_distance_on_a_lattice_where_parallel_touching_and_zero_length_are_common(points):
+@given(points=st.lists(st.integers(-2, 2), min_size=12, max_size=12).map(np.array) | vectors(12))
+def test_segment_distance_is_the_minimum_over_both_segments_parallel_touching_or_of_no_length(points):
     a, b, c, d = points.reshape(4, 3).astype(float)
     assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
 
@@ -87,7 +80,7 @@ X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is cal
 def test_segment_distance_in_every_special_position(segments, distance, turn):
     rotation = RollPitchYaw(turn).ToRotationMatrix().matrix()
     a, b, c, d = (rotation @ point + [0.1, 0.2, 0.3] for point in segments)
-    assert segment_distance(a, b, c, d) == pytest.approx(distance, abs=1e-15)
+    assert segment_distance(*(np.stack([p, p]) for p in (a, b, c, d))) == pytest.approx([distance] * 2, abs=1e-15)
     assert segment_distance(c, d, b, a) == pytest.approx(distance, abs=1e-15)
 
 
@@ -96,21 +89,6 @@ def test_segment_distance_of_nearly_parallel_segments_that_cross_at_a_height(ang
     across = np.array([math.cos(angle), math.sin(angle), 0.0])
     found = segment_distance(-X, X, 1e-3 * Z - across, 1e-3 * Z + across)
     assert found == pytest.approx(1e-3, abs=1e-12)
-
-
-def test_segment_distance_is_vectorised_over_leading_axes():
-    points = np.random.default_rng(0).normal(size=(4, 2, 5, 3))
-    distance = segment_distance(*points)
-    assert distance.shape == (2, 5)
-    for index in np.ndindex(2, 5):
-        assert distance[index] == pytest.approx(segment_distance(*points[(slice(None), *index)]), rel=1e-14)
-
-
-def test_pydantic_reads_limits_null_included_and_refuses_unknown_keys():
-    adapter = pydantic.TypeAdapter(Limits)
-    assert adapter.validate_python({"clearance": None, "reach": 0.9}) == Limits(clearance=None, reach=0.9)
-    with pytest.raises(pydantic.ValidationError, match="clearence"):
-        adapter.validate_python({"clearence": 0.01})
 
 
 def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
@@ -160,10 +138,6 @@ def test_margins_are_the_limits_minus_what_kinematics_and_dynamics_give(pose, ra
     np.testing.assert_allclose(margins["torque"], 5.0 - np.abs(torque), rtol=1e-10, atol=1e-10)
 
 
-def test_joints_have_not_swung_at_home():
-    np.testing.assert_allclose(margins_at(ROBOT.home_pose)["joint_swing"], ALL.joint_swing, atol=1e-15)
-
-
 @given(pose=poses())
 def test_joint_swing_is_the_angle_of_the_rod_seen_by_its_two_neighbours(pose):
     def rods(at):
@@ -187,42 +161,21 @@ def test_joint_swing_is_the_angle_of_the_rod_seen_by_its_two_neighbours(pose):
     assert np.all(swing >= 0.0)
 
 
-def test_raising_the_platform_swings_the_universal_joints_by_as_much_as_the_elbow_opens():
-    raised = ROBOT.home_pose + 0.05 * np.eye(6)[5]
-    swing = ALL.joint_swing - margins_at(raised)["joint_swing"]
-    np.testing.assert_allclose(swing[:6], swing[0], rtol=1e-12)
-    np.testing.assert_allclose(swing[6:], swing[6], rtol=1e-12)
-    turned = inverse_kinematics(ROBOT, raised) - inverse_kinematics(ROBOT, ROBOT.home_pose)
-    assert swing[6] > turned[0] > 0.0
-
-
-def test_the_sixty_pairs_are_all_links_of_different_legs():
-    names = [where for _, where in PLACES["clearance"]]
-    assert len(set(names)) == 60
-    for name in names:
-        one, other = name.split(" to ")
-        assert one.split()[1] != other.split()[1]
-
-
-@pytest.mark.slow
-@given(pose=poses())
-def test_clearance_is_the_distance_of_the_two_named_links_between_their_surfaces(pose):
+@settings(max_examples=10)
+@given(pose=poses(), radius=st.sampled_from([0.005, 0.012]))
+def test_clearance_is_the_distance_of_the_two_named_links_of_two_legs_between_their_surfaces(pose, radius):
+    margins = margins_at(pose, robot=ROBOT.replace(link_radius=radius))["clearance"]
+    assert len({where for _, where in PLACES["clearance"]}) == len(margins) == 60
     legs = leg_geometry(ROBOT, pose)
     tips = ROBOT.shaft_positions + ROBOT.crank_length * legs.crank
     joints = legs.arm + pose[3:]
     ends = {f"crank {i}": (ROBOT.shaft_positions[i], tips[i]) for i in range(6)}
     ends |= {f"rod {i}": (tips[i], joints[i]) for i in range(6)}
-    for (leg, name), margin in zip(PLACES["clearance"], margins_at(pose)["clearance"], strict=True):
+    for (leg, name), margin in zip(PLACES["clearance"], margins, strict=True):
         one, other = name.split(" to ")
-        assert leg == int(one.split()[1])
-        gap = segment_distance(*ends[one], *ends[other]) - 2 * 0.005
+        assert leg == int(one.split()[1]) != int(other.split()[1])
+        gap = segment_distance(*ends[one], *ends[other]) - 2 * radius
         assert margin == pytest.approx(gap - 0.005, abs=1e-14)
-
-
-def test_thicker_links_have_less_clearance():
-    thick = ROBOT.replace(link_radius=0.012)
-    difference = margins_at(ROBOT.home_pose)["clearance"] - margins_at(ROBOT.home_pose, robot=thick)["clearance"]
-    np.testing.assert_allclose(difference, 2 * 0.007, atol=1e-15)
 
 
 def test_long_motions_are_judged_in_blocks_without_a_seam():
@@ -241,19 +194,11 @@ def test_out_of_reach_only_reach_and_pitch_are_known_and_the_others_are_not_gues
         assert np.isnan(values[1]).all() == (limit not in {"reach", "euler_pitch"})
         assert np.isfinite(values[[0, 2]]).all()
     assert margins["reach"][1].min() < 0.0
-
-
-def test_nothing_within_reach_is_no_error():
-    pose = np.array([[0, 0, 0, 0, 0, 0.6]])
-    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)
-    assert margins["reach"].max() < 0.0
-    assert np.isnan(margins["torque"]).all()
-
-
-def test_a_platform_joint_on_the_motor_axis_is_out_of_reach():
-    pose = np.zeros((1, 6))
-    pose[0, 3:] = ROBOT.shaft_positions[0] - ROBOT.platform_joints[0] - [0.0, 0.3, 0.0]
-    assert limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["reach"].min() == -np.inf
+    alone = limit_margins(ROBOT, ALL, *(values[1:2] for values in (pose, 0.0 * pose, 0.0 * pose)), GRAVITY)
+    assert np.isnan(alone["torque"]).all()
+    on_axis = np.zeros((1, 6))
+    on_axis[0, 3:] = ROBOT.shaft_positions[0] - ROBOT.platform_joints[0] - [0.0, 0.3, 0.0]
+    assert limit_margins(ROBOT, ALL, on_axis, *np.zeros((2, 1, 6)), GRAVITY)["reach"].min() == -np.inf
 
 
 def test_a_parallel_singularity_jumped_over_between_two_samples_counts():

@@ -12,7 +12,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mujoco_model import MujocoRobot
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
@@ -20,6 +19,7 @@ from strategies import ROBOT
 
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque, task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian, twist_to_pose_rate
+from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -65,7 +65,7 @@ def of_drake(motion, time_step=STEP):
 def of_mujoco(motion, integrator, time_step=STEP, robot=ROBOT):
     """The same of MuJoCo, and its largest gap at the end [m]."""
     pose, torque = MOTIONS[motion]
-    engine = MujocoRobot(robot, STANDARD_GRAVITY, time_step, integrator)
+    engine = MujocoRobot(robot, STANDARD_GRAVITY, PlantOptions(time_step=time_step), integrator)
     _, stewart = built()
     engine.set_state(stewart, stewart.assemble(pose))
     engine.advance(torque, round(DURATION / time_step))
@@ -105,7 +105,7 @@ def apart(one, other):
 
 def test_from_the_same_state_both_accelerate_alike():
     _, stewart = built()
-    robot = MujocoRobot(ROBOT, STANDARD_GRAVITY, STEP)
+    robot = MujocoRobot(ROBOT, STANDARD_GRAVITY, PlantOptions(time_step=STEP))
     rng = np.random.default_rng(0)
     for _ in range(20):
         pose = ROBOT.home_pose + rng.uniform(-1.0, 1.0, 6) * [0.4, 0.4, 0.4, 0.05, 0.05, 0.02]

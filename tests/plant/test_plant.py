@@ -10,21 +10,19 @@ from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable, WeldJoint
 from pydrake.systems.analysis import Simulator
-from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import ConfigurationError, DrakeCheckError, SingularPoseError, UnreachablePoseError
-from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_bias, task_inertia
+from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import (
     inverse_kinematics,
     pose_jacobian,
     pose_rate_to_twist,
     reach_margin,
-    twist_jacobian,
-    twist_to_pose_rate,
 )
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import STICTION_SPEED, PlantOptions, platform_damping_limit
+from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.robot import RobotParameters
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
@@ -125,7 +123,7 @@ def gap_jacobian(stewart, context):
 # --- what the plant is -----------------------------------------------------------------------------------------------
 
 
-def test_fourteen_bodies_with_the_masses_of_table_1():
+def test_fourteen_bodies_with_the_masses_of_table_1_on_a_base_at_the_origin_of_the_world():
     plant = built()[1].plant
     table = {
         "base": (7.0, [0.0, 0.0, -0.07], [0.027, 0.027, 0.054]),
@@ -145,15 +143,9 @@ def test_fourteen_bodies_with_the_masses_of_table_1():
         about_centre = inertia.Shift(inertia.get_com()).CalcRotationalInertia()
         np.testing.assert_allclose(about_centre.get_moments(), moments, atol=1e-15)
         np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-15)
-
-
-def test_base_is_welded_at_the_origin_of_the_world():
-    plant = built()[1].plant
     assert isinstance(plant.GetJointByName("base_weld"), WeldJoint)
-    assert plant.IsAnchored(plant.GetBodyByName("base"))
-    context = plant.CreateDefaultContext()  # the pose is a reference into it
-    pose = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("base"))
-    assert pose.IsExactlyEqualTo(RigidTransform())
+    base = plant.CalcRelativeTransform(plant.CreateDefaultContext(), plant.world_frame(), plant.GetFrameByName("base"))
+    assert base.IsExactlyEqualTo(RigidTransform())
 
 
 @pytest.mark.parametrize(("rod_joint", "positions", "velocities"), [("universal", 25, 24), ("ball", 31, 30)])
@@ -168,6 +160,10 @@ def test_sizes_and_limits(rod_joint, positions, velocities):
     assert stewart.indices.size == len(stewart.state_names) == positions + velocities
     assert stewart.torque_input_port.size() == 6
     assert stewart.state_output_port.size() == positions + velocities
+    context = in_drake(stewart, stewart.assemble(HOME))
+    assert np.linalg.matrix_rank(gap_jacobian(stewart, context), tol=1e-6) == 18
+    other = built(rod_joint, gravity=1.62)[1].plant
+    np.testing.assert_array_equal(other.gravity_field().gravity_vector(), [0.0, 0.0, -1.62])
 
 
 def test_indices_name_what_they_say():
@@ -183,22 +179,6 @@ def test_indices_name_what_they_say():
 
 
 @universal_or_ball
-def test_motors_turn_the_way_of_theta(rod_joint):
-    _, stewart = built(rod_joint)
-    plant, context = stewart.plant, stewart.plant.CreateDefaultContext()
-    for leg in range(6):
-        plant.GetJointByName(f"motor_{leg}").set_angle(context, 0.3)
-    state = plant.GetPositionsAndVelocities(context)
-    theta = stewart.crank_angles(state)
-    np.testing.assert_allclose(theta, inverse_kinematics(ROBOT, HOME) + 0.3, atol=1e-15)
-    up = np.array([0.0, 0.0, 1.0])
-    for leg in range(6):
-        tip = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName(f"rod_{leg}")).translation()
-        arm = np.cos(theta[leg]) * ROBOT.crank_zero_directions[leg] + np.sin(theta[leg]) * up
-        np.testing.assert_allclose(tip, ROBOT.shaft_positions[leg] + 0.11 * arm, atol=1e-15)
-
-
-@universal_or_ball
 def test_default_context_is_the_closed_home_pose_at_rest(rod_joint):
     diagram, stewart = built(rod_joint)
     context = diagram.CreateDefaultContext()
@@ -206,15 +186,6 @@ def test_default_context_is_the_closed_home_pose_at_rest(rod_joint):
     assert np.abs(gap_vectors(stewart, own)).max() < 1e-14
     state = diagram.GetOutputPort("state").Eval(context)
     np.testing.assert_allclose(state, stewart.assemble(HOME), atol=1e-15)
-
-
-@universal_or_ball
-def test_closed_chain_has_six_freedoms_and_the_spins_of_ball_jointed_rods(rod_joint):
-    _, stewart = built(rod_joint)
-    context = in_drake(stewart, stewart.assemble(HOME))
-    jacobian = gap_jacobian(stewart, context)
-    assert np.linalg.matrix_rank(jacobian, tol=1e-6) == 18
-    assert jacobian.shape[1] - 18 == {"universal": 6, "ball": 12}[rod_joint]
 
 
 @settings(max_examples=10, deadline=None)
@@ -255,6 +226,10 @@ def test_assembled_state_is_closed_and_moves_without_opening(rod_joint, pose, ra
     assert body_pose.IsNearlyEqualTo(expected, 1e-14)
     twist = stewart.plant.EvalBodySpatialVelocityInWorld(context, stewart.plant.GetBodyByName("platform"))
     np.testing.assert_allclose(twist.get_coeffs(), pose_rate_to_twist(pose, rate), atol=1e-13)
+    if rod_joint == "ball":
+        for rod in (stewart.plant.GetBodyByName(f"rod_{leg}") for leg in range(6)):
+            along = stewart.plant.EvalBodyPoseInWorld(context, rod).rotation().matrix()[:, 2]
+            assert abs(stewart.plant.EvalBodySpatialVelocityInWorld(context, rod).rotational() @ along) < 1e-12
 
 
 @universal_or_ball
@@ -269,18 +244,6 @@ def test_state_gives_back_pose_rate_and_crank_angles(rod_joint, pose, rate):
     np.testing.assert_allclose(back_rate, rate, atol=1e-13)
     np.testing.assert_allclose(stewart.crank_angles(state), inverse_kinematics(ROBOT, pose), atol=1e-14)
     np.testing.assert_allclose(stewart.crank_rates(state), pose_jacobian(ROBOT, pose) @ rate, atol=1e-10)
-
-
-@settings(max_examples=25, deadline=None)
-@given(pose=poses(), rate=vectors(6, 3.0))
-def test_ball_jointed_rods_start_without_spin(pose, rate):
-    _, stewart = built("ball")
-    context = in_drake(stewart, stewart.assemble(pose, rate))
-    for leg in range(6):
-        rod = stewart.plant.GetBodyByName(f"rod_{leg}")
-        spin = stewart.plant.EvalBodySpatialVelocityInWorld(context, rod).rotational()
-        along = stewart.plant.EvalBodyPoseInWorld(context, rod).rotation().matrix()[:, 2]
-        assert abs(spin @ along) < 1e-12
 
 
 @universal_or_ball
@@ -312,24 +275,15 @@ def test_maps_are_vectorised_over_a_log(rod_joint):
 
 def test_what_cannot_be_assembled_is_refused():
     diagram, stewart = built()
-    with pytest.raises(UnreachablePoseError):
-        stewart.assemble(HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
-    with pytest.raises(ConfigurationError, match="pose_rate"):
-        stewart.assemble(HOME, np.zeros(5))
-    with pytest.raises(ConfigurationError, match="pose_rate"):
-        stewart.assemble(HOME, np.full(6, np.nan))
+    edge = brentq(lambda z: reach_margin(ROBOT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, z])).min(), 0.3, 0.6, xtol=1e-15)
+    for height, kind in ((edge - 1e-14, SingularPoseError), (0.6, UnreachablePoseError)):
+        with pytest.raises(kind, match="dead centre" if kind is SingularPoseError else None):
+            stewart.assemble(np.array([0.0, 0.0, 0.0, 0.0, 0.0, height]))
+    for rate in (np.zeros(5), np.full(6, np.nan)):
+        with pytest.raises(ConfigurationError, match="pose_rate"):
+            stewart.assemble(HOME, rate)
     with pytest.raises(ConfigurationError, match="pose"):
         stewart.set_state(diagram.CreateDefaultContext(), np.full(6, np.nan))
-
-
-def test_dead_centre_has_no_crank_speed():
-    low, high = 0.3, 0.6  # [m] the second is out of reach
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        reachable = reach_margin(ROBOT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, middle])).min() >= 0.0
-        low, high = (middle, high) if reachable else (low, middle)
-    with pytest.raises(SingularPoseError, match="dead centre"):
-        built()[1].assemble(np.array([0.0, 0.0, 0.0, 0.0, 0.0, low]))
 
 
 def test_context_of_another_diagram_is_refused_and_drake_does_not_exit():
@@ -356,32 +310,6 @@ def test_free_motion_of_the_reference_converges_at_first_order(rod_joint):
     assert errors[1] < 2e-5
     assert 8.0 < errors[0] / errors[1] < 12.0
     assert 8.0 < turns[0] / turns[1] < 12.0
-
-
-@pytest.mark.slow
-@settings(max_examples=15, deadline=None)
-@given(pose=poses(), rate=vectors(6, 2.0), torque=vectors(6, 3.0))
-def test_velocities_change_as_the_closed_form_says(pose, rate, torque):
-    run = Run(pose, rate, torque, time_step=1e-5)
-    # SAP feels the curvature of the constraints through the gap alone, and needs some steps to build up the force.
-    before, after = (run.to(time).state.copy() for time in (0.001, 0.002))
-
-    def derivative(_, state):
-        pose, twist = state[:6], state[6:]
-        wrench = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
-        return np.concatenate([twist_to_pose_rate(pose, twist), np.linalg.solve(task_inertia(ROBOT, pose), wrench)])
-
-    start = np.concatenate([run.stewart.pose_and_rate(before)[0], before[run.stewart.indices.twist]])
-    exact = solve_ivp(derivative, (0.0, 0.001), start, rtol=1e-10, atol=1e-12).y[6:, -1] - start[6:]
-    change = (after - before)[run.stewart.indices.twist]
-    np.testing.assert_allclose(change, exact, atol=2e-3 * np.abs(exact).max())
-
-
-@universal_or_ball
-def test_without_gravity_and_torque_a_robot_at_rest_stays(rod_joint):
-    pose = np.array(FREE_MOTION["pose"])
-    run = Run(pose, rod_joint=rod_joint, gravity=0.0).to(0.05)
-    np.testing.assert_allclose(run.state, run.stewart.assemble(pose), atol=1e-12)
 
 
 @universal_or_ball
@@ -416,7 +344,7 @@ def test_torques_saturate_at_the_effort_limit():
     assert np.abs(states[0] - states[2]).max() > 1e-3
 
 
-# --- damping and friction --------------------------------------------------------------------------------------------
+# --- damping ------------------------------------------------------------------------------------------------------
 
 
 RATE = np.array([0.5, -0.3, 1.0, 0.1, 0.1, 0.05])
@@ -431,34 +359,28 @@ def lost_and_dissipated(power, **plant):
     return before - run.kinetic_energy, 1e-4 * (np.sum(powers) - 0.5 * (powers[0] + powers[-1]))
 
 
-def test_motor_damping_takes_its_energy():
-    lost, dissipated = lost_and_dissipated(
-        lambda stewart, state: 0.01 * np.sum(stewart.crank_rates(state) ** 2), motor_damping=0.01
-    )
-    assert lost > 5e-4
-    assert lost == pytest.approx(dissipated, rel=0.01)
+def turning(stewart, state):
+    """(6, 3) [rad/s] of the rods against the platform, by Drake."""
+    context = in_drake(stewart, state)
+    bodies = [stewart.plant.GetBodyByName(name) for name in ("platform", *(f"rod_{leg}" for leg in range(6)))]
+    rates = [stewart.plant.EvalBodySpatialVelocityInWorld(context, body).rotational() for body in bodies]
+    return rates[0] - np.array(rates[1:])
+
+
+DAMPED = {
+    "motor_damping": (0.01, lambda stewart, state: stewart.crank_rates(state)),
+    "universal_damping": (0.01, lambda stewart, state: state[stewart.indices.rod_rate]),
+    "platform_joint_damping": (1e-3, turning),
+}
 
 
 @universal_or_ball
-def test_universal_damping_acts_on_every_axis(rod_joint):
+@pytest.mark.parametrize("name", DAMPED)
+def test_damping_takes_its_energy_on_every_axis(name, rod_joint):
+    damping, rates = DAMPED[name]
     lost, dissipated = lost_and_dissipated(
-        lambda stewart, state: 0.01 * np.sum(state[stewart.indices.rod_rate] ** 2),
-        rod_joint=rod_joint,
-        universal_damping=0.01,
+        lambda stewart, state: damping * np.sum(rates(stewart, state) ** 2), rod_joint=rod_joint, **{name: damping}
     )
-    assert lost > 5e-4
-    assert lost == pytest.approx(dissipated, rel=0.01)
-
-
-@universal_or_ball
-def test_platform_joint_damping_takes_its_energy(rod_joint):
-    def power(stewart, state):
-        context = in_drake(stewart, state)
-        bodies = [stewart.plant.GetBodyByName(name) for name in ("platform", *(f"rod_{leg}" for leg in range(6)))]
-        turning = [stewart.plant.EvalBodySpatialVelocityInWorld(context, body).rotational() for body in bodies]
-        return 1e-3 * np.sum((turning[0] - np.array(turning[1:])) ** 2)
-
-    lost, dissipated = lost_and_dissipated(power, rod_joint=rod_joint, platform_joint_damping=1e-3)
     assert lost > 1e-4
     assert lost == pytest.approx(dissipated, rel=0.02)
 
@@ -473,48 +395,6 @@ def test_platform_joint_damping_is_stable_up_to_its_limit(rod_joint, time_step):
     assert np.all(np.diff(energies) < 0.0)
     with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: got .*; allowed: at most"):
         built(rod_joint, time_step=time_step, platform_joint_damping=1.01 * limit)
-
-
-def test_friction_hides_its_actuators():
-    _, stewart = built(motor_friction=0.1)
-    assert stewart.plant.num_actuators() == 12
-    assert stewart.torque_input_port.size() == 6
-
-
-def test_friction_above_the_load_holds_the_platform():
-    run = Run(motor_friction=0.5).to(0.1)
-    creep = static_torque(ROBOT, HOME) / 0.5 * STICTION_SPEED
-    np.testing.assert_allclose(run.stewart.crank_rates(run.state), -creep, rtol=0.01)
-    assert abs(run.pose[5] - HOME[5]) < 2e-6
-
-
-def test_friction_below_the_load_lets_it_fall():
-    run = Run(motor_friction=0.1).to(0.1)
-    assert run.pose[5] < HOME[5] - 0.02
-
-
-def test_friction_swallows_a_small_torque_and_takes_its_share_of_a_large_one():
-    still = Run(torque=[0.05] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
-    np.testing.assert_allclose(still.pose, HOME, atol=2e-6)
-    slowed = Run(torque=[0.3] * 6, gravity=0.0, motor_friction=0.1).to(0.1)
-    free = Run(torque=[0.2] * 6, gravity=0.0).to(0.1)
-    assert free.pose[5] > HOME[5] + 0.005
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-5)
-
-
-def test_friction_takes_its_energy_from_a_moving_robot():
-    lost, dissipated = lost_and_dissipated(
-        lambda stewart, state: 0.02 * np.sum(np.abs(stewart.crank_rates(state))), motor_friction=0.02
-    )
-    assert lost > 1e-3
-    assert lost == pytest.approx(dissipated, rel=0.01)
-
-
-def test_saturation_leaves_friction_alone():
-    torque = [100.0] * 6
-    slowed = Run(torque=torque, gravity=0.0, motor_friction=1.0).to(0.02)
-    free = Run(torque=[4.0] * 6, gravity=0.0).to(0.02)
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
 
 
 # --- collision -------------------------------------------------------------------------------------------------------
@@ -602,15 +482,10 @@ def test_building_prints_nothing(rod_joint, capfd, caplog):
     assert caplog.records == []
 
 
-@pytest.mark.parametrize("gravity", [-9.81, float("nan"), float("inf"), "earth", None])
+@pytest.mark.parametrize("gravity", [-9.81, float("nan"), "earth"])
 def test_bad_gravity_is_refused_by_name(gravity):
     with pytest.raises(ConfigurationError, match="gravity: got "):
         build_plant(ROBOT, gravity=gravity)
-
-
-def test_gravity_points_down():
-    _, stewart = built(gravity=1.62)
-    np.testing.assert_array_equal(stewart.plant.gravity_field().gravity_vector(), [0.0, 0.0, -1.62])
 
 
 def test_a_failed_check_inside_drake_is_our_error(monkeypatch):
@@ -619,7 +494,7 @@ def test_a_failed_check_inside_drake_is_our_error(monkeypatch):
         build_plant(RobotParameters())
 
 
-@pytest.mark.parametrize("leg", [-1, 6, 1.0, None])
+@pytest.mark.parametrize("leg", [-1, 6, 1.0])
 def test_another_leg_has_no_rod_to_break(leg):
     diagram, plant = build_plant(ROBOT)
     with pytest.raises(ConfigurationError, match="a leg from 0 to 5"):

@@ -1,12 +1,8 @@
-import math
-
 import numpy as np
 import pytest
-from conftest import field_of
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from references.laws import check_derivatives, check_means, check_shapes, check_smooth
-from strategies import vectors
+from references.laws import check_smooth, simple, six, sums
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import (
@@ -15,48 +11,12 @@ from stewart_drake.references import (
     HeartbeatReference,
     HoldReference,
     MinimumJerkReference,
-    SineReference,
     SumReference,
-    TremorReference,
     center_of,
 )
 from stewart_drake.scenario import Scenario
 
-six = vectors(6).map(tuple)
-sines = st.builds(SineReference, center=six, amplitude=six, angular_frequency=vectors(6, 12.0).map(tuple), phase=six)
-breathings = st.builds(BreathingReference, center=six, excursion=six, frequency=st.floats(0.1, 0.5))
-simple = sines | breathings
-sums = st.builds(SumReference, parts=st.lists(simple, min_size=1, max_size=3).map(tuple), center=st.none() | six)
-adjusted = st.builds(
-    AdjustedReference,
-    motion=simple | sums,
-    scale=st.floats(0.0, 2.0),
-    slowdown=st.floats(0.5, 4.0),
-    fade_in=st.just(0.0) | st.floats(0.3, 2.0),
-    center=st.none() | six,
-)
 PATH = MinimumJerkReference(poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.1, 0.0, 0.0, 0.02, 0.0, 0.3)), durations=(1.0,))
-
-
-@pytest.mark.slow
-@given(sums | adjusted, st.floats(-0.5, 10.0))
-def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time):
-    check_means(reference, time)
-    if isinstance(reference, AdjustedReference):
-        assume(min(abs(time), abs(time - reference.fade_in * reference.slowdown)) > 3e-4)
-    check_derivatives(reference, time)
-
-
-@given(sines | sums, st.floats(0.3, 2.0), st.floats(0.5, 2.0), st.floats(0.01, 0.99))
-def test_so_they_are_while_it_fades_in(motion, fade_in, slowdown, share):
-    reference = AdjustedReference(motion=motion, scale=0.7, fade_in=fade_in, slowdown=slowdown)
-    check_derivatives(reference, share * fade_in * slowdown)
-
-
-@given(sums | adjusted, st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
-@settings(max_examples=50)
-def test_shapes(reference, times):
-    check_shapes(reference, times)
 
 
 @given(st.lists(simple, min_size=1, max_size=3), six, st.floats(0.0, 10.0))
@@ -69,15 +29,6 @@ def test_a_sum_adds_what_its_parts_are_away_from_their_centres(parts, center, ti
     np.testing.assert_allclose(total[2], sum(one[2] for one in each), atol=1e-12)
 
 
-def test_tremor_on_a_tool_path_is_about_the_path():
-    times = np.linspace(0.0, 2.0, 50)
-    tremor = TremorReference(center=(0.0,) * 6)
-    total = SumReference(parts=(PATH, tremor)).evaluate(times)
-    for both, path, shaking in zip(total, PATH.evaluate(times), tremor.evaluate(times), strict=True):
-        np.testing.assert_allclose(both, path + shaking, atol=1e-12)
-
-
-@pytest.mark.slow
 @given(simple | sums, st.floats(0.25, 8.0), st.floats(0.0, 10.0))
 def test_slowed_by_k_rates_are_one_kth_and_accelerations_one_k_squared(motion, slowdown, time):
     slow = AdjustedReference(motion=motion, slowdown=slowdown).evaluate(slowdown * time)
@@ -135,20 +86,3 @@ def test_motions_within_motions_are_checked_and_become_plain_as_the_rest_of_a_sc
     with pytest.raises(ConfigurationError) as caught:
         Scenario(reference=SumReference(parts=(plain, {"kind": "breathing", "excursion": (True,) * 6})))
     assert caught.value.key == "reference.parts.1.excursion.0"
-
-
-@pytest.mark.parametrize(
-    ("kind", "keys", "key"),
-    [
-        (SumReference, {"parts": ()}, "parts"),
-        (SumReference, {"parts": (PATH,), "center": (0.0,) * 5}, "center"),
-        *[(AdjustedReference, {"motion": PATH, "scale": bad}, "scale") for bad in (-1.0, math.nan, "1")],
-        *[(AdjustedReference, {"motion": PATH, "slowdown": bad}, "slowdown") for bad in (0.0, -1.0, 1e-300, 1e308)],
-        *[(AdjustedReference, {"motion": PATH, "fade_in": bad}, "fade_in") for bad in (-1.0, 1e308)],
-        (AdjustedReference, {"motion": PATH, "center": (math.nan,) * 6}, "center"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_by_name(kind, keys, key):
-    with pytest.raises(ConfigurationError) as caught:
-        kind(**keys)
-    assert field_of(caught.value) == f"reference.{key}"

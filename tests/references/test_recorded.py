@@ -5,7 +5,6 @@ import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
-from conftest import field_of
 from references.laws import check_derivatives, check_means, check_shapes, check_smooth
 
 from stewart_drake.errors import ConfigurationError
@@ -171,21 +170,3 @@ def test_times_too_close_for_numbers_are_refused(tmp_path):
     path = save(table(np.linspace(0.0, 3.0, 4), time=times), tmp_path / "motion.parquet")
     with pytest.raises(ConfigurationError, match="a spline can join"):
         reference(path).evaluate(0.0)
-
-
-@pytest.mark.parametrize(
-    ("keys", "key"),
-    [
-        ({"motion_file": 3}, "motion_file"),
-        *[
-            ({"motion_file": "a.csv", name: bad}, name)
-            for name in ("time_scale", "settle")
-            for bad in (0.0, -1.0, math.nan)
-        ],
-        ({"motion_file": "a.csv", "settle": 1e308}, "settle"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_by_name(keys, key):
-    with pytest.raises(ConfigurationError) as caught:
-        RecordedReference(**keys)
-    assert field_of(caught.value) == f"reference.{key}"

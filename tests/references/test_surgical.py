@@ -3,66 +3,11 @@ import math
 
 import numpy as np
 import pytest
-from conftest import field_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from references.laws import check_derivatives, check_means, check_shapes, check_smooth
-from strategies import vectors
+from references.laws import breathings, check_smooth, heartbeats
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import BreathingReference, HeartbeatReference, TremorReference
-
-six = vectors(6).map(tuple)
-breathings = st.builds(
-    BreathingReference,
-    center=six,
-    excursion=six,
-    frequency=st.floats(0.1, 0.5),
-    order=st.integers(1, 3),
-    phase=st.floats(-4.0, 4.0),
-)
-
-
-@st.composite
-def heartbeats(draw, premature=None):
-    harmonics = draw(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=6).filter(lambda a: max(map(abs, a)) > 0.1))
-    first = draw(st.lists(st.integers(2, 4), max_size=3)) if premature is None else premature
-    return HeartbeatReference(
-        center=draw(six),
-        excursion=draw(six),
-        rate=draw(st.floats(0.8, 2.5)),
-        phase=draw(six),
-        harmonics=tuple(harmonics),
-        harmonic_phase=tuple(draw(st.floats(-4.0, 4.0)) for _ in harmonics),
-        respiratory_variation=draw(st.floats(0.0, 0.4)),
-        respiratory_frequency=draw(st.floats(0.1, 0.4)),
-        slow_variation=draw(st.floats(0.0, 0.4)),
-        seed=draw(st.integers(0, 100)),
-        premature_beats=tuple(np.cumsum(first).tolist()),
-        prematurity=draw(st.floats(0.0, 0.7)),
-    )
-
-
-tremors = st.builds(
-    TremorReference, center=six, rms=six, low=st.floats(1.0, 6.0), high=st.floats(7.0, 15.0), seed=st.integers(0, 100)
-)
-
-
-@given(breathings | heartbeats(premature=()) | tremors, st.floats(-1.0, 30.0))
-def test_rates_and_accelerations_are_the_derivatives_of_the_pose(reference, time):
-    check_derivatives(reference, time)
-
-
-@given(heartbeats(), st.floats(0.0, 12.0))
-def test_so_they_are_with_premature_beats(reference, time):
-    check_means(reference, time)
-
-
-@given(breathings | heartbeats() | tremors, st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=4))
-@settings(max_examples=50)
-def test_shapes(reference, times):
-    check_shapes(reference, times)
-
 
 # --- breathing ----------------------------------------------------------------------------------------------------
 
@@ -232,41 +177,6 @@ def test_a_seed_gives_the_same_motion_again_and_another_seed_another(kind):
     first, again, other = (kind(seed=seed).evaluate(times)[0] for seed in (7, 7, 8))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 1e-5
-
-
-# --- what is refused ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("kind", "changes", "key"),
-    [
-        *[(BreathingReference, {"frequency": bad}, "frequency") for bad in (0.0, -1.0, math.inf, math.nan, "1", None)],
-        *[(BreathingReference, {"order": bad}, "order") for bad in (0, 4, 2.0, True, None)],
-        *[(BreathingReference, {"phase": bad}, "phase") for bad in (math.inf, math.nan, "1")],
-        *[(BreathingReference, {name: (0.0,) * 5}, name) for name in ("center", "excursion")],
-        *[(HeartbeatReference, {name: (math.nan,) * 6}, name) for name in ("center", "excursion", "phase")],
-        *[(HeartbeatReference, {name: 0.0}, name) for name in ("rate", "respiratory_frequency")],
-        (HeartbeatReference, {"harmonics": ()}, "harmonics"),
-        (HeartbeatReference, {"harmonics": (0.0, 0.0)}, "harmonics"),
-        (HeartbeatReference, {"harmonics": (1.0,) * 21}, "harmonics"),
-        (HeartbeatReference, {"harmonics": (1.0, math.inf)}, "harmonics"),
-        (HeartbeatReference, {"harmonics": (1.0, 0.5)}, "harmonic_phase"),
-        (HeartbeatReference, {"harmonic_phase": (1.0, math.nan)}, "harmonic_phase"),
-        (HeartbeatReference, {"respiratory_variation": -0.1}, "respiratory_variation"),
-        (HeartbeatReference, {"slow_variation": 1.1}, "slow_variation"),
-        (HeartbeatReference, {"slow_variation": 0.5, "respiratory_variation": 0.5}, "slow_variation"),
-        *[(HeartbeatReference, {"premature_beats": bad}, "premature_beats") for bad in ((0,), (3, 4), (5, 3), (2.0,))],
-        *[(HeartbeatReference, {"prematurity": bad}, "prematurity") for bad in (-0.1, 0.71, math.nan)],
-        *[(kind, {"seed": bad}, "seed") for kind in (HeartbeatReference, TremorReference) for bad in (-1, 1.0, 2**63)],
-        *[(TremorReference, {name: (0.0,) * 7}, name) for name in ("center", "rms")],
-        *[(TremorReference, {"low": bad}, "low") for bad in (0.0, math.nan)],
-        *[(TremorReference, {"high": bad}, "high") for bad in (6.0, 1.0, math.inf)],
-    ],
-)
-def test_what_makes_no_sense_is_refused_by_name(kind, changes, key):
-    with pytest.raises(ConfigurationError) as caught:
-        kind(**changes)
-    assert field_of(caught.value) == f"reference.{key}"
 
 
 def test_one_harmonic_is_a_sine():

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
+from stewart_drake.errors import InfeasibleReferenceError
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.planning.limits import PLACES, Limits, limit_bounds, limit_margins
 from stewart_drake.references import (
@@ -36,7 +36,7 @@ def feasible(robot, reference, duration):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "reference", "duration"),
-    [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4), (ROBOT, TOO_FAR, 4.0)],
+    [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (ROBOT, TOO_FAR, 4.0)],
 )
 def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
     fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
@@ -116,20 +116,6 @@ def test_the_report_of_a_scenario_covers_its_whole_run():
     report = motion_report(scenario)
     assert len(report.unreachable) == 1501
     assert report.first_violation == check_reference(ROBOT, LIMITS, FAST, 3.0, GRAVITY).first_violation
-
-
-def test_numbers_without_end_are_one_error():
-    endless = SineReference(angular_frequency=(1e200, 0.0, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(ConfigurationError, match="stays finite") as caught:
-        motion_report(Scenario(reference=endless))
-    assert caught.value.key == "reference"
-
-
-def test_a_recording_that_is_not_there_is_named_as_such(tmp_path):
-    reference = {"kind": "recorded", "motion_file": str(tmp_path / "none.csv")}
-    with pytest.raises(ConfigurationError, match="No such file") as caught:
-        motion_report(Scenario.from_dict({"reference": reference}))
-    assert caught.value.key == f"recorded motion {tmp_path / 'none.csv'}"
 
 
 @pytest.mark.parametrize(

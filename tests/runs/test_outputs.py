@@ -13,7 +13,6 @@ from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import collect_versions, git_revision, source_digest
@@ -69,17 +68,12 @@ def test_a_run_that_broke_at_once_keeps_what_it_has(short_run, tmp_path, rows):
     assert len(load_log(tmp_path).time) == rows
 
 
-def test_numbers_alone_need_no_pictures(tmp_path):
-    write_run(made_log(), tmp_path, pictures=False)
-    assert names(tmp_path) == ALWAYS
-
-
-@pytest.mark.slow
-def test_results_of_the_same_scenario_are_replaced_as_a_whole(short_run, tmp_path):
+def test_results_of_the_same_scenario_are_replaced_as_a_whole(tmp_path):
     folder = tmp_path / "out"
-    write_run(short_run, folder, "digraph {}")
-    assert names(folder) >= PICTURES | {"diagram.dot"}
-    write_run(dataclasses.replace(short_run, wall_time=3.0), folder, pictures=False)
+    write_run(made_log(), folder, "digraph {}", pictures=False)
+    for name in PICTURES:
+        (folder / name).write_text("of the run before")
+    write_run(made_log(wall_time=3.0), folder, pictures=False)
     assert names(folder) == ALWAYS
     assert load_log(folder).wall_time == 3.0
     assert names(tmp_path) == {"out"}
@@ -95,30 +89,6 @@ def test_results_of_another_scenario_are_replaced_only_when_asked_for(tmp_path):
     assert load_log(folder).scenario.gravity == 0.0
 
 
-@pytest.mark.parametrize("name", ["controller.py", "metrics.json"])
-def test_without_a_scenario_of_a_run_everything_is_the_users_own(tmp_path, name):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / name).write_text("mine")
-    for force in (False, True):
-        with pytest.raises(ConfigurationError, match=f"{name} would be lost"):
-            write_run(made_log(), tmp_path / "out", pictures=False, force=force)
-
-
-def test_the_same_scenario_with_another_file_of_the_same_name_is_another_one(tmp_path):
-    files = []
-    for folder, text in (("one", "first"), ("two", "second")):
-        (tmp_path / folder).mkdir()
-        files.append(tmp_path / folder / "mine.py")
-        files[-1].write_text(f"# {text}\n")
-    logs = [made_log(scenario={"controller": {"kind": "python", "system": f"{path}:C"}}) for path in files]
-    logs = [dataclasses.replace(log, files=file_digests(log.scenario.to_dict())) for log in logs]
-    for _ in range(2):
-        write_run(logs[0], tmp_path / "out", pictures=False)
-    with pytest.raises(ConfigurationError, match="--force"):
-        write_run(logs[1], tmp_path / "out", pictures=False)
-    assert (tmp_path / "out" / "code" / "mine.py").read_text() == "# first\n"
-
-
 def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
     (tmp_path / "large disk").mkdir()
     (tmp_path / "out").symlink_to("large disk")
@@ -127,16 +97,20 @@ def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
     assert names(tmp_path / "large disk") == ALWAYS
 
 
-@pytest.mark.parametrize("name", ["my notes.txt", "log.parquet.bak", ".hidden", "scenario.yaml"])
-def test_nothing_of_the_users_own_is_ever_lost(tmp_path, name):
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("name", ["my notes.txt", ".hidden", "scenario.yaml", "metrics.json"])
+def test_nothing_of_the_users_own_is_ever_lost(tmp_path, name, before):
     folder = tmp_path / "out"
-    write_run(made_log(), folder, pictures=False)
+    if before:
+        write_run(made_log(), folder, pictures=False)
+        name = name.replace("metrics", "other")
+    folder.mkdir(exist_ok=True)
     (folder / name).write_text("# mine\n")
     for force in (False, True):
         with pytest.raises(ConfigurationError, match="would be lost"):
             write_run(made_log(), folder, pictures=False, force=force)
     assert (folder / name).read_text() == "# mine\n"
-    assert names(folder) == ALWAYS | {name}
+    assert names(folder) == (ALWAYS if before else set()) | {name}
     assert names(tmp_path) == {"out"}
 
 
@@ -192,7 +166,7 @@ def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_p
         with monkeypatch.context() as patch:
             patch.setattr(Path, step, dies)
             # As after SIGKILL nobody tidies up.
-            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.close())
+            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.release())
             with contextlib.suppress(Killed):
                 write_run(made_log(wall_time=8.0 + kill_at), place, pictures=False)
         # The next run puts its own in their place, whatever it finds.
@@ -233,24 +207,26 @@ def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path, name):
 
 
 def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_again(tmp_path):
-    code = tmp_path / "elsewhere" / "mine.py"
-    code.parent.mkdir()
-    code.write_text("one = 1\n")
-    own = {"controller": {"kind": "python", "system": f"{code}:Mine"}}
-    folder = tmp_path / "out"
-    log = made_log(scenario=own)
-    log = dataclasses.replace(log, files=file_digests(log.scenario.to_dict()))
-    write_run(log, folder, pictures=False)
+    code, other = (tmp_path / place / "mine.py" for place in ("elsewhere", "other"))
+    logs, folder = [], tmp_path / "out"
+    for path in (code, other):
+        path.parent.mkdir()
+        path.write_text(f"one = '{path.parent.name}'\n")
+        log = made_log(scenario={"controller": {"kind": "python", "system": f"{path}:Mine"}})
+        logs.append(dataclasses.replace(log, files=file_digests(log.scenario.to_dict())))
+    for _ in range(2):
+        write_run(logs[0], folder, pictures=False)
     assert names(folder) == ALWAYS | {"code"}
-    assert (folder / "code" / "mine.py").read_text() == "one = 1\n"
-    again = load_scenario(folder / "scenario.yaml")
-    assert again.controller.system == f"{folder / 'code' / 'mine.py'}:Mine"
-    write_run(log, folder, pictures=False)
+    assert load_scenario(folder / "scenario.yaml").controller.system == f"{folder / 'code' / 'mine.py'}:Mine"
+    # Another file of the same name is another scenario.
+    with pytest.raises(ConfigurationError, match="--force"):
+        write_run(logs[1], folder, pictures=False)
+    assert (folder / "code" / "mine.py").read_text() == "one = 'elsewhere'\n"
     (folder / "code" / "notes.py").write_text("mine")
     with pytest.raises(ConfigurationError, match=r"code/notes\.py would be lost"):
-        write_run(log, folder, pictures=False, force=True)
+        write_run(logs[0], folder, pictures=False, force=True)
     code.unlink()
-    write_run(made_log(scenario=own), tmp_path / "without", pictures=False)
+    write_run(logs[0], tmp_path / "without", pictures=False)
     assert names(tmp_path / "without") == ALWAYS
 
 
@@ -270,78 +246,16 @@ def test_numbers_that_are_not_finite_are_null_with_a_reason(tmp_path):
     assert metrics["rmse_deg"][0] == 0.0
 
 
-def test_the_graph_is_rendered_where_graphviz_is_installed(tmp_path, monkeypatch):
+@pytest.mark.parametrize("script", ['echo "<svg>$(cat)</svg>"', "exit 1"])
+def test_the_graph_is_rendered_where_graphviz_is_installed_and_works(tmp_path, monkeypatch, script):
     dot = tmp_path / "dot"
-    dot.write_text('#!/bin/sh\necho "<svg>$(cat)</svg>"\n')
+    dot.write_text(f"#!/bin/sh\n{script}\n")
     dot.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     write_run(made_log(), tmp_path / "out", "digraph {}", pictures=False)
-    assert (tmp_path / "out" / "diagram.svg").read_text() == "<svg>digraph {}</svg>\n"
     assert (tmp_path / "out" / "diagram.dot").read_text() == "digraph {}"
-
-
-def test_a_graphviz_that_fails_costs_only_the_picture(tmp_path, monkeypatch):
-    dot = tmp_path / "dot"
-    dot.write_text("#!/bin/sh\nexit 1\n")
-    dot.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    write_run(made_log(), tmp_path / "out", "digraph {}", pictures=False)
-    assert names(tmp_path / "out") == ALWAYS | {"diagram.dot"}
-
-
-@pytest.mark.parametrize("write", [prepare_folder, lambda path: write_run(made_log(), path, pictures=False)])
-def test_a_folder_that_cannot_be_is_named(tmp_path, write):
-    file = tmp_path / "file"
-    file.write_text("mine")
-    for path, why in ((file, "this is a file"), (file / "below", "Not a directory")):
-        with pytest.raises(ConfigurationError) as caught:
-            write(path)
-        assert caught.value.key == "--out"
-        assert str(file) in str(caught.value)
-        assert why in str(caught.value) or "this is a file" in str(caught.value)
-    assert file.read_text() == "mine"
-
-
-@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that not even root can write to")
-def test_a_folder_that_cannot_be_written_to_is_named():
-    with pytest.raises(ConfigurationError, match=r"--out: got '/proc'; allowed: a folder that can be written to"):
-        prepare_folder("/proc")
-
-
-def test_preparing_a_folder_leaves_nothing_in_it_and_takes_nothing_from_it(tmp_path):
-    (tmp_path / "mine").write_text("mine")
-    assert prepare_folder(str(tmp_path)) == tmp_path
-    assert names(tmp_path) == {"mine"}
-
-
-@pytest.mark.parametrize("at", ["replace", "chmod"])
-def test_a_file_is_whole_or_the_old_one_stays(tmp_path, monkeypatch, at):
-    path = tmp_path / "metrics.json"
-    write_atomically(path, b"old")
-
-    def fail(*_args):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, at, fail)
-    with pytest.raises(ConfigurationError, match="No space left on device"):
-        write_atomically(path, b"new")
-    monkeypatch.undo()
-    assert path.read_bytes() == b"old"
-    assert names(tmp_path) == {"metrics.json"}
-
-
-def test_ctrl_c_while_writing_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = tmp_path / "metrics.json"
-    write_atomically(path, b"old")
-
-    def interrupt(*_args):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Path, "replace", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert names(tmp_path) == {"metrics.json"}
+    svg = tmp_path / "out" / "diagram.svg"
+    assert not svg.exists() if script == "exit 1" else svg.read_text() == "<svg>digraph {}</svg>\n"
 
 
 @pytest.mark.parametrize("file", ["metrics.json", "scenario.yaml"])
@@ -360,14 +274,16 @@ def test_a_disk_that_fills_up_midway_leaves_the_log_and_no_half_result(tmp_path,
     assert len(load_log(tmp_path / ".out.unfinished").time) == 101
 
 
-def test_written_files_can_be_read_by_whom_the_umask_allows(tmp_path):
-    old = os.umask(0o022)
-    try:
-        write_run(made_log(), tmp_path, pictures=False)
-    finally:
-        os.umask(old)
-    assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {0o644}
-    assert tmp_path.stat().st_mode & 0o777 == 0o755
+def test_a_folder_that_cannot_be_is_named_and_one_that_can_is_left_as_it_is(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for path, why in ((file, "this is a file"), (file / "below", "Not a directory|this is a file")):
+        for write in (prepare_folder, lambda path: write_run(made_log(), path, pictures=False)):
+            with pytest.raises(ConfigurationError, match=f"--out: got .*file.*({why})"):
+                write(path)
+    assert prepare_folder(str(tmp_path)) == tmp_path
+    assert names(tmp_path) == {"file"}
+    assert file.read_text() == "mine"
 
 
 def test_versions_name_what_computed():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario import Scenario
 
 LOOP = {
     "duration": 1.0,
@@ -13,23 +12,6 @@ LOOP = {
     "controller": {"period": 0.001, "model": "exact", "solver": "split", "weight_length": 0.11},
     "tuner": {"kind": "block", "q_pose": 4e5, "q_rate": 30.0, "q_integral": 4e7},
 }
-
-
-def refused(tmp_path, text):
-    path = tmp_path / "case.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigurationError) as caught:
-        load_scenario(path)
-    return caught.value
-
-
-@pytest.mark.parametrize(
-    "key", ["rod_mass", "crank_mass", "platform_mass", "base_mass", "platform_inertia", "rod_inertia", "crank_inertia"]
-)
-@pytest.mark.parametrize("value", ["0", "-1", ".nan", ".inf"])
-def test_a_mass_or_inertia_that_drake_would_replace_is_refused(tmp_path, key, value):
-    number = value if "mass" in key else f"[{value}, {value}, {value}]"
-    assert refused(tmp_path, f"robot: {{{key}: {number}}}").key.startswith(f"robot.{key}")
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import FAILURES, ConfigurationError, SafetyStop, failure_code
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import leg_geometry, twist_jacobian
+from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, twist_jacobian
 from stewart_drake.safety import (
     FROZEN_SIZE,
     HOLD,
@@ -30,7 +30,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
-from stewart_drake.safety.monitors import look
+from stewart_drake.safety.monitors import broken, see
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -128,6 +128,11 @@ def test_a_good_tick_passes_the_command_on_to_the_last_bit():
     np.testing.assert_array_equal(done[-1].torque, command)
     assert done[-1].level == NONE
     assert first_trip(done[-1], PERIOD) is None
+    # So the first, whatever it is within the limit; if it is bad, the weight's torque stands in for it.
+    np.testing.assert_array_equal(run([inputs(command=np.full(6, 4.9))])[0][0].torque, 4.9)
+    (first,), _ = run([inputs(command=np.full(6, np.nan))])
+    assert first.level == HOLD
+    np.testing.assert_array_equal(first.torque, WEIGHT)
 
 
 @given(poses(0.8), vectors(6, 0.3))
@@ -178,9 +183,7 @@ def test_torques_are_cut_at_the_limit_and_trip_when_they_stay_there():
     half = SafetyOptions(torque_limit=0.5)
     done, _ = run([GOOD, *rising[:20]], half)
     assert max(np.abs(m.torque).max() for m in done) == 0.5 * ROBOT.effort_limit
-
-
-def test_short_visits_to_the_limit_are_forgiven():
+    # Short visits to the limit are forgiven.
     full, well = inputs(command=np.full(6, 5.0)), inputs(command=np.full(6, 4.9))
     done, stop = run([GOOD, *[full, full, well, well] * 100])
     assert stop is None
@@ -203,11 +206,6 @@ def test_a_command_that_chatters_trips_and_leaves_no_mean_torque():
     without, stop = run([GOOD, GOOD, *chatter], SafetyOptions(torque_rate=None))
     assert stop is None
     assert first_trip(without[-1], PERIOD) is None
-
-
-def test_the_first_command_may_be_anything_within_the_limit():
-    done, _ = run([inputs(command=np.full(6, 4.9))])
-    np.testing.assert_array_equal(done[0].torque, 4.9)
 
 
 # --- levels ---------------------------------------------------------------------------------------------------------
@@ -237,23 +235,14 @@ def test_the_last_good_command_is_held_for_twenty_ticks_and_thirty_milliseconds_
     assert safety_tick(ROBOT, options, 9.81, period, BAD, memory).level >= RAMP
 
 
-def test_a_hold_ends_by_itself_when_commands_are_good_again():
+def test_a_hold_ends_by_itself_and_a_fault_that_flickers_uses_the_budget_up():
     done, stop = run([GOOD, *[BAD] * 19, inputs(command=WEIGHT + 0.2)])
     assert stop is None
     assert done[-1].level == NONE
     np.testing.assert_array_equal(done[-1].torque, WEIGHT + 0.2)
     assert first_trip(done[-1], PERIOD)["worst"] == "hold"
-
-
-def test_a_fault_that_flickers_uses_the_budget_up():
     done, _ = run([GOOD, *[BAD, GOOD] * 30])
     assert done[-1].level >= RAMP
-
-
-def test_the_very_first_command_may_be_bad():
-    done, _ = run([BAD])
-    assert done[0].level == HOLD
-    np.testing.assert_array_equal(done[0].torque, WEIGHT)
 
 
 def test_a_ramp_leads_to_the_weights_torque_within_its_time_and_ends_the_run_with_the_monitors_name():
@@ -291,8 +280,10 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     assert [t["stopped"] for t in told[1:3]] == [None, None]
     assert (told[-1]["monitor"], told[-1]["time"], told[-1]["last"]) == ("command_not_finite", 0.001, "safe_hold")
     assert {str(t["stopped"]) for t in told[52:]} == {"{'monitor': 'workspace', 'time': 0.052, 'leg': None}"}
-    # A run that is given up says so too.
-    _, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
+    # A robot that runs away all the same is given up, and the run says so too.
+    done, stop = run([GOOD, BAD, GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
+    assert len(done) == 4
+    assert (stop.reason, stop.trip["worst"]) == ("crank_speed", "end")
     assert (stop.trip["last"], stop.trip["stopped"]["monitor"], stop.trip["stopped"]["time"]) == (
         "end",
         "crank_speed",
@@ -305,6 +296,10 @@ def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor()
     unguarded = SafetyOptions(failures=False)
     done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
     assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("sensor_failed", 2.0)
+    told = first_trip(run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1], PERIOD)
+    assert (told["cause"], told["leg"]) == ("encoder", 2)
+    assert failure_code("something of a user's own") == 1
+    assert len(set(map(failure_code, FAILURES))) == len(FAILURES)
     # Another failure is told by a system that nobody asked to tell: the pose is looked at all the same.
     done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=(failure_code("encoder"), -1.0))], unguarded)
     assert MONITORS[int(done[-1].monitor)] == "workspace"
@@ -330,15 +325,12 @@ def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
     assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
-@pytest.mark.slow
+@settings(max_examples=15)
 @given(vectors(6, 0.4))
 def test_the_safe_hold_takes_energy_out(rate):
     done, _ = run([GOOD, *[inputs(pose=at(x=0.13), rate=rate)] * 30], SafetyOptions(horizon=0.0))
     held = done[-1]
     assert held.level == SAFE_HOLD
-    rate[:3] *= 1.0
-    from stewart_drake.mechanics.kinematics import pose_rate_to_twist
-
     speed = twist_jacobian(ROBOT, at(x=0.13)) @ pose_rate_to_twist(at(x=0.13), rate)
     power = (held.torque - static_torque(ROBOT, at(x=0.13))) @ speed
     assert power <= 1e-12
@@ -352,12 +344,6 @@ def test_what_has_tripped_to_a_ramp_does_not_come_back():
     assert all(m.level >= RAMP for m in done[1:])
 
 
-def test_a_robot_that_runs_away_all_the_same_is_given_up():
-    done, stop = run([GOOD, inputs(rate=FAST), inputs(rate=2.0 * FAST)])
-    assert len(done) == 2
-    assert (stop.reason, stop.trip["worst"]) == ("crank_speed", "end")
-
-
 def test_without_a_measurement_nothing_is_held_for_longer_than_the_budget():
     blind = inputs(pose=np.full(6, np.nan), reference=HOME)
     done, stop = run([GOOD, *[blind] * 100])
@@ -367,14 +353,6 @@ def test_without_a_measurement_nothing_is_held_for_longer_than_the_budget():
     done, stop = run([GOOD, inputs(pose=at(x=0.13)), *[blind] * 100])
     assert len(done) == 22
     assert (stop.reason, stop.trip["worst"]) == ("workspace", "end")
-
-
-def test_a_cause_is_told():
-    done, _ = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])
-    assert first_trip(done[-1], PERIOD)["cause"] == "encoder"
-    assert first_trip(done[-1], PERIOD)["leg"] == 2
-    assert failure_code("something of a user's own") == 1
-    assert len(set(map(failure_code, FAILURES))) == len(FAILURES)
 
 
 anything = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e300])
@@ -428,11 +406,6 @@ def test_compiled_ticks_are_the_reference(ticks):
             np.testing.assert_array_equal(memory[1][:6], memory[0][:6])
 
 
-def test_memory_is_a_vector_and_back():
-    values = np.arange(39.0)
-    np.testing.assert_array_equal(SafetyMemory.from_flat(values).flat(), values)
-
-
 # --- frozen sensors -------------------------------------------------------------------------------------------------
 
 
@@ -447,8 +420,10 @@ def frozen(readings, reference=None, options=OPTIONS, quantum=0.0):
 
 
 def test_an_encoder_that_stands_while_others_turn_is_named():
-    turning = np.arange(100)[:, None] * 0.001 * np.ones(6)
-    assert frozen(turning) is None
+    turning, jump = np.arange(100)[:, None] * 0.001 * np.ones(6), np.zeros((100, 6))
+    jump[50:, 2] = 0.3
+    for well in (turning, np.zeros((100, 6)), jump):
+        assert frozen(well) is None
     stuck = turning.copy()
     stuck[20:, 4] = stuck[20, 4]
     assert frozen(stuck[:55]) is None
@@ -456,14 +431,6 @@ def test_an_encoder_that_stands_while_others_turn_is_named():
     assert frozen(stuck, options=SafetyOptions(frozen_encoder=None)) is None
     # Coarse encoders stand still for longer.
     assert frozen(stuck[:65], quantum=0.001) is None
-
-
-def test_a_robot_at_rest_and_one_encoder_that_jumps_are_no_frozen_sensors():
-    rest = np.zeros((100, 6))
-    assert frozen(rest) is None
-    jump = rest.copy()
-    jump[50:, 2] = 0.3
-    assert frozen(jump) is None
 
 
 def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
@@ -488,23 +455,19 @@ def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
         (lambda s: at(yaw=1.25 * s), "workspace"),
         (lambda s: at(z=-0.1110 * s), "transmission"),
         (lambda s: at(pitch=-1.11 * s), "conditioning"),
+        (lambda s: at(x=0.0 * s), "crank_speed"),
     ],
 )
 def test_a_motion_that_would_trip_is_refused_with_its_time(motion, key):
     time = np.linspace(0.0, 1.0, 101)
-    pose = np.array([motion(t) for t in time])
+    pose, rate = np.array([motion(t) for t in time]), np.zeros((101, 6))
+    if key == "crank_speed":
+        rate[95] = FAST
     with pytest.raises(ConfigurationError) as caught:
-        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, *np.zeros((2, 101, 6))))
+        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, rate, np.zeros((101, 6))))
     assert field_of(caught.value) == f"safety.{key}"
     assert "t = 0.9" in caught.value.allowed or "t = 1.0" in caught.value.allowed
     refuse_motion(ROBOT, OPTIONS, 0.0, time[:80], (pose[:80], *np.zeros((2, 80, 6))))
-
-
-def test_a_motion_that_is_too_fast_is_refused():
-    time, pose = np.array([0.0, 0.5]), np.tile(HOME, (2, 1))
-    with pytest.raises(ConfigurationError, match=r"safety\.crank_speed.*leg") as caught:
-        refuse_motion(ROBOT, OPTIONS, 0.0, time, (pose, np.array([STILL, FAST]), np.zeros((2, 6))))
-    assert "0.500 s" in caught.value.allowed
 
 
 def test_a_start_that_would_trip_is_refused():
@@ -570,8 +533,7 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
     tripped = [
-        look(ROBOT, options, 9.81, inputs(pose=p, rate=r), 0.0).trip is not None
-        for p, r in zip(*motion[:2], strict=True)
+        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None for p, r in zip(*motion[:2], strict=True)
     ]
     assert any(tripped)
     short = dataclasses.replace(options, horizon=0.0)

@@ -2,58 +2,22 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.control.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
-from stewart_drake.control.inputs import Measurement, Setpoint
-from stewart_drake.control.joint_pid import PidMemory, PidOptions, pid_tick
+from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import plot_states, plot_torques
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.diagram import ClosedLoop
-from stewart_drake.systems.joint_pid import JointPid
 
 GRAVITY = 9.81
 HOME = np.array(ROBOT.home_pose)
-MEASURED = np.concatenate([HOME + [0.01, 0, 0, 0, 0, 0.001], np.full(6, 0.02)])
-WANTED = np.concatenate([HOME, np.zeros(12)])
-SPLIT = Measurement(MEASURED[:6], MEASURED[6:]), Setpoint(WANTED[:6], WANTED[6:12], WANTED[12:])
 KINDS = ("pid", "computed_torque")
 
 
 def scenario(**changes):
     return Scenario.from_dict({"duration": 0.4, "reference": {"kind": "sine"}} | changes)
-
-
-@pytest.mark.parametrize(
-    ("system", "tick", "memory"),
-    [
-        (
-            JointPid(ROBOT, PidOptions(), GRAVITY),
-            lambda memory: pid_tick(ROBOT, PidOptions(), GRAVITY, *SPLIT, memory),
-            PidMemory(np.zeros(6), np.zeros(6)),
-        ),
-        (
-            ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
-            lambda memory: computed_torque_tick(ROBOT, ComputedTorqueOptions(), GRAVITY, *SPLIT, memory),
-            ComputedTorqueMemory(np.zeros(6), np.zeros(6), np.zeros(6)),
-        ),
-    ],
-    ids=KINDS,
-)
-def test_a_tick_is_the_pure_function_and_answers_at_once(system, tick, memory):
-    context = system.CreateDefaultContext()
-    system.measurement.FixValue(context, MEASURED)
-    system.reference.FixValue(context, WANTED)
-    expected = tick(memory)
-    np.testing.assert_array_equal(system.torque.Eval(context), expected.torque)
-    stored = system.EvalUniquePeriodicDiscreteUpdate(context).value()
-    np.testing.assert_array_equal(stored[:-1], np.concatenate(expected))
-    context.get_mutable_discrete_state(0).set_value(stored)
-    context.SetTime(system.period)
-    np.testing.assert_array_equal(system.torque.Eval(context), tick(expected).torque)
 
 
 @pytest.mark.slow
@@ -108,22 +72,6 @@ def test_what_needs_the_lqi_says_so():
     with pytest.raises(ConfigurationError) as caught:
         scenario(controller={"kind": "pid"}).control_law()
     assert caught.value.key == "controller.kind"
-
-
-@pytest.mark.parametrize(
-    ("controller", "words"),
-    [
-        ({"kind": "pdi"}, ["controller.kind", "'pdi'", "lqi, pid, computed_torque, python or module:Class"]),
-        ({"kind": "pid", "kpp": 1.0}, ["controller.kpp", "did you mean kp?"]),
-        ({"kind": "pid", "kp": "a"}, ["controller.kp", "a number"]),
-        ({"kind": "computed_torque", "damping": -1.0}, ["controller.damping", "a positive number"]),
-        ({"kind": "python"}, ["controller.system", "this key is required"]),
-    ],
-)
-def test_bad_sections_name_the_key(controller, words):
-    with pytest.raises(ConfigurationError) as caught:
-        scenario(controller=controller)
-    assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
 def test_the_diagram_names_its_ports():

@@ -72,13 +72,7 @@ def test_a_split_by_samples_mixes_every_run_and_depends_on_the_seed():
 
 @pytest.mark.parametrize(
     ("dataset", "changes"),
-    [
-        (made_up(40, 1), {"split": "runs"}),
-        (made_up(40, 9), {"split": "runs", "training_share": 0.05}),
-        (made_up(40, 9), {"split": "runs", "training_share": 0.95}),
-        (made_up(1, 1), {}),
-        (made_up(1, 3), {"training_share": 0.1}),
-    ],
+    [(made_up(40, 1), {"split": "runs"}), (made_up(1, 1), {}), (made_up(1, 3), {"training_share": 0.1})],
 )
 def test_a_side_without_samples_is_an_error_of_training_too(dataset, changes):
     with pytest.raises(ConfigurationError) as caught:
@@ -123,7 +117,9 @@ def test_the_first_step_goes_down_the_gradient_by_finite_differences():
 
 
 def test_training_lowers_the_loss_and_learns_what_there_is_to_learn():
-    result = train_network(made_up(), options(epochs=400, split="runs"))
+    calls = []
+    result = train_network(made_up(), options(epochs=420, split="runs"), calls.append)
+    assert calls == [*range(50, 420, 50), 420]
     assert result.training_loss[-1] < 0.1 * result.training_loss[0]
     for name in ("omega_Q", "omega_R"):
         assert result.scores[f"training R^2 of log {name}"] > 0.9
@@ -131,12 +127,6 @@ def test_training_lowers_the_loss_and_learns_what_there_is_to_learn():
     noise.inputs[:] = np.random.default_rng(5).uniform(0.5, 1.5, noise.inputs.shape)
     scores = train_network(noise, options(epochs=400)).scores
     assert scores["validation R^2 of log omega_Q"] < 0.1
-
-
-def test_every_progress_call_says_how_far_it_is():
-    calls = []
-    train_network(made_up(5), options(epochs=120), calls.append)
-    assert calls == [50.0, 100.0, 120.0]
 
 
 def test_the_network_carries_the_range_scaling_and_settings_of_its_data():
@@ -200,27 +190,21 @@ def test_a_target_that_does_not_vary_has_no_score_and_the_file_stays_json(tmp_pa
 # --- repeatability -------------------------------------------------------------------------------------------------
 
 
-def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte(tmp_path):
-    train_network(made_up(), options()).network.save(tmp_path / "a.json")
+def test_the_same_data_options_and_seed_give_the_same_file_to_the_byte_and_others_another():
+    def network(of=0, seed=0):
+        return train_network(made_up(seed=of), options(seed=seed)).network.to_bytes()
+
+    first = network()
     # After other random numbers, and with another number of threads.
     torch.rand(7)
-    np.random.default_rng().random(7)
     threads = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        train_network(made_up(), options()).network.save(tmp_path / "b.json")
+        assert network() == first
         assert torch.get_num_threads() == 2  # left as it was
     finally:
         torch.set_num_threads(threads)
-    assert (tmp_path / "b.json").read_bytes() == (tmp_path / "a.json").read_bytes()
-
-
-def test_another_seed_or_other_data_give_another_network(tmp_path):
-    files = []
-    for index, (dataset, seed) in enumerate(((made_up(), 0), (made_up(), 1), (made_up(seed=1), 0))):
-        train_network(dataset, options(seed=seed)).network.save(tmp_path / f"{index}.json")
-        files.append((tmp_path / f"{index}.json").read_bytes())
-    assert len(set(files)) == 3
+    assert len({first, network(of=1), network(seed=1)}) == 3
 
 
 def test_the_file_says_where_the_network_comes_from(tmp_path):
@@ -235,19 +219,3 @@ def test_the_file_says_where_the_network_comes_from(tmp_path):
     assert provenance["torch"] == torch.__version__
     assert provenance["data"] == {"density": "signed", "window": 7, "sample_time": 0.005}
     assert provenance["scores"] == pytest.approx(result.scores)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *[("epochs", value) for value in (0, -1)],
-        *[("learning_rate", value) for value in (0.0, -1.0, 10.0, math.nan, math.inf)],
-        *[("training_share", value) for value in (0.0, 1.0, -0.5, math.nan)],
-        *[("seed", value) for value in (-1, 2**63)],
-        ("split", "time"),
-    ],
-)
-def test_an_option_out_of_its_range_is_refused_by_name(name, value):
-    with pytest.raises(ConfigurationError) as caught:
-        TrainingOptions(**{name: value})
-    assert caught.value.key == f"training.{name}"

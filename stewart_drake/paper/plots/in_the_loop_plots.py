@@ -1,4 +1,4 @@
-"""Figures on the tuner in the loop: ranking, weights in force, and what the network answers."""
+"""Figures on the tuner in the loop: ranking, and weights in force."""
 
 from __future__ import annotations
 
@@ -12,18 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator
 
 from stewart_drake.paper.tuner_comparison import Comparison
-from stewart_drake.plotting.panels import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    QUIET,
-    TEXT,
-    label,
-    legend,
-    legend_below,
-    logarithmic,
-    panels,
-)
+from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, TEXT, label, legend_below, logarithmic, panels
 
 _RATIO_COLORS = ("#08306B", "#2171B5", "#6BAED6", "#A6CEE3", "#D2E4F0")
 _SPAN = "#E3E8ED"
@@ -100,27 +89,4 @@ def plot_weights_in_force(
             panel.set_xlabel("time [s]", fontsize=10, color=TEXT)
             panel.tick_params(labelbottom=True)
     legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], 3, 9.0)
-    return figure
-
-
-def plot_answers(ratios: Sequence[float], answers: Mapping[str, Sequence[float]]) -> Figure:
-    """What the network answers while it looks on at fixed weights, against the weights in force.
-
-    Args:
-        ratios: (k,) omega_Q / omega_R in force.
-        answers: Trajectory -> (k,) log10 of the mean answer.
-    """
-    figure, ((panel,),) = panels(1, 1, 4.6)
-    panel.plot(ratios, ratios, color=TEXT, linestyle=(0, (4, 2)), linewidth=1.4, label="a perfect estimator")
-    for index, (name, values) in enumerate(answers.items()):
-        first = index == 0
-        panel.plot(ratios, 10.0 ** np.array(values), color=ORANGE if first else QUIET, linewidth=1.8 if first else 0.9,
-                   marker="o", markersize=4.0 if first else 2.5,
-                   label=name if first else "each other trajectory" if index == 1 else "_")  # fmt: skip
-    mean = np.mean(list(answers.values()), axis=0)
-    panel.plot(ratios, 10.0**mean, color=BLUE, linewidth=2.6, marker="s", markersize=5.5, label="mean over all")
-    logarithmic(panel, "xy")
-    label(panel, "Does the network see the weights?", r"ratio $\omega_Q/\omega_R$ in force, fixed [-]",
-          "ratio that the network answers [-]")  # fmt: skip
-    legend(panel, loc="upper left")
     return figure

@@ -1,52 +1,12 @@
-"""Figures on the kinematics, (1) to (6)."""
+"""Figure on the kinematics, (1) to (6)."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from stewart_drake.paper.plots.drawing import contoured
-from stewart_drake.plotting.panels import BLUE, ORANGE, QUIET, label, legend, panels
-
-
-def plot_forward(
-    outcomes: Mapping[str, tuple[int, int, int]], conditioning: np.ndarray, error: np.ndarray, across: np.ndarray
-) -> Figure:
-    """What Newton's method finds from home, and how exact it is.
-
-    Args:
-        outcomes: Per group of poses the numbers of those found again, of other assemblies, and of failures.
-        conditioning: (n,) [-] sigma_min / sigma_max of the rods' lines at the true poses.
-        error: (n,) [m] distance of the pose found to the true one, 0 and NaN left out.
-        across: (n,) bool, whether a parallel singularity lies between the true pose and home.
-    """
-    figure, ((left, right),) = panels(1, 2, 4.2)
-    counts = np.array(list(outcomes.values()), dtype=float)
-    shares = 100.0 * counts / counts.sum(axis=-1, keepdims=True)
-    rows, start = np.arange(len(shares))[::-1], np.zeros(len(shares))
-    names = ("the true pose", "another assembly", "no convergence")
-    for column, (name, color) in enumerate(zip(names, (BLUE, ORANGE, QUIET), strict=True)):
-        left.barh(rows, shares[:, column], left=start, color=color, height=0.62, label=name)
-        start += shares[:, column]
-    left.set_yticks(rows, list(outcomes))
-    left.set_xlim(0.0, 100.0)
-    left.grid(axis="y", visible=False)
-    label(left, "What Newton's method finds from home", "share of poses [%]", "")
-    left.legend(loc="upper center", bbox_to_anchor=(0.45, -0.16), ncols=3, frameon=False, fontsize=8.5,
-                handlelength=1.0, columnspacing=1.0)  # fmt: skip
-
-    usable = np.isfinite(error) & (error > 0.0)
-    sides = (~across, "home's side of the parallel singularity", BLUE, "o"), (across, "beyond it", ORANGE, "^")
-    for side, name, color, marker in sides:
-        right.loglog(conditioning[usable & side], error[usable & side], marker, color=color, markersize=2.5, alpha=0.5,
-                     label=name)  # fmt: skip
-    title = "Its error, and where it goes elsewhere"
-    label(right, title, "conditioning of the rods' lines [-]", "error in the pose [m]")
-    legend(right, loc="center right", markerscale=2.0)
-    return figure
+from stewart_drake.plotting.panels import heatmap, label, panels
 
 
 def plot_misprints(
@@ -65,7 +25,9 @@ def plot_misprints(
     shifts = (left, rotation_shift, "Entry (3,1) of (3)"), (right, bracket_shift, "Bracket of (5)")
     for panel, shift, title in shifts:
         levels = MaxNLocator(5).tick_values(0.0, 1e3 * float(shift.max()))[1:]
-        contoured(figure, panel, degrees, degrees, 1e3 * shift, "joint misplaced by [mm]", levels)
+        heatmap(figure, panel, degrees, degrees, 1e3 * shift, "joint misplaced by [mm]", cmap="cividis", vmin=0.0)
+        lines = panel.contour(degrees, degrees, 1e3 * shift, levels=levels, colors="black", linewidths=0.7)
+        panel.clabel(lines, fmt="%g", fontsize=8)
         panel.set_aspect("equal")
         label(panel, title, "roll [deg]", "pitch [deg]" if panel is left else "")
     if not bracket_in_reach.all():

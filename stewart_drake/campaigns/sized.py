@@ -1,0 +1,100 @@
+"""Changes of a campaign, made for the paper's robot, in the size of another: motions about its home, loads, faults."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.planning.limits import Limits
+from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot_scale import LENGTH, PAPER
+from stewart_drake.runs.motion_fit import fit_amplitude
+from stewart_drake.scenario import Scenario
+from stewart_drake.section import to_plain
+
+ROOM = 0.7
+"""Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
+
+
+def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
+    """Scenario key -> value as it is for the robot of `base`; the same for the paper's.
+
+    Torques go with the effort limit, lengths with the characteristic length, payloads with the platform's mass; a robot
+    that the controller believes in differs as much in proportion. A motion stands about home and is as small as need
+    be.
+    """
+    if base.robot == PAPER:
+        return dict(changes)
+    made = {key: _sized(key.split("."), value, base.robot) for key, value in changes.items()}
+    if "reference" in made:
+        duration = made.get("duration", base.duration)
+        reference = base.replace({"reference": made["reference"]}).reference
+        place: Any = _placed
+        made["reference"] = to_plain(place(base.robot, base.limits, reference, float(duration), base.gravity))
+    return made
+
+
+def _sized(path: list[str], value: Any, robot: RobotParameters) -> Any:
+    """A value at a key, or a section whose values are sized one by one."""
+    if path == ["initial_offset"]:
+        return list(LENGTH.value(tuple(value), robot))
+    if len(path) > 1:
+        factor = _factor(path[0], path[-1], robot)
+        if factor is not None and value is not None and not isinstance(value, str):
+            return (np.array(value) * factor).tolist()
+    if isinstance(value, Mapping):
+        sizes = {key: _sized([*path, key], each, robot) for key, each in value.items()}
+        return {**robot.to_dict(), **sizes} if path == ["model_robot"] else sizes
+    if isinstance(value, list):
+        return [_sized(path, each, robot) if isinstance(each, Mapping) else each for each in value]
+    return value
+
+
+def _factor(section: str, key: str, robot: RobotParameters) -> Any:
+    """By what a value grows from the paper's robot to another; None for not at all."""
+    torque = robot.effort_limit / PAPER.effort_limit
+    length = robot.characteristic_length / PAPER.characteristic_length
+    if section == "model_robot":
+        return np.array(getattr(robot, key)) / np.array(getattr(PAPER, key))
+    factors: Mapping[tuple[str, str], Callable[[], Any]] = {
+        ("plant", "payload_mass"): lambda: robot.platform_mass / PAPER.platform_mass,
+        ("plant", "payload_position"): lambda: length,
+        ("plant", "motor_friction"): lambda: torque,
+        ("motors", "ripple"): lambda: torque,
+        ("motors", "resolution"): lambda: torque,
+        ("link", "size"): lambda: torque,
+        **{
+            ("disturbances", name): lambda: np.repeat([torque, torque / length], 3)
+            for name in ("wrench", "impulse", "rms")
+        },
+    }
+    found = factors.get((section, key))
+    return None if found is None else found()
+
+
+@lru_cache(maxsize=64)
+def _placed(robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float) -> Reference:
+    """A motion about the robot's home, made smaller where it is not feasible."""
+    home = tuple(robot.home_pose.tolist())
+    if not np.allclose(center_of(reference), home, rtol=0.0, atol=1e-9):
+        if isinstance(reference, SumReference):
+            reference = SumReference(parts=reference.parts, center=home)
+        elif not isinstance(reference, AdjustedReference):
+            reference = SumReference(parts=(HoldReference(pose=home), reference))
+    _, share = fit_amplitude(robot, limits, reference, duration, gravity)
+    if share >= 1.0:
+        return reference
+    scale = ROOM * share
+    for name in ("amplitude", "excursion"):
+        size: Any = getattr(reference, name, ())
+        if np.shape(size) == (6,):
+            made: Any = reference
+            return dataclasses.replace(made, **{name: tuple((scale * np.array(size)).tolist())})
+    if isinstance(reference, AdjustedReference):
+        return dataclasses.replace(reference, scale=scale * reference.scale)
+    return AdjustedReference(motion=reference, scale=scale)

@@ -1,0 +1,160 @@
+"""The commands `sweep`, `compare` and `faults`: many runs, whose rows are kept as they come."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, quiet_flag
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
+
+if TYPE_CHECKING:
+    from stewart_drake.campaigns.executors import Workplace
+    from stewart_drake.campaigns.plan import Plan
+
+WIDE = 150
+"""Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
+
+
+def _campaign(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`--workers`, `--scheduler`, `--restart` and `--quiet` of a command of many runs."""
+    for option in (
+        quiet_flag,
+        click.option("--restart", is_flag=True, help="Throw away what an earlier call left in the folder."),
+        click.option(
+            "--scheduler", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, e.g. tcp://host:8786."
+        ),
+        click.option(
+            "--workers",
+            type=click.IntRange(1, 1024),
+            help="Processes on this machine [default: one per core, at most 8].",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+_robot = click.option(
+    "--robot", help="Name or YAML file: motions, loads and faults in its size [default: that of the file]."
+)
+
+
+@contextmanager
+def _under_way(
+    plan: Plan, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
+) -> Iterator[tuple[Path, Workplace, Callable[[float], None]]]:
+    """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
+    from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses
+    from stewart_drake.runs.outputs import SPACE, prepare_folder
+
+    where: Workplace = LocalProcesses(workers)
+    if scheduler is not None:
+        if workers is not None:
+            allowed = "no value with --scheduler: the cluster sets the number of workers"
+            raise ConfigurationError("--workers", workers, allowed)
+        where = cluster = DaskCluster(scheduler)
+        cluster.connect()
+    folder = prepare_folder(out if out is not None else Path("runs") / f"{plan.name}{ending}", SPACE)
+    done = 0.0
+    try:
+        with ProgressBar(plan.name, float(plan.runs), quiet, unit="runs") as advance:
+
+            def progress(count: float) -> None:
+                nonlocal done
+                done = count
+                advance(count)
+
+            yield folder, where, progress
+    except KeyboardInterrupt:
+        kept = f"{done:.0f} of {plan.runs} runs are kept in {folder}; the same command goes on from there"
+        click.echo(f"stewart-drake: interrupted; {kept}", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+@click.command()
+@click.argument("sweep")
+@out_folder()
+@click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
+@_campaign
+def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
+    """Run SWEEP many times over: a YAML file, or the name of a shipped one such as initial_offset.
+
+    Writes sweep.parquet and .csv: one row a run, with the values drawn, how it went and how well. A run that is
+    refused, breaks or kills its worker is a row with its reason. What is done is kept in OUT, and an interrupted sweep
+    goes on from it.
+
+    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    from stewart_drake.campaigns.sweep import run_sweep, summary
+    from stewart_drake.campaigns.sweep_file import load_sweep
+
+    loaded = load_sweep(sweep, runs)
+    with _under_way(loaded, **options) as (folder, where, progress):
+        made = run_sweep(loaded, folder, where, progress, restart)
+    if not options["quiet"]:
+        print_table(loaded.name, [*summary(made.rows), ("table in", str(made.path))])
+
+
+@click.command()
+@click.argument("comparison", default="tracking")
+@out_folder()
+@click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
+@_robot
+@_campaign
+def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
+    """Compare controllers: COMPARISON is a YAML file, or a shipped one: tracking, controllers [default: tracking].
+
+    Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
+    fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
+
+    Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    from stewart_drake.campaigns.comparison import run_comparison, write_pictures
+    from stewart_drake.campaigns.comparison_file import load_comparison
+
+    loaded = load_comparison(comparison, quick, robot)
+    with _under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
+        result = run_comparison(loaded, folder, where, progress, restart)
+        for line in write_pictures(loaded, result, folder):
+            click.echo(f"stewart-drake: {line}", err=True)
+    if options["quiet"]:
+        return
+    for sheet in result.sheets:
+        columns = range(len(sheet.header)) if console().width >= WIDE else sheet.brief
+        rows = ([row[column] for column in columns] for row in sheet.rows)
+        print_columns(sheet.title, [sheet.header[column] for column in columns], rows)
+    click.echo(f"tables and pictures in {folder}")
+
+
+@click.command()
+@out_folder("runs/faults")
+@click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
+@_robot
+@_campaign
+def faults(quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
+    """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
+
+    What is done is kept in OUT, and an interrupted table goes on from it.
+
+    Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
+
+    plan = table_plan(quick, robot)
+    with _under_way(plan, **options) as (folder, where, progress):
+        made = make_table(folder, quick, where, progress, restart, robot)
+    if options["quiet"]:
+        return
+    numbers = [TERSE_HEADERS.index(name) for name in ("ms", "deg", "mm", "N m")]
+    title = f"faults during {', '.join(plan.motions)}: latency, peak error, peak torque"
+    print_columns(title, TERSE_HEADERS, terse_rows(made.rows), numbers)
+    terminal = console()
+    terminal.print("with a dead motor, the wrench that the other five hold at rest:")
+    for text in (*(f"  {line}" for line in holdable_lines(made.rows)), f"table in {made.path.with_suffix('.md')}"):
+        terminal.print(text, highlight=False, markup=False)

@@ -1,0 +1,62 @@
+"""Friction of the motors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stewart_drake.compiled.jit import njit
+
+COULOMB, BREAK_AWAY, STRIBECK_RATE, VISCOUS, STIFFNESS, DAMPING = range(6)
+"""Rows of a law (6, 6), `np.stack(law)` of a `friction.FrictionLaw`."""
+ANCHOR, SLIP = 0, 1
+"""Rows of bristles (2, 6), `np.stack(bristles)` of `friction.Bristles`."""
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def level(law: np.ndarray, leg: int, slip: float) -> float:
+    """Reference `friction.level`, of one motor."""
+    ratio = slip / law[STRIBECK_RATE, leg]
+    return law[COULOMB, leg] + (law[BREAK_AWAY, leg] - law[COULOMB, leg]) * np.exp(-ratio * ratio)
+
+
+@njit(cache=True, error_model="numpy")
+def moved(law: np.ndarray, bristles: np.ndarray, angles: np.ndarray, step: float) -> None:
+    """Reference `friction.moved`; bristles (2, 6) in place."""
+    for i in range(6):
+        stretch = bristles[ANCHOR, i] - angles[i]
+        bound = level(law, i, bristles[SLIP, i]) / law[STIFFNESS, i]
+        anchor = bristles[ANCHOR, i] + (min(max(stretch, -bound), bound) - stretch)
+        bristles[SLIP, i] = (anchor - bristles[ANCHOR, i]) / step
+        bristles[ANCHOR, i] = anchor
+
+
+@njit(cache=True, error_model="numpy")
+def implicit_torque(
+    law: np.ndarray,
+    bristles: np.ndarray,
+    angles: np.ndarray,
+    free_rates: np.ndarray,
+    mobility: np.ndarray,
+    step: float,
+    sweeps: int,
+    out: np.ndarray,
+) -> None:
+    """Reference `friction.implicit_torque`; mobility (6, 6), out (6,)."""
+    rates, bound, wanted = free_rates.copy(), np.empty(6), np.empty(6)
+    for i in range(6):
+        out[i] = 0.0
+        bound[i] = level(law, i, bristles[SLIP, i])
+        rigidity = law[DAMPING, i] + step * law[STIFFNESS, i]
+        wanted[i] = law[STIFFNESS, i] * (bristles[ANCHOR, i] - angles[i]) / rigidity
+    for _ in range(sweeps):
+        for i in range(6):
+            own = step * mobility[i, i]
+            slowed = 1.0 + own * law[VISCOUS, i]
+            without = rates[i] - own * out[i]
+            dry = (slowed * wanted[i] - without) / (slowed / (law[DAMPING, i] + step * law[STIFFNESS, i]) + own)
+            dry = min(max(dry, -bound[i]), bound[i])
+            whole = dry - law[VISCOUS, i] * (without + own * dry) / slowed
+            change = step * (whole - out[i])
+            for k in range(6):
+                rates[k] += mobility[k, i] * change
+            out[i] = whole

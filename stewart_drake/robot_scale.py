@@ -1,0 +1,102 @@
+"""Defaults that come from the robot: lengths, torques and gains in the size that they have for the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from stewart_drake.families import Family, given_again
+from stewart_drake.robot import RobotParameters
+from stewart_drake.section import Section, to_plain
+
+PAPER = RobotParameters()
+Measure = Callable[[RobotParameters], float]
+
+
+@dataclass(frozen=True)
+class OfRobot:
+    """In `Annotated`, beside a field whose default is for the paper's robot: what it is for another one.
+
+    `Scenario` puts it in where the key is absent, so that files and messages have the number itself.
+
+    Attributes:
+        value: From the field's default and the robot, the default for that robot.
+        null: Whether a null in the file asks for it, rather than the key's absence.
+    """
+
+    value: Callable[[Any, RobotParameters], Any]
+    null: bool = False
+
+
+def times(measure: Measure, power: float = 1.0) -> OfRobot:
+    """A default that grows with a measure of the robot.
+
+    Of two numbers, the first an angle, the second grows; of a pose its last three do.
+    """
+
+    def value(default: Any, robot: RobotParameters) -> Any:
+        # Of the paper's robot this is 1 to the last bit.
+        scale = (measure(robot) / measure(PAPER)) ** power
+        if not isinstance(default, tuple):
+            return default * scale
+        half = len(default) // 2
+        return (*default[:half], *(each * scale for each in default[half:]))
+
+    return OfRobot(value)
+
+
+LENGTH = times(lambda robot: robot.characteristic_length)
+TORQUE = times(lambda robot: robot.effort_limit)
+HOME_POSE = OfRobot(lambda _, robot: tuple(robot.home_pose.tolist()))
+CHARACTERISTIC_LENGTH = OfRobot(lambda _, robot: robot.characteristic_length, null=True)
+
+
+def fill(section: Any, data: Any, robot: RobotParameters, families: Mapping[str, Family] | None = None) -> Any:
+    """A section with those defaults that this robot has otherwise than the paper's; `data` itself where none is.
+
+    Args:
+        section: Its class; None leaves `data` as it is.
+        data: What a file has; or a section made in Python, in which a value that is the class's default counts as
+            absent.
+        robot: Whose defaults are put in.
+        families: Keys at which sections of a family stand in it, alone or in a list.
+    """
+    if section is None or not isinstance(data, (Mapping, Section)):
+        return data
+    families = families or {}
+    found: dict[str, Any] = {}
+    for name, field in section.__pydantic_fields__.items():
+        given = data.get(name, ...) if isinstance(data, Mapping) else getattr(data, name)
+        marker = _marker(field)
+        if marker is not None and _is_absent(given, marker, field.default, isinstance(data, Section)):
+            value = marker.value(field.default, robot)
+            if value != field.default or marker.null:
+                found[name] = to_plain(value)
+        elif isinstance(given, (list, tuple)) and name in families:
+            made = [fill(families[name].section_of(each), each, robot, families) for each in given]
+            if any(new is not old for new, old in zip(made, given, strict=True)):
+                found[name] = made
+        elif name in families and (new := fill(families[name].section_of(given), given, robot, families)) is not given:
+            found[name] = new
+    return {**(given_again(data) if isinstance(data, Section) else data), **found} if found else data
+
+
+def _marker(field: Any) -> OfRobot | None:
+    return next((each for each in field.metadata if isinstance(each, OfRobot)), None)
+
+
+def _is_absent(given: Any, marker: OfRobot, default: Any, made: bool) -> bool:
+    return given is None if marker.null else given is ... or (made and given == default)
+
+
+def without_own(section: Section, data: Mapping[str, Any], robot: RobotParameters) -> dict[str, Any]:
+    """The plain keys and values `data` of a section, without those that are but this robot's defaults."""
+    kept = dict(data)
+    for name, field in section.__pydantic_fields__.items():
+        marker = _marker(field)
+        if marker is not None and getattr(section, name) == marker.value(field.default, robot):
+            del kept[name]
+            if marker.null:
+                kept[name] = None
+    return kept

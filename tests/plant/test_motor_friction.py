@@ -1,0 +1,262 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from strategies import ROBOT, UNEQUAL
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics import friction
+from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.plant.plant_options import FrictionOptions, PlantOptions
+from stewart_drake.robot import RobotParameters
+
+HOME = ROBOT.home_pose
+SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+# Of the size of Reachy Mini: cranks of 40 mm in tangential planes, the rotors' inertia far above that of the rest.
+SMALL = RobotParameters(
+    shaft_circle_radius=0.038,
+    shaft_height=0.0766,
+    shaft_half_angle=0.79,
+    crank_plane_angle=-math.pi / 2.0,
+    platform_joint_radius=0.03,
+    platform_half_angle=0.81,
+    crank_length=0.04,
+    rod_length=0.085,
+    home_height=0.15,
+    rod_mass=0.005,
+    rod_inertia=(3.66e-06, 3.66e-06, 2.64e-08),
+    crank_mass=0.0037,
+    crank_inertia=(5.5e-08, 1.89e-06, 1.89e-06),
+    platform_mass=0.28,
+    platform_inertia=(0.0008, 0.00056, 0.00076),
+    platform_center_of_mass=(0.0, 0.0, 0.056),
+    rotor_inertia=0.0018,
+    effort_limit=0.8,
+    characteristic_length=0.03,
+)
+_built = {}
+
+
+class Run:
+    """One simulation with torques that hold until they are set again."""
+
+    def __init__(self, robot=ROBOT, gravity=9.81, pose=None, rate=None, time_step=1e-3, **options):
+        key = (id(robot), gravity, time_step, *sorted(options.items()))
+        if key not in _built:
+            _built[key] = build_plant(robot, PlantOptions(time_step=time_step, **options), gravity)
+        self.diagram, self.stewart = _built[key]
+        self.simulator = Simulator(self.diagram)
+        self.context = self.simulator.get_mutable_context()
+        self.stewart.set_state(self.context, robot.home_pose if pose is None else pose, rate)
+        self.hold(np.zeros(6))
+
+    def hold(self, torque):
+        self.diagram.GetInputPort("torque").FixValue(self.context, np.array(torque, dtype=float))
+        return self
+
+    def to(self, time):
+        self.simulator.AdvanceTo(time)
+        return self
+
+    @property
+    def state(self):
+        return self.diagram.GetOutputPort("state").Eval(self.context)
+
+    @property
+    def pose(self):
+        return self.stewart.pose_and_rate(self.state)[0]
+
+    @property
+    def angles(self):
+        return self.state[self.stewart.indices.crank].copy()
+
+    @property
+    def rates(self):
+        return self.stewart.crank_rates(self.state)
+
+    @property
+    def kinetic_energy(self):
+        plant = self.stewart.plant
+        return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
+
+
+def test_friction_hides_its_actuators():
+    stewart = Run(motor_friction=0.1).stewart
+    assert stewart.plant.num_actuators() == 12
+    assert stewart.torque_input_port.size() == 6
+
+
+def test_the_rotors_keep_their_inertia_beside_friction():
+    """Drake takes the rotor of a joint from one of its actuators."""
+    masses = []
+    for options in ({}, {"motor_friction": 0.1}, {"friction": FrictionOptions(coulomb=(0.1, 0.0) * 3)}):
+        plant = Run(UNEQUAL, **options).stewart.plant
+        masses.append(plant.CalcMassMatrix(plant.CreateDefaultContext()))
+    for other in masses[1:]:
+        np.testing.assert_allclose(other, masses[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.9, 0.98])
+@pytest.mark.parametrize("share", [1.0, 0.5], ids=["coulomb", "stribeck"])
+@pytest.mark.parametrize(
+    ("robot", "break_away", "viscous"),
+    [(ROBOT, 0.05, 0.0), (ROBOT, 0.5, 0.0), (ROBOT, 0.01, 0.02), (UNEQUAL, 0.3, 0.0), (SMALL, 0.058, 0.095)],
+    ids=["paper", "strong", "weak", "unequal", "small"],
+)
+def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, break_away, viscous, share, ratio):
+    said = FrictionOptions(coulomb=share * break_away, break_away=break_away, stribeck_velocity=0.02, viscous=viscous)
+    run = Run(robot, friction=said)
+    # The closed loops of the plant stand a little off: what is left of the load beside friction is known to 1e-3.
+    run.hold(static_torque(robot, robot.home_pose) + ratio * break_away * SIGNS)
+    start, yielded = run.angles, 0.0
+    for step in range(1, 11):
+        yielded = max(yielded, np.abs(run.to(0.01 * step).angles - start).max())
+    assert yielded <= 5e-6
+    assert np.abs(run.rates).max() < 1e-8
+    rested = run.angles
+    for step in range(1, 11):
+        run.to(0.1 + 0.01 * step)
+        assert np.abs(run.rates).max() < 1e-8
+    assert np.abs(run.angles - rested).max() / 0.1 < 1e-8
+
+
+@pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
+def test_above_break_away_it_slides(robot):
+    hold = static_torque(robot, robot.home_pose)
+    run = Run(robot, motor_friction=0.05).hold(hold + 1.05 * 0.05 * np.sign(hold)).to(0.1)
+    assert np.abs(run.angles - Run(robot, motor_friction=0.05).angles).max() > 1e-3
+
+
+def test_between_the_levels_what_rests_stays_and_what_slides_goes_on():
+    options = {"gravity": 0.0, "friction": FrictionOptions(coulomb=0.05, break_away=0.1, stribeck_velocity=0.02)}
+    torque = np.full(6, 0.07)
+    rests = Run(**options).hold(torque).to(0.3)
+    assert np.abs(rests.pose - HOME).max() < 1e-5
+    slides = Run(**options).hold(np.full(6, 0.15)).to(0.05).hold(torque).to(0.1)
+    speed = slides.rates.copy()
+    assert (slides.to(0.15).rates > speed + 0.01).all()
+    # Stopped, it takes break-away again.
+    stopped = slides.hold(np.full(6, -0.3)).to(0.2).hold(np.zeros(6)).to(0.6)
+    at = stopped.pose
+    assert np.abs(stopped.hold(torque).to(0.8).pose - at).max() < 1e-5
+
+
+def test_friction_below_the_load_lets_it_fall():
+    assert Run(motor_friction=0.1).to(0.1).pose[5] < HOME[5] - 0.02
+
+
+def test_friction_takes_its_share_of_a_large_torque():
+    slowed = Run(gravity=0.0, motor_friction=0.1).hold([0.3] * 6).to(0.1)
+    free = Run(gravity=0.0).hold([0.2] * 6).to(0.1)
+    assert free.pose[5] > HOME[5] + 0.005
+    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-5)
+
+
+def test_each_motor_has_its_own_friction():
+    own = FrictionOptions(coulomb=(0.0, 0.1, 0.2, 0.3, 0.4, 0.0), viscous=(0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
+    slowed = Run(gravity=0.0, friction=own).hold([0.5] * 6).to(0.05)
+    free = Run(gravity=0.0, friction=FrictionOptions(viscous=own.viscous)).hold(0.5 - np.array(own.coulomb)).to(0.05)
+    assert np.abs(free.pose - HOME).max() > 1e-3
+    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
+
+
+def test_friction_takes_its_energy_from_a_moving_robot_along_the_stribeck_curve():
+    said = FrictionOptions(coulomb=0.02, break_away=0.05, stribeck_velocity=4.0, viscous=0.003)
+    run = Run(rate=[0.5, -0.3, 1.0, 0.1, 0.1, 0.05], gravity=0.0, time_step=1e-4, friction=said)
+
+    def power():
+        speed = np.abs(run.rates)
+        return np.sum((0.02 + 0.03 * np.exp(-((speed / 4.0) ** 2)) + 0.003 * speed) * speed)
+
+    before, powers = run.kinetic_energy, [power()]
+    for step in range(1, 151):
+        run.to(step * 1e-4)
+        powers.append(power())
+    lost, dissipated = before - run.kinetic_energy, 1e-4 * (np.sum(powers) - 0.5 * (powers[0] + powers[-1]))
+    assert lost > 1e-3
+    assert lost == pytest.approx(dissipated, rel=0.01)
+
+
+def test_saturation_leaves_friction_alone():
+    slowed = Run(gravity=0.0, motor_friction=1.0).hold([100.0] * 6).to(0.02)
+    free = Run(gravity=0.0).hold([4.0] * 6).to(0.02)
+    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
+
+
+def test_anchors_live_in_the_context():
+    one, other = (Run(motor_friction=0.05) for _ in range(2))
+    assert one.diagram is other.diagram
+    one.hold(static_torque(ROBOT, HOME) + 0.2).to(0.05)
+    other.hold(static_torque(ROBOT, HOME) + 0.04).to(0.05)
+    assert np.abs(one.pose - HOME).max() > 1e-3
+    assert np.abs(other.pose - HOME).max() < 1e-6
+
+
+def exact(robot, law, torque, seconds, step):
+    """Poses (n, 6) of the exact model with friction taken implicitly, by semi-implicit Euler."""
+    pose, rate = robot.home_pose.copy(), np.zeros(6)
+    angles, poses = inverse_kinematics(robot, pose), []
+    bristles = friction.at_rest(angles)
+    for k in range(round(seconds / step)):
+        jacobian, push = pose_jacobian(robot, pose), pose_acceleration_map(robot, pose)
+        free = rate + step * forward_dynamics(robot, pose, rate, torque(k * step))
+        held = friction.implicit_torque(law, bristles, angles, jacobian @ free, jacobian @ push, step)
+        rate = free + step * push @ held
+        pose = pose + step * rate
+        angles = inverse_kinematics(robot, pose)
+        bristles = friction.moved(law, bristles, angles, step)
+        poses.append(pose)
+    return np.array(poses)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
+def test_the_exact_model_with_the_same_friction_sticks_and_slips_alike(robot):
+    """Back and forth over break-away; the two differ to first order in the step."""
+    hold = static_torque(robot, robot.home_pose)
+    said = FrictionOptions(coulomb=0.04, break_away=0.06, stribeck_velocity=0.05, viscous=0.02)
+
+    def torque(time):
+        return hold + 0.1 * np.sin(2.0 * np.pi * 2.0 * time)
+
+    errors = []
+    for step in (2e-3, 1e-3):
+        law = PlantOptions(friction=said, time_step=step).friction_law(robot)
+        model = exact(robot, law, torque, 0.5, step)
+        run, poses = Run(robot, time_step=step, friction=said), []
+        for k in range(len(model)):
+            poses.append(run.hold(torque(k * step)).to((k + 1) * step).pose)
+        poses = np.array(poses)
+        stuck = np.abs(np.diff(poses, axis=0)).max(axis=1) < 1e-5 * step
+        assert 0.1 < stuck.mean() < 0.9
+        errors.append(np.abs(model - poses).max())
+    moved = np.abs(poses - robot.home_pose).max()
+    assert moved > 0.005
+    assert errors[0] < 0.002 * moved
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_short_keys_and_the_section_say_the_same():
+    short = PlantOptions(motor_friction=0.05, motor_damping=0.01).friction_law(ROBOT)
+    long = PlantOptions(friction=FrictionOptions(coulomb=0.05, viscous=(0.01,) * 6)).friction_law(ROBOT)
+    for one, other in zip(short, long, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(short.break_away, short.coulomb)
+
+
+@pytest.mark.parametrize(
+    ("plant", "line"),
+    [
+        ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: got 0.05; allowed: at least"),
+        ({"friction": {"coulomb": -0.1}}, "plant.friction.coulomb: got -0.1; allowed: a number from 0 to 1e"),
+        ({"friction": {"coulomb": [0.1, 0.1]}}, r"plant.friction.coulomb: got \[0.1, 0.1\]; allowed: a list of 6"),
+        ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: got 0.1; allowed: 0 beside `friction`"),
+        ({"friction": {"stribeck": 0.1}}, "plant.friction.stribeck: .*did you mean stribeck_velocity"),
+    ],
+)
+def test_bad_friction_is_refused_in_a_line(plant, line):
+    with pytest.raises(ConfigurationError, match=line):
+        PlantOptions.from_dict(plant)
