@@ -252,11 +252,15 @@ def test_the_predicted_intervals_are_those_that_come():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "servo_hexapod"])
-def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name):
+@pytest.mark.parametrize("known", [FRAMES, ()])
+def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name, known):
     guess = load_robot(name)
-    planned = plan_poses(guess, 60, candidates=600).targets
-    trials = [run_trial(guess, planned, targets(guess, 30, 7), NOISE, seed) for seed in range(12)]
-    assert gains(trials).min() > 20.0
+    planned = plan_poses(guess, 60, candidates=600, known_frames=known).targets
+    pose = candidate_poses(guess, 30, Limits(), np.random.default_rng(7))
+    unseen = Measurements(pose, inverse_kinematics(guess, pose))
+    trials = [run_trial(guess, planned, unseen, NOISE, seed, known) for seed in range(12)]
+    # Frames fitted to the guess hide a good part of its error: of single robots then so much that less is to be won.
+    assert (gains(trials).min() if known else np.median(gains(trials), axis=0).min()) > 20.0
     inside = coverage(trials)
     assert 0.9 <= inside["all"] <= 0.99
     assert np.mean([trial.noise_ratio for trial in trials]) == pytest.approx(1.0, abs=0.05)
