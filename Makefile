@@ -1,12 +1,12 @@
 # make demo   the main job on a bare clone: makes .venv, installs, runs diagrams/scenarios/paper_fig7.yaml
 # make test   the same set-up, then all tests: some ten minutes on two cores
-# make check  the fast part of them, for daily work: about a minute
+# make check  the fast part of them, a quarter of the random examples, for daily work: about a minute
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test check lint bench picture robots plan reproduction format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -24,7 +24,7 @@ test: install
 
 # All but those marked slow: no campaign, no long run, no other process.
 check: install
-	$(BIN)/pytest -q -n auto -m "not slow" --ignore=tests/benchmarks --ignore=tests/paper
+	$(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
 
 lint: install
 	$(BIN)/ruff check .
@@ -37,8 +37,14 @@ bench: install
 
 # The README's picture of the robot.
 picture: install
-	$(BIN)/python -c "import numpy as np; from stewart_drake import RobotParameters; from stewart_drake.runs.replay import render_png; \
-	render_png(RobotParameters(), np.array([np.radians(20), 0, 0, 0, 0, 0.33]), 'docs/images/robot.png', passes=32)"
+	$(BIN)/python docs/draw_robot.py
+
+# docs/results/calibration.md, and the example of docs/calibration.md.
+calibration: install
+	$(BIN)/python docs/calibration_study.py
+
+calibration-example: install
+	$(BIN)/python docs/calibration_example.py
 
 # The robots that are shipped, and that of docs/your_robot.md.
 robots: install

@@ -12,6 +12,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from stewart_drake.calibration.fit import calibrate as calibrate
+    from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
+    from stewart_drake.calibration.plan import plan_poses as plan_poses
+    from stewart_drake.calibration.result import Calibration as Calibration
     from stewart_drake.control.control_law import ControlLaw as ControlLaw
     from stewart_drake.control.inputs import Measurement as Measurement
     from stewart_drake.control.inputs import Setpoint as Setpoint
@@ -56,6 +60,10 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
+    "Calibration": "calibration.result",
+    "MeasurementNoise": "calibration.measurements",
+    "calibrate": "calibration.fit",
+    "plan_poses": "calibration.plan",
     "ControlLaw": "control.control_law",
     "LqiOptions": "control.lqi_options",
     "Measurement": "control.inputs",

@@ -67,7 +67,7 @@ def set_component(data: Any, full: Any, key: str, value: Any) -> None:
     *parents, last = split_key(key)
     for part in parents:
         full = full[part]
-        if (data[part] if isinstance(data, list) else data.get(part)) is None:
+        if (data.get(part) if isinstance(data, dict) else data[part]) is None:
             data[part] = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
         data = data[part]
     data[last] = value

@@ -19,6 +19,8 @@ PARALLEL = 1e-6
 """How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
 Size = Annotated[Real, Field(ge=SMALLEST, le=LARGEST)]
 Signed = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+HalfAngle = Annotated[Real, Field(ge=SMALLEST, lt=math.pi / 3.0)]
+"""[rad] of a pair of shafts or joints; pairs must not cross."""
 Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
@@ -68,7 +70,7 @@ def _leg(given: Any) -> Any:
     return {key: plain(value) for key, value in given.items()} if isinstance(given, Mapping) else given
 
 
-_Leg = Annotated[LegParameters, BeforeValidator(_leg)]
+_Leg = Annotated[LegParameters, BeforeValidator(_leg, json_schema_input_type=LegParameters | None)]
 SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, Branch, Signed, Signed3, SixLegs, Size, Size3
+from stewart_drake.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
 from stewart_drake.robot_checks import check_directions, check_home, check_order, check_sizes
 from stewart_drake.robot_table import Cranks, Unit, from_table
 from stewart_drake.section import NotNegative, Section
@@ -40,13 +40,13 @@ class RobotParameters(Section, key="robot"):
     """[m] radius of the circle of the motor shafts."""
     shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
-    shaft_half_angle: Size = math.radians(8.0)
+    shaft_half_angle: HalfAngle = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
     """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
     platform_joint_radius: Size = 0.11
     """[m] radius of the circle of the platform's joints."""
-    platform_half_angle: Size = math.radians(52.0)
+    platform_half_angle: HalfAngle = math.radians(52.0)
     """[rad] half of the angle between the two platform joints of a pair."""
     crank_length: Size = 0.11
     """[m] shaft to crank tip; |a| in the paper."""
@@ -102,9 +102,6 @@ class RobotParameters(Section, key="robot"):
             raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
         if self.rod_inertia[0] != self.rod_inertia[1]:
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")
-        for name in ("shaft_half_angle", "platform_half_angle"):
-            if getattr(self, name) >= math.pi / 3.0:
-                raise ConfigurationError(f"robot.{name}", getattr(self, name), "below pi/3 rad: pairs must not cross")
         check_directions(self)
         check_sizes(self)
         check_order(self)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stewart_drake.registry import Family, given_again
+from stewart_drake.families import Family, given_again
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Section, to_plain
 

@@ -18,6 +18,7 @@ from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
+from stewart_drake.families import Family, given_again, json_schema, place_users
 from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
@@ -31,16 +32,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import (
-    CONTROLLERS,
-    REFERENCES,
-    SENSORS,
-    TUNERS,
-    Family,
-    given_again,
-    json_schema,
-    place_users,
-)
+from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot_files import AnyRobot, robot_section
 from stewart_drake.robot_scale import PAPER, fill, without_own
@@ -118,6 +110,8 @@ class Scenario(Section):
     """What the run itself must keep to for its motion to count as followed; it decides on the outcome."""
     limits: Limits = by_default(Limits())
     """What the reference must keep to; checked before the run."""
+    metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
+    """Further figures of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
     log_period: Positive | None = None
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
@@ -272,7 +266,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
-    components = {}
+    components: dict[str, Any] = {}
     for text in overrides:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():

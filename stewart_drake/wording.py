@@ -25,7 +25,7 @@ _SHOWN_KEY = 60
 
 
 class _Family(Protocol):
-    """See `registry.Family`."""
+    """See `families.Family`."""
 
     words: Sequence[str]
 

@@ -22,11 +22,27 @@ from stewart_drake.logs import versions
 settings.register_profile("default", deadline=None)
 # In CI the same examples every time: a new counterexample is found by a person, not by somebody else's change.
 settings.register_profile("ci", deadline=None, derandomize=True)
+# For daily work, `make check`: a quarter of the examples; `make test` has all of them.
+settings.register_profile("check", deadline=None, max_examples=25)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 ROOT = Path(__file__).parent.parent
 pytest_plugins = ("quick_report",)
+
+
+SHARED = ("report", "attacked", "cluster", "done", "collected", "wheel")
+"""Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
+
+
+# Before that of pytest-xdist, which looks for the groups.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        for name in set(SHARED).intersection(item.fixturenames):
+            item.add_marker(pytest.mark.xdist_group(name))
+        if "report" in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
 
 
 COMMAND = "from stewart_drake.cli.app import main; main()"

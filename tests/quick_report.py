@@ -25,16 +25,6 @@ class Report(NamedTuple):
     progress: list
 
 
-# Before that of pytest-xdist, which looks for groups.
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    # One worker makes the report; others that waited for it would stand idle.
-    for item in items:
-        if "report" in item.fixturenames:
-            item.add_marker(pytest.mark.xdist_group("report"))
-            item.add_marker(pytest.mark.slow)
-
-
 @pytest.fixture(scope="session")
 def report(tmp_path_factory):
     """The quick report, made once for the whole session, whichever workers ask for it."""

@@ -23,7 +23,6 @@ def attacked(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("attacked")
 @pytest.mark.parametrize("kind", KINDS)
 def test_whatever_a_file_is_it_is_loaded_or_refused_by_one_line_in_bounded_time_and_memory(attacked, kind):
     found, said = attacked

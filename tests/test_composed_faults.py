@@ -18,7 +18,7 @@ from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import load_scenario
 
-SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "60"))
+SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "40"))
 """Of faults; more of them for a longer search."""
 DURATION, TICK = 0.4, 0.001
 BOUNDS = math.radians(10.0), 0.03, 0.001
@@ -30,23 +30,22 @@ LIMIT = BASE.robot.effort_limit
 
 # --- what is drawn --------------------------------------------------------------------------------------------------
 
+
+def one(kind, **keys):
+    return st.fixed_dictionaries({"kind": st.just(kind), **keys})
+
+
 small = st.tuples(*[st.floats(-0.15, 0.15)] * 3, *[st.floats(-0.02, 0.02)] * 3).map(list)
+
+
+def six(low, high):
+    return st.lists(st.floats(low, high), min_size=6, max_size=6)
+
+
 motions = st.one_of(
-    st.builds(
-        lambda pose: {"kind": "hold", "pose": [a + b for a, b in zip([0, 0, 0, 0, 0, 0.3], pose, strict=True)]}, small
-    ),
-    st.builds(lambda phase: {"kind": "breathing", "phase": phase}, st.floats(0.0, 1.0)),
-    st.builds(
-        lambda amplitude, omega, phase: {
-            "kind": "sine",
-            "amplitude": amplitude,
-            "angular_frequency": omega,
-            "phase": phase,
-        },
-        small,
-        st.lists(st.floats(0.5, 8.0), min_size=6, max_size=6),
-        st.lists(st.floats(0.0, 6.2), min_size=6, max_size=6),
-    ),
+    one("hold", pose=small.map(lambda pose: [*pose[:5], 0.3 + pose[5]])),
+    one("breathing", phase=st.floats(0.0, 1.0)),
+    one("sine", amplitude=small, angular_frequency=six(0.5, 8.0), phase=six(0.0, 6.2)),
 )
 # Onsets on the grid of ticks, so that "at the tick of the fault" means one tick.
 onsets = st.integers(0, round(DURATION / TICK)).map(lambda tick: tick * TICK)
@@ -61,10 +60,6 @@ def two(kind, **keys):
         st.permutations(range(6)),
         st.fixed_dictionaries(keys),
     )
-
-
-def one(kind, **keys):
-    return st.fixed_dictionaries({"kind": st.just(kind), **keys})
 
 
 timed = {"time": onsets, "duration": lasting}
@@ -85,16 +80,13 @@ command_faults = st.one_of(
     one("chatter", leg=st.none() | legs, size=st.just(4.5), **timed),
 )
 motor_faults = one("reversed", leg=legs, time=onsets) | two("swapped", time=onsets)
-pushes = st.one_of(
-    st.builds(
-        lambda f, t: {"kind": "step", "wrench": [0, 0, 0, *f], "time": t}, st.tuples(*[st.floats(-60, 60)] * 3), onsets
-    ),
-    st.builds(
-        lambda f, t: {"kind": "impulse", "impulse": [0, 0, 0, *f], "time": t},
-        st.tuples(*[st.floats(-2, 2)] * 3),
-        onsets,
-    ),
-)
+
+
+def force(most):
+    return st.tuples(*[st.floats(-most, most)] * 3).map(lambda f: [0, 0, 0, *f])
+
+
+pushes = one("step", wrench=force(60), time=onsets) | one("impulse", impulse=force(2), time=onsets)
 # Where in a scenario: lists grow, the others are set once.
 FAULTS = st.one_of(
     st.tuples(st.just("sensors.faults"), st.tuples(encoder_faults, pose_faults)),

@@ -1,11 +1,9 @@
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from conftest import ROOT, environment
 
-ROOT = Path(__file__).parent.parent
 RUN = """
 import hashlib, json, sys
 from stewart_drake.logs.metrics import run_metrics
@@ -23,13 +21,11 @@ print(content.hexdigest())
 """
 
 
-def numbers(folder, **environment):
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+def numbers(folder, **changes):
     command = [sys.executable, "-c", RUN]
-    environment = {**os.environ, "PYTHONPATH": path, **environment}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return subprocess.run(
+        command, cwd=folder, env=environment(**changes), stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
 
 
 @pytest.mark.slow
@@ -39,5 +35,4 @@ def test_numbers_are_the_same_to_the_bit_over_threads_hash_seeds_and_folders(tmp
 
     (tmp_path / "elsewhere").mkdir()
     one = numbers(ROOT, PYTHONHASHSEED="0", **threads("1"))
-    assert one == numbers(tmp_path / "elsewhere", PYTHONHASHSEED="1", **threads("4"))
-    assert one == numbers(tmp_path, PYTHONHASHSEED="4294967295", **threads("2"))
+    assert one == numbers(tmp_path / "elsewhere", PYTHONHASHSEED="4294967295", **threads("4"))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from conftest import environment
 
 from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.campaigns.tables import INCIDENTAL
@@ -19,9 +20,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.scenario import Scenario
 
-ROOT = Path(__file__).parent.parent
-KILLS = {"sweep": 3, "compare": 1, "faults": 1, "reproduce": 2}
-"""One store and one engine stand under all of them; the report keeps its parts by itself."""
+KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
+"""Of each campaign, for one store and one engine stand under all of them; more of them for a longer search."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -108,7 +108,7 @@ def here(tmp_path, monkeypatch):
 
 
 def begin(code, args, out, mark):
-    env = os.environ | {"PYTHONPATH": str(ROOT), "KILL_TEST": mark}
+    env = environment(KILL_TEST=mark)
     driver = out.parent / "driver.py"
     driver.write_text(code)
     command = [sys.executable, str(driver), *args, "--out", str(out), "--quiet"]
@@ -156,7 +156,7 @@ def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(her
     finish(code, args, here / "whole")
     duration = time.monotonic() - start
     chance = random.Random()
-    for _ in range(KILLS[campaign]):
+    for _ in range(KILLS):
         mark = uuid.uuid4().hex
         process = begin(code, args, here / "killed", mark)
         wait = chance.uniform(0.3, 1.0) * duration

@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import Simulator
 from reachy_mini_rust_kinematics import ReachyMiniRustKinematics
 
 from stewart_drake.control.lqi import flat_tick as controller_tick
@@ -23,6 +24,8 @@ from stewart_drake.mechanics.kinematics import (
 )
 from stewart_drake.mechanics.kinematics_core import rod_errors
 from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot_files import load_robot
 from stewart_drake.safety import (
     HOLD,
@@ -177,3 +180,18 @@ def test_each_bad_command_is_named_by_the_limits_too():
     # Within reach, and only the servo's range forbids it.
     others = np.all([(values >= 0.0).all(axis=-1) for name, values in margins.items() if name != "crank_range"], axis=0)
     assert (others & (margins["crank_range"] < 0.0).any(axis=-1)).sum() > 10
+
+
+@pytest.mark.slow
+def test_without_friction_gravity_compensation_alone_holds_the_head_for_ten_seconds():
+    # The head's mass is above its joints: the torques of the home pose alone would let it fall within seconds.
+    diagram, stewart = build_plant(ROBOT, PlantOptions())
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    stewart.set_state(context, HOME)
+    port = diagram.GetInputPort("torque")
+    for tick in range(10_000):
+        pose, _ = stewart.pose_and_rate(diagram.GetOutputPort("state").Eval(context))
+        port.FixValue(context, static_torque(ROBOT, pose))
+        simulator.AdvanceTo(1e-3 * (tick + 1))
+    np.testing.assert_allclose(pose, HOME, rtol=0.0, atol=2e-5)

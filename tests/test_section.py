@@ -10,10 +10,11 @@ from conftest import field_of
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import Family
 from stewart_drake.hardware.disturbances import UserDisturbance
 from stewart_drake.plant.plant_options import FrictionOptions
 from stewart_drake.references.user_reference import UserReference
-from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS, Family
+from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import (
     MAX_SEED,

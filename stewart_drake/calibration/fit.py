@@ -17,7 +17,7 @@ import numpy as np
 import scipy.optimize
 from scipy.special import stdtrit
 
-from stewart_drake.calibration.frames import guess_error, located
+from stewart_drake.calibration.frames import guess_error, located, refuse_units
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.model import CLOSED, Frame
 from stewart_drake.calibration.parameters import (
@@ -39,6 +39,10 @@ from stewart_drake.robot import RobotParameters
 _CONFIDENCE = 0.95
 _FITTED = 1e-12
 """Relative change at which a minimum counts as found."""
+_TRUST = 0.1
+"""[-] size of the first step at most, in `parameters.scales`."""
+_NEARBY, _EXACT = 20, 200
+"""Calls of the errors at most: ten find what fits, and what does not fit needs no minimum."""
 
 
 def calibrate(
@@ -71,6 +75,7 @@ def calibrate(
             raise ConfigurationError(key, strange[0], f"some of {', '.join(allowed)}")
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = MeasurementNoise() if noise is None else noise
+    refuse_units(robot, measurements)
     start = explain_misfit(lambda each: nearby(robot, each, noise, known_frames, hold), measurements)
     return _result(fitted(start, noise), noise, known_frames, hold)
 
@@ -108,7 +113,7 @@ def nearby(
     def slope(step: np.ndarray) -> np.ndarray:
         return (model.closure_error(ways @ step, measurements)[1] @ ways).reshape(-1, ways.shape[1]) / unit
 
-    step = _minimum(closure, slope, np.zeros(ways.shape[1]))
+    step = _minimum(closure, slope, np.zeros(ways.shape[1]), _NEARBY)
     left = closure(step)
     misfit = math.sqrt(float(left @ left) / (left.size - step.size))
     return Start(model, measurements, told, untold, step, misfit)
@@ -141,17 +146,25 @@ def fitted(start: Start, noise: MeasurementNoise) -> Fit:
         return (white @ found @ ways).reshape(-1, ways.shape[1])
 
     white = model.whitening(ways @ start.step, measurements.angles, predicted(start.step), noise)
-    step = _minimum(error, slope, start.step)
+    step = _minimum(error, slope, start.step, _EXACT)
     found, _ = model.tracker_error(ways @ step, measurements, predicted(step))
     return Fit(start, ways @ step, found, error(step), slope(step))
 
 
 def _minimum(
-    error: Callable[[np.ndarray], np.ndarray], slope: Callable[[np.ndarray], np.ndarray], start: np.ndarray
+    error: Callable[[np.ndarray], np.ndarray],
+    slope: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    most: int,
 ) -> np.ndarray:
-    """Where the sum of the squares is smallest, by MINPACK's Levenberg-Marquardt method."""
-    tolerances = {"xtol": _FITTED, "ftol": _FITTED, "gtol": _FITTED}
-    return np.asarray(scipy.optimize.least_squares(error, start, slope, method="lm", **tolerances).x)
+    """Where the sum of the squares is smallest, in so many calls at most.
+
+    A region of trust begins with `_TRUST`: a free first step from a crude guess may turn a motor's axis over, which
+    is another minimum.
+    """
+    tolerances = {"xtol": _FITTED, "ftol": _FITTED, "gtol": None}
+    found = scipy.optimize.least_squares(error, start, slope, x_scale=_TRUST, max_nfev=most, **tolerances)
+    return np.asarray(found.x)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,27 +22,28 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     """The guess with the frames at which its own poses at the readings come nearest to the measured ones.
 
     Raises:
-        ConfigurationError: The guess can be assembled at next to none of the readings; poses and readings are of
-            different units.
+        ConfigurationError: The guess can be assembled at next to none of the readings.
     """
-    model = Model(guess)
-    home = Frame(np.tile(np.eye(3), (len(measurements), 1, 1)), np.tile(guess.home_pose[3:], (len(measurements), 1)))
-    believed, off = model.predicted(np.zeros(SIZE), measurements.angles, home)
-    good = off <= CLOSED
-    if good.sum() < _LEAST:
-        got = f"readings of which {good.sum()} of {len(good)} can be those of this robot"
+    believed, seen = _both(guess, measurements)
+    if len(seen.shift) < _LEAST:
+        got = f"readings of which {len(seen.shift)} of {len(measurements)} can be those of this robot"
         allowed = "readings in rad (or _deg), in the order of the legs, near to crank angles of the guess"
         raise ConfigurationError(f"{measurements.source}: theta", got, allowed)
-    believed, seen = _rows(believed, good), _rows(Frame(measurements.rotation, measurements.position), good)
-    _refuse_units(believed, seen, measurements.source)
     free = [6 * FRAMES.index(frame) + axis for frame in FRAMES if frame not in known for axis in range(6)]
+    model = Model(guess)
     if not free:
         return model
-    made = (
-        _refined(model, start, believed, seen, free, guess.characteristic_length)
-        for start in _starts(believed, seen, known)
-    )
+    starts = _starts(believed, seen, known)
+    made = (_refined(model, start, believed, seen, free, guess.characteristic_length) for start in starts)
     return min(made, key=lambda each: each[1])[0]
+
+
+def _both(guess: RobotParameters, measurements: Measurements) -> tuple[Frame, Frame]:
+    """Believed poses of P in B and measured ones of the marker, where the guess can be assembled."""
+    home = Frame(np.tile(np.eye(3), (len(measurements), 1, 1)), np.tile(guess.home_pose[3:], (len(measurements), 1)))
+    believed, off = Model(guess).predicted(np.zeros(SIZE), measurements.angles, home)
+    good = off <= CLOSED
+    return _rows(believed, good), _rows(Frame(measurements.rotation, measurements.position), good)
 
 
 def guess_error(model: Model, measurements: Measurements) -> np.ndarray:
@@ -123,11 +124,17 @@ def _rotation(matrix: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
 
 
-def _refuse_units(believed: Frame, seen: Frame, source: str) -> None:
+def refuse_units(guess: RobotParameters, measurements: Measurements) -> None:
     """Refuses motions so much larger or smaller than believed that a unit must be wrong.
 
     How far a pose is turned from the one before it does not depend on any frame; how far it is moved hardly does.
+
+    Raises:
+        ConfigurationError: The unit of positions, orientations or readings must be wrong.
     """
+    believed, seen = _both(guess, measurements)
+    if len(seen.shift) < _LEAST:
+        return
 
     def sizes(frames: Frame) -> tuple[float, float]:
         turned = np.linalg.norm(logarithm(frames.turn[1:] @ np.swapaxes(frames.turn[:-1], -1, -2)), axis=-1)
@@ -141,6 +148,8 @@ def _refuse_units(believed: Frame, seen: Frame, source: str) -> None:
     what = ""
     if max(turns, moves) < 3.0 / degrees and min(turns, moves) > 1.0 / (3.0 * degrees):
         key, what = "theta", "degrees for radians"
+    elif min(turns, moves) > degrees / 6.0 and max(turns, moves) < 6.0 * degrees:
+        key, what = "theta", "radians for degrees"
     elif not 4.0 / kilo < moves < kilo / 4.0:
         key, what = "x, y, z", "millimetres for metres" if moves > 1.0 else "metres for millimetres"
     elif turned_too > 0.01 and not 3.0 / degrees < turns < degrees / 3.0:
@@ -148,4 +157,4 @@ def _refuse_units(believed: Frame, seen: Frame, source: str) -> None:
     if what:
         here, there = (f"{way:.3g} m and {turn:.3g} rad" for way, turn in ((moved, turned), (moved_too, turned_too)))
         got = f"poses {here} apart where the guess moves by {there}"
-        raise ConfigurationError(f"{source}: {key}", got, f"motions of that size; perhaps {what}?")
+        raise ConfigurationError(f"{measurements.source}: {key}", got, f"motions of that size; perhaps {what}?")

@@ -12,7 +12,6 @@ from collections.abc import Collection
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-import scipy.linalg
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.leg import LEGS
@@ -165,6 +164,8 @@ def free_directions(guess: RobotParameters, known: Collection[FrameName], held: 
     Raises:
         ConfigurationError: Nothing is left to change.
     """
+    from scipy.linalg import null_space
+
     rows = [_unit(column) for column in range(OF_ROBOT) if OF_LEG[column % PER_LEG].name in held]
     for frame, name, place, points in (
         ("base", "shaft_position", _SHAFT, guess.shaft_positions),
@@ -176,7 +177,7 @@ def free_directions(guess: RobotParameters, known: Collection[FrameName], held: 
         elif name not in held:
             # Held positions are a frame themselves.
             rows += list(_alignment(points, place))
-    basis: np.ndarray = np.eye(SIZE) if not rows else scipy.linalg.null_space(np.array(rows))
+    basis: np.ndarray = np.eye(SIZE) if not rows else null_space(np.array(rows))
     if set(NAMES) <= set(held):
         raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
     return basis

@@ -10,6 +10,7 @@ import numpy as np
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
 from stewart_drake.calibration.model import Frame, Model
 from stewart_drake.calibration.parameters import (
+    OF_ROBOT,
     SIZE,
     FrameName,
     Name,
@@ -26,10 +27,14 @@ from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit
 from stewart_drake.robot import RobotParameters
 
 CANDIDATES = 1500
-MARGIN = 0.95
+MARGIN = 0.85
 """[-] of each limit that a pose may take up: the robot is not quite the guess."""
+AMPLIFICATION = 1.3
+"""[-] most by which parameters act on a pose more than at home. Poses near a parallel singularity tell much, but a
+robot that is not quite the guess cannot be assembled there. With both numbers each of a hundred robots of any of the
+three shipped kinds, off by 1 mm and 1 mrad, could be at the cranks' angles of a plan of 60 poses."""
 _STEPS, _FARTHEST = 40, 2.0
-_PASSES = 20
+_PASSES, _DRAWS = 20, 20
 _GAIN = 1e-6
 
 
@@ -115,26 +120,52 @@ def candidate_poses(
     """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them.
 
     Raises:
-        ConfigurationError: Home breaks a limit.
+        ConfigurationError: Home breaks a limit, or the limits leave hardly a way from it.
     """
     home = robot.home_pose
-    way = rng.standard_normal((count, 6))
-    way *= np.array([1.0] * 3 + [robot.characteristic_length] * 3) / np.linalg.norm(way, axis=1, keepdims=True)
-    steps = np.linspace(0.0, _FARTHEST, _STEPS + 1)
-    bounds = limit_bounds(robot, limits)
-    last = np.zeros(count)
-    going = np.arange(count)
-    for step in steps:
+    found = np.empty((0, 6))
+    for _ in range(_DRAWS):
+        way = rng.standard_normal((count, 6)) * np.array([1.0] * 3 + [robot.characteristic_length] * 3)
+        way /= np.linalg.norm(way / scales(robot)[-6:], axis=1, keepdims=True)
+        last = _ends(robot, limits, home, way, margin)
+        # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
+        share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
+        pose = (home + (last * share)[:, None] * way)[last > 0.0]
+        calm = _amplification(robot, pose) <= AMPLIFICATION * _amplification(robot, home[None])
+        found = np.concatenate([found, pose[calm]])
+        if len(found) >= count:
+            return found[:count]
+    raise ConfigurationError("limits", f"{len(found)} poses of {_DRAWS * count} tries", "limits that leave more room")
+
+
+def _ends(robot: RobotParameters, limits: Limits, home: np.ndarray, way: np.ndarray, margin: float) -> np.ndarray:
+    """How far (n,) along ways (n, 6) from home all limits hold, in whole steps.
+
+    Raises:
+        ConfigurationError: Home breaks a limit.
+    """
+    torque = limit_bounds(robot, limits).get("torque")
+    last, going = np.zeros(len(way)), np.arange(len(way))
+    for step in np.linspace(0.0, _FARTHEST, _STEPS + 1):
         pose = home + step * way[going]
-        measures = measure_poses(robot, pose, STANDARD_GRAVITY, bounds.get("torque"))
+        measures = measure_poses(robot, pose, STANDARD_GRAVITY, torque)
         use, limit = governing_limit(utilisation(robot, limits, pose, measures))
         if step == 0.0 and use[0] > margin:
             got = f"a limit {LIMIT_NAMES[limit[0]]} of which home takes {use[0]:.3g}"
             raise ConfigurationError("limits", got, f"limits of which home takes at most {margin:g}")
         going = going[use <= margin]
         last[going] = step
-    # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
-    return home + (last * rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0))[:, None] * way
+        if going.size == 0:
+            break
+    return last
+
+
+def _amplification(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
+    """Size (n,) of the derivatives of poses (n, 6) by a robot's parameters, both in `scales`."""
+    model, nothing, size = Model(robot), np.zeros(SIZE), scales(robot)
+    at, angles = Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), inverse_kinematics(robot, pose)
+    by_legs = model.marker_derivative(nothing, model.closures(nothing, at, angles), at)[..., :OF_ROBOT]
+    return np.asarray(np.linalg.norm(by_legs * size[:OF_ROBOT] / size[-6:, None], axis=(1, 2)))
 
 
 def _exchange(rows: np.ndarray, count: int) -> np.ndarray:

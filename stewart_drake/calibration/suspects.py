@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.calibration.measurements import Measurements
 from stewart_drake.calibration.model import Model
-from stewart_drake.calibration.parameters import scales
+from stewart_drake.calibration.parameters import OF_ROBOT, scales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.leg import LEGS
 
@@ -18,6 +18,9 @@ MISFIT = 5.0
 """[-] size of the closures over their noise beyond which a reason is looked for."""
 BETTER = 5.0
 """[-] how many times smaller they must become for a reason to be named."""
+FAR = 0.3
+"""[-] change of a parameter, in `parameters.scales`, that nobody's guess is off by. Legs whose encoders are swapped
+are fitted well by a robot whose shafts are swapped too, and an inverted encoder by a motor that is turned over."""
 _ROWS = 3
 
 
@@ -46,6 +49,11 @@ class Start:
         """(`SIZE`,) [m, rad]."""
         return scales(self.model.guess) * (self.told @ self.step)
 
+    @property
+    def score(self) -> float:
+        """[-] the misfit; infinite where the legs are nothing like the guess's."""
+        return self.misfit if np.abs((self.told @ self.step)[:OF_ROBOT]).max() <= FAR else np.inf
+
 
 def explain_misfit(given: Callable[[Measurements], Start], measurements: Measurements) -> Start:
     """A start whose measurements fit, or fit as well as anything does.
@@ -59,17 +67,19 @@ def explain_misfit(given: Callable[[Measurements], Start], measurements: Measure
             branch than the guess's; else what `given` raises for the measurements.
     """
     problem: ConfigurationError | None = None
+    start: Start | None = None
     try:
         start = given(measurements)
-        misfit = start.misfit
+        misfit = start.score
     except ConfigurationError as error:
         problem, misfit = error, np.inf
     if misfit > MISFIT:
-        found = [(_misfit(given, other), error) for other, error in _others(measurements, None if problem else start)]
+        found = [(_misfit(given, other), error) for other, error in _others(measurements, start)]
         best, reason = min(found, key=lambda each: each[0])
         if best * BETTER < misfit and best < np.inf:
             raise reason
-    if problem is not None:
+    if start is None:
+        assert problem is not None
         raise problem
     _refuse_branch(start)
     return start
@@ -77,7 +87,7 @@ def explain_misfit(given: Callable[[Measurements], Start], measurements: Measure
 
 def _misfit(given: Callable[[Measurements], Start], measurements: Measurements) -> float:
     try:
-        return given(measurements).misfit
+        return given(measurements).score
     except ConfigurationError:
         return np.inf
 
@@ -97,7 +107,7 @@ def _others(measurements: Measurements, start: Start | None) -> Iterator[tuple[M
         got = "readings that fit with the other sign"
         error = ConfigurationError(f"{source}: theta_{leg}", got, "angles that grow as the guess's crank angle does")
         yield Measurements(pose, inverted, source), error
-    if start is None:
+    if start is None or start.misfit <= MISFIT:
         return
     closures, _ = start.model.closure_error(start.change, measurements)
     for row in np.argsort(-np.abs(closures).max(axis=-1))[:_ROWS].tolist():

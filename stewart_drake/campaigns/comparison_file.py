@@ -33,7 +33,7 @@ SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
 PICTURES = ("rmse", "error", "bands")
-AXES = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
+AXIS_NUMBERS = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
 _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
 _NAME = re.compile(r"[^|\x00-\x1f\x7f]{1,80}")
@@ -198,7 +198,7 @@ class Comparison(Plan):
         cell = self.cells[index]
         if cell.frequency is None:
             return partial(measure_run, band=self.file.band)
-        return partial(measure_band, frequency=cell.frequency, axis=AXES[cell.reference], window=cell.window)
+        return partial(measure_band, frequency=cell.frequency, axis=AXIS_NUMBERS[cell.reference], window=cell.window)
 
     def variants(self) -> list[Scenario]:
         """See `Plan.variants`: one for each setting of what can name a file, in which times and numbers differ."""
@@ -210,7 +210,10 @@ class Comparison(Plan):
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
         """See `Plan.tables`."""
-        return {"comparison": (table_columns(), table_rows(self, rows)), "bands": (BANDS, band_rows(self, rows))}
+        return {
+            "comparison": (table_columns(*self.variants()), table_rows(self, rows)),
+            "bands": (BANDS, band_rows(self, rows)),
+        }
 
     def page(self, tables: Mapping[str, list[Row]]) -> str:
         """See `Plan.page`."""
@@ -309,13 +312,13 @@ def _band_cells(file: CompareFile, bands: Bands, base: Scenario, parts: _Parts, 
     middle = plain.robot.home_pose
     cells = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
-        most = largest_amplitude(plain.robot, plain.limits, AXES[axis], frequency, plain.gravity)
-        cap = bands.largest_angle if AXES[axis] < 3 else bands.largest_travel
+        most = largest_amplitude(plain.robot, plain.limits, AXIS_NUMBERS[axis], frequency, plain.gravity)
+        cap = bands.largest_angle if AXIS_NUMBERS[axis] < 3 else bands.largest_travel
         amplitude = min(cap, 0.5 * most)
         if amplitude <= 0.0:
             raise ConfigurationError("bands.frequencies", frequency, f"frequencies at which {axis} can move at all")
         size = np.zeros(6)
-        size[AXES[axis]] = amplitude
+        size[AXIS_NUMBERS[axis]] = amplitude
         omega = 2.0 * math.pi * frequency
         reference = {
             "kind": "sine",

@@ -16,6 +16,7 @@ from stewart_drake.logs.metric_table import columns as run_columns
 
 if TYPE_CHECKING:
     from stewart_drake.campaigns.comparison_file import Comparison
+    from stewart_drake.scenario import Scenario
 
 SMALLEST = 1e-5
 """What is smaller is not written out."""
@@ -44,9 +45,9 @@ BANDS = (
 """Columns of the table of bands."""
 
 
-def table_columns() -> tuple[Column, ...]:
+def table_columns(*scenarios: Scenario) -> tuple[Column, ...]:
     """Columns of the table."""
-    return (*NAMES, *run_columns(), SETTLING)
+    return (*NAMES, *run_columns(*scenarios), SETTLING)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.metric_table import Kind
-from stewart_drake.registry import Family
+from stewart_drake.families import Family
+from stewart_drake.logs.metric_table import ValueKind
 from stewart_drake.section import Count, Flag, Positive, Real, Section, check_plain
 
 LARGEST = 1e100
@@ -29,7 +29,7 @@ class _Distribution(Section):
     """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
     where it is a list."""
 
-    column: ClassVar[Kind] = "number"
+    column: ClassVar[ValueKind] = "number"
 
     @abstractmethod
     def at(self, quantile: float) -> Any:
@@ -80,37 +80,29 @@ class Normal(_Distribution):
         """See `Section.rules`."""
         if self.low is not None and self.high is not None:
             _check_order(self.low, self.high)
-        below, above, _ = self._shares()
-        if above - below < LEAST_PROBABILITY:
+        from scipy.special import ndtr
+
+        low, high = self._scores
+        # In the upper tail the bell's share below rounds off to 1: then that of its mirror image.
+        kept = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
+        if kept < LEAST_PROBABILITY:
             raise ConfigurationError(
                 "low", [self.low, self.high], f"bounds that keep at least {LEAST_PROBABILITY:g} of the distribution"
             )
 
     def at(self, quantile: float) -> float:
         """See `_Distribution.at`."""
-        from scipy.special import ndtri
+        from scipy.stats import truncnorm
 
-        below, above, mirrored = self._shares()
-        if mirrored:
-            quantile = 1.0 - quantile
-        score = float(ndtri(max(below + quantile * (above - below), _LOWEST)))
-        value = self.mean + self.std * (-score if mirrored else score)
+        value = self.mean + self.std * float(truncnorm.ppf(max(quantile, _LOWEST), *self._scores))
         value = value if self.low is None else max(value, self.low)
         return value if self.high is None else min(value, self.high)
 
-    def _shares(self) -> tuple[float, float, bool]:
-        """Share of the bell below each bound; of its mirror image where only the upper tail, which rounds off, is kept.
-
-        Both are finite and the first is the smaller.
-        """
-        from scipy.special import ndtr
-
-        low = -math.inf if self.low is None else (self.low - self.mean) / self.std
-        high = math.inf if self.high is None else (self.high - self.mean) / self.std
-        mirrored = low > 0.0
-        if mirrored:
-            low, high = -high, -low
-        return float(ndtr(low)), float(ndtr(high)), mirrored
+    @property
+    def _scores(self) -> tuple[float, float]:
+        """Bounds in standard deviations from the mean."""
+        low, high = (None if bound is None else (bound - self.mean) / self.std for bound in (self.low, self.high))
+        return -math.inf if low is None else low, math.inf if high is None else high
 
 
 class Integers(_Between):
@@ -120,7 +112,7 @@ class Integers(_Between):
     low: Whole
     high: Whole
 
-    column: ClassVar[Kind] = "whole"
+    column: ClassVar[ValueKind] = "whole"
 
     def at(self, quantile: float) -> int:
         """See `_Distribution.at`."""
@@ -163,7 +155,7 @@ DISTRIBUTIONS = Family(
 )
 
 
-def column_of(distribution: Distribution) -> Kind:
+def column_of(distribution: Distribution) -> ValueKind:
     """What a column must be to hold the values of a distribution as they are."""
     if not isinstance(distribution, Choice):
         return distribution.column

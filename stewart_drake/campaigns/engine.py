@@ -75,8 +75,8 @@ def warm_up(source: str, metrics: Iterable[str] = ()) -> None:
     missing = set(metrics) - {metric.name for metric in METRICS}
     if missing:
         raise StewartDrakeError(
-            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports "
-            'too, or in the script that called, outside of `if __name__ == "__main__":`'
+            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
+            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
         )
 
 

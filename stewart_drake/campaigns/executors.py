@@ -210,12 +210,11 @@ class Given(Workplace):
 
     Args:
         executor: It.
-        workers: Pieces of work at a time; None for what the executor tells, or one.
     """
 
-    def __init__(self, executor: Executor, workers: int | None = None) -> None:
+    def __init__(self, executor: Executor) -> None:
         told = getattr(executor, "_max_workers", None)
-        self.workers = workers or (told if isinstance(told, int) else 1)
+        self.workers = told if isinstance(told, int) else 1
         self._executor = executor
         self._broken = False
 

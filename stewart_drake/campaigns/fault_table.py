@@ -78,9 +78,10 @@ class FaultPlan(Plan):
     products = ("faults.parquet", "faults.csv", "faults.md")
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Fault, str]], quick: bool = False, robot: str | None = None) -> FaultPlan:
-        """The plan of some rows; quick: the held platform alone; robot: name or file, None for the paper's."""
-        motions = QUICK_MOTIONS if quick else tuple(MOTIONS)
+    def of(
+        cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS), robot: str | None = None
+    ) -> FaultPlan:
+        """The plan of some rows; robot: name or file, None for the paper's."""
         runs = sum(motion in motions for _, motion in pairs)
         return cls(catalogue.base(robot), pairs, motions, runs=runs, name="faults")
 
@@ -132,6 +133,11 @@ class FaultPlan(Plan):
         return markdown_table(tables["faults"])
 
 
+def table_plan(quick: bool = False, robot: str | None = None) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone; robot: name or file, None for the paper's."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot)
+
+
 def make_table(
     folder: str | Path,
     quick: bool = False,
@@ -150,7 +156,7 @@ def make_table(
         restart: Throw away the rows that an earlier call left in the folder.
         robot: Name or YAML file; None for the paper's.
     """
-    return run_plan(FaultPlan.of(all_rows(), quick, robot), Path(folder), where, progress, restart)["faults"]
+    return run_plan(table_plan(quick, robot), Path(folder), where, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:
@@ -285,7 +291,8 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 
 def _by_fault(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
-    return ((name, [row for row in rows if row["fault"] == name]) for name in dict.fromkeys(row["fault"] for row in rows))
+    names = dict.fromkeys(row["fault"] for row in rows)
+    return ((name, [row for row in rows if row["fault"] == name]) for name in names)
 
 
 def _told(fault: Fault) -> str:

@@ -134,7 +134,7 @@ def outcome(log: SimulationLog) -> Row:
 
 def measure(log: SimulationLog) -> Row:
     """How a run ended, and its metrics by column."""
-    return {**outcome(log), **flat(run_metrics(log)), "simulation_s": log.wall_time}
+    return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
 def _outcome(function: RunFunction, task: Task) -> Row:

@@ -1,4 +1,4 @@
-"""What every campaign is: runs of one scenario with some of its keys changed, each known by its index; and its tables."""
+"""What every campaign is: runs of one scenario with some keys changed, each known by its index; and its tables."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from stewart_drake.campaigns.one_run import Measure, RunFunction, Task, empty_ro
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import refuse_given, user_sources
 from stewart_drake.files.named_files import anchor_files, file_digests
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.metric_table import Column, added_code, columns
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.registry import refuse_given, user_sources
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import NAME, NAME_WORDS, Section, Text
 
@@ -286,13 +286,13 @@ def identity(
         **work,
         "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": checksum([[asdict(column) for column in columns()], added_code()])[:8],
+        "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
 
 
 def _identity_of(plan: Plan, versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What the rows of a plan depend on; classes of the user's are loaded, or one that does not exist would show late."""
+    """What the rows of a plan depend on; classes of the user's are loaded, so that one that is missing shows early."""
     variants = plan.variants()
     for source in {source.path: source for variant in variants for source in user_sources(variant)}.values():
         source.load()

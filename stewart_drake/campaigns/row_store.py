@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,7 +12,15 @@ from typing import Any, BinaryIO, Self
 
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import checksum, locked_folder, read_checked, seal, unseal, write_atomically
+from stewart_drake.files.whole import (
+    checksum,
+    locked_folder,
+    open_checked,
+    read_checked,
+    seal,
+    unseal,
+    write_atomically,
+)
 from stewart_drake.runs.outputs import prepare_folder
 
 ROWS, HEADER = "rows.jsonl", "sweep.json"
@@ -23,6 +29,7 @@ CAMPAIGN = "campaign"
 
 _LONGEST = 2**24
 """[byte] of a line; a row takes a few thousand."""
+_LARGEST = 2**40
 _LARGEST_HEADER = 2**30
 
 
@@ -56,13 +63,11 @@ class RowStore:
         with ExitStack() as opened:
             opened.enter_context(locked_folder(self.folder))
             try:
-                # Without O_NONBLOCK a pipe would wait for ever.
-                descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)
-                self._stream = opened.enter_context(os.fdopen(descriptor, "a+b", buffering=0))
+                path.touch()
+                open_checked(path, str(path), _LARGEST).close()
+                self._stream = opened.enter_context(path.open("a+b", buffering=0))
             except OSError as error:
                 raise ConfigurationError(str(path), error.strerror, "a file that can be written to") from None
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise ConfigurationError(str(path), "a device or a pipe", "a regular file")
             self._take()
             self._open = opened.pop_all()
         return self
@@ -134,16 +139,15 @@ class RowStore:
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         """Lines that could be rows."""
-        self._stream.seek(0)
-        # Piece by piece: a damaged file may be one endless line.
-        buffered = io.BufferedReader(io.FileIO(self._stream.fileno(), closefd=False))
-        while line := buffered.readline(_LONGEST):
-            try:
-                row = json.loads(line)
-                if type(row["index"]) is int and row["index"] >= 0:
-                    yield row
-            except (ValueError, KeyError, TypeError, RecursionError):
-                continue
+        with (self.folder / ROWS).open("rb") as stream:
+            # Piece by piece: a damaged file may be one endless line.
+            while line := stream.readline(_LONGEST):
+                try:
+                    row = json.loads(line)
+                    if type(row["index"]) is int and row["index"] >= 0:
+                        yield row
+                except (ValueError, KeyError, TypeError, RecursionError):
+                    continue
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import PROCESSES, Given, LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.engine import carry_out
+from stewart_drake.campaigns.executors import PROCESSES, LocalProcesses, SerialExecutor
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import refuse_given
 from stewart_drake.files.whole import checksum, locked_folder
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.registry import refuse_given
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
 
@@ -68,32 +68,20 @@ class RunStore:
             StewartDrakeError: A worker process ended by itself.
         """
         with locked_folder(prepare_folder(self.folder)):
-            return self._run_all(scenarios, progress, check)
-
-    def _run_all(
-        self, scenarios: Sequence[Scenario], progress: Callable[[float], None] | None, check: bool
-    ) -> list[SimulationLog]:
-        versions = collect_versions()
-        paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
-        logs = {path: _kept(path) for path in dict.fromkeys(paths)}
-        missing = {path: s for path, s in zip(paths, scenarios, strict=True) if logs[path] is None}
-        done = len(logs) - len(missing)
-
-        def advance() -> None:
-            nonlocal done
-            done += 1
-            if progress is not None:
-                progress(done / len(logs))
-
-        where = LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else Given(SerialExecutor())
-
-        def work(path: Path) -> Work:
-            return _run_and_keep, (missing[path], path, check)
-
-        carry_out(missing, work, lambda *_: advance(), where)
-        if progress is not None:
-            progress(1.0)
-        return [replace(logs[path] or load_log(path), scenario=s) for path, s in zip(paths, scenarios, strict=True)]
+            versions = collect_versions()
+            paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
+            logs = {path: _kept(path) for path in dict.fromkeys(paths)}
+            missing = {path: s for path, s in zip(paths, scenarios, strict=True) if logs[path] is None}
+            tell = (lambda _: None) if progress is None else progress
+            shares = iter(range(len(logs) - len(missing) + 1, len(logs) + 1))
+            carry_out(
+                missing,
+                lambda path: (_run_and_keep, (missing[path], path, check)),
+                lambda *_: tell(next(shares) / len(logs)),
+                LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else SerialExecutor(),
+            )
+            tell(1.0)
+            return [replace(logs[path] or load_log(path), scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
 
 def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:

@@ -20,12 +20,13 @@ from stewart_drake.campaigns.one_run import simulate_figures
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.campaigns.tables import INCIDENTAL, Row, flat
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import refuse_given
 from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.registry import refuse_given
+from stewart_drake.scenario import Scenario
 from stewart_drake.section import Count, Flag, Seed, Text
 from stewart_drake.wording import shown
 
@@ -165,7 +166,7 @@ class Sweep(Plan):
         return found
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """See `Plan.tables`: the value of each varied key as run; of a factor also, as `KEY.factor`, the number drawn."""
+        """See `Plan.tables`: of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
         factors = [key for key, distribution in self.distributions.items() if distribution.factor]
         for key, distribution in self.distributions.items():
@@ -181,7 +182,7 @@ class Sweep(Plan):
             # A factor can take a number out of floating point; its row is one of a run that was rejected.
             values = plain_json({**self.changes(drawn), **{f"{key}.factor": drawn[key] for key in factors}})
             wide.append(flat(row, **values))
-        return {"sweep": ((*BEFORE, *varied, *run_columns(), *INCIDENTAL), wide)}
+        return {"sweep": ((*BEFORE, *varied, *run_columns(self.base), *INCIDENTAL), wide)}
 
     @property
     def work(self) -> Mapping[str, Any]:

@@ -144,9 +144,9 @@ def faults(quick: bool, robot: str | None, restart: bool, **options: Any) -> Non
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, FaultPlan, all_rows, holdable_lines, make_table, terse_rows
+    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
 
-    plan = FaultPlan.of(all_rows(), quick, robot)
+    plan = table_plan(quick, robot)
     with _under_way(plan, **options) as (folder, where, progress):
         made = make_table(folder, quick, where, progress, restart, robot)
     if options["quiet"]:

@@ -31,9 +31,9 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
 
     Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
     """
+    from stewart_drake.families import user_sources
     from stewart_drake.files.user_code import MAX_BYTES
     from stewart_drake.files.whole import read_checked
-    from stewart_drake.registry import user_sources
     from stewart_drake.runs.motion_fit import fit_amplitude, fit_speed, motion_report
     from stewart_drake.scenario import load_scenario
 

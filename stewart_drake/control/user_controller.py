@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path
+from stewart_drake.families import UserMade, user_sources
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass
 from stewart_drake.files.user_errors import UserCode
-from stewart_drake.registry import user_sources
-from stewart_drake.section import Positive, Text, check_plain
+from stewart_drake.section import Positive, Text
 
 
-class PythonOptions(ControllerOptions):
+class PythonOptions(ControllerOptions, UserMade):
     """A user's LeafSystem by import path; `kind` may be that path itself.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -27,6 +27,7 @@ class PythonOptions(ControllerOptions):
     step; time constants below a 25th of that step diverge.
     """
 
+    path_key: ClassVar[str] = "system"
     kind: Literal["python"] = "python"
     system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
     """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
@@ -37,19 +38,10 @@ class PythonOptions(ControllerOptions):
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        check_plain("arguments", self.arguments)
-
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> PythonOptions:
-        """Options for a class or object that was given in Python, or an import path."""
-        return cls.__pydantic_validator__.validate_python({"system": given_path(kind), **rest})
-
     @property
     def source(self) -> UserClass:
         """Where the class comes from."""
-        return _SystemClass(self.system, "controller.system")
+        return _SystemClass(self.system, super().source.key)
 
     @property
     def file(self) -> Path | None:

@@ -15,7 +15,9 @@ from stewart_drake.files.whole import open_checked, read_checked
 
 MAX_BYTES = 100_000_000
 """Of any file that is named."""
-CLASS_KEYS = ("system", "kind")
+CLASS_LISTS = ("disturbances", "metrics", "monitors", "parts")
+"""Keys of lists in which a class may stand by its path alone."""
+CLASS_KEYS = ("system", "kind", "controller", "reference", "motion", *CLASS_LISTS)
 """Of a class in a file."""
 FILE_KEYS = ("weights_file", "motion_file")
 ROBOT_KEYS = ("robot", "model_robot")
@@ -107,18 +109,20 @@ def _places(data: Any) -> Iterator[tuple[Any, Any, str]]:
         seen.add((name, id(section)))
         if isinstance(section, (list, tuple)):
             waiting.extend((name, f"{place}{index}.", value) for index, value in enumerate(section))
+            found = (index for index, value in enumerate(section) if name in CLASS_LISTS and _is_file(name, value))
+            yield from ((section, index, f"{place}{index}") for index in found)
         if not isinstance(section, dict):
             continue
         for key, value in section.items():
             leaf = str(key).rpartition(".")[2]
             if _is_file(leaf, value):
                 yield section, key, f"{place}{key}"
+                continue
+            waiting.append((leaf, f"{place}{key}.", value))
             # What a sweep chooses from lies in a list under `values`.
-            elif leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
+            if leaf == "values" and name in (*FILE_KEYS, *ROBOT_KEYS, *CLASS_KEYS) and isinstance(value, list):
                 found = (index for index, path in enumerate(value) if _is_file(name, path))
                 yield from ((value, index, f"{place}{key}.{index}") for index in found)
-            else:
-                waiting.append((leaf, f"{place}{key}.", value))
 
 
 def _is_file(key: str, value: Any) -> bool:

@@ -9,9 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind
 from stewart_drake.hardware.seeded import tick_uniform
-from stewart_drake.registry import COMMAND_FAULTS, Table
+from stewart_drake.registry import COMMAND_FAULTS
 from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Real, Section, Seed, Share, Text
 
 MEMORY_SIZE = 16

@@ -13,7 +13,8 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import DISTURBANCES, UserMade
+from stewart_drake.families import UserMade
+from stewart_drake.registry import DISTURBANCES
 from stewart_drake.section import NotNegative, Positive, Real, Section, Seed, Vector6
 
 _SINES = 64

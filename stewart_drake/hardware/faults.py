@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import Table
+from stewart_drake.families import Table
 from stewart_drake.section import NotNegative, Section
 from stewart_drake.wording import describe, either
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind, swap
-from stewart_drake.registry import ENCODER_FAULTS, POSE_FAULTS, Table
+from stewart_drake.registry import ENCODER_FAULTS, POSE_FAULTS
 from stewart_drake.section import LegNumber, Positive, Real, Section, Text
 
 Delay = Annotated[Positive, Field(le=1.0)]

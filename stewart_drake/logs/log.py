@@ -20,7 +20,7 @@ from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
 if TYPE_CHECKING:
     import pyarrow as pa
 
-AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+AXIS_NAMES = ("roll", "pitch", "yaw", "x", "y", "z")
 LEG_NAMES = tuple(str(i) for i in range(6))
 ROW_GROUP = 65_536
 """Rows of a log that are in memory at a time where it goes to a file."""
@@ -51,7 +51,7 @@ class SignalSpec:
 
 
 def _axes(angle: str, length: str, text: str) -> SignalSpec:
-    return SignalSpec(AXES, (angle,) * 3 + (length,) * 3, "P in B", text)
+    return SignalSpec(AXIS_NAMES, (angle,) * 3 + (length,) * 3, "P in B", text)
 
 
 def _legs(unit: str, frame: str, text: str) -> SignalSpec:
@@ -75,7 +75,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
         ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
     ),
     "density": SignalSpec(
-        (*(f"error_{a}" for a in AXES), *(f"torque_{i}" for i in LEG_NAMES)), ("1",) * 12, "", "density features"
+        (*(f"error_{a}" for a in AXIS_NAMES), *(f"torque_{i}" for i in LEG_NAMES)), ("1",) * 12, "", "density features"
     ),
     "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
     "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),

@@ -19,8 +19,9 @@ from stewart_drake.wording import keys_of
 
 if TYPE_CHECKING:
     from stewart_drake.logs.tally import Tally
+    from stewart_drake.scenario import Scenario
 
-Kind = Literal["number", "whole", "flag", "text", "json"]
+ValueKind = Literal["number", "whole", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
 
 
@@ -38,7 +39,7 @@ class Column:
     name: str
     unit: str
     text: str
-    kind: Kind = "number"
+    kind: ValueKind = "number"
 
 
 class MetricError(StewartDrakeError):
@@ -73,7 +74,7 @@ class Metric:
     parts: tuple[str, ...] = ()
     label: str = ""
     form: str = ".4g"
-    kind: Kind = "number"
+    kind: ValueKind = "number"
     gather: Callable[[Any, Mapping[str, np.ndarray]], Any] | None = None
 
     def value(self, tally: Tally) -> Any:
@@ -231,22 +232,39 @@ def add_metric(metric: Metric) -> None:
     """Adds a metric from outside of the package, or puts it in the place of one of its name that was added before.
 
     Every run from now on has it, and every table. Workers import the calling script: there the call stands outside of
-    `if __name__ == "__main__":`.
+    `if __name__ == "__main__":`. For runs of one scenario there is its key `metrics`.
 
     Raises:
         ConfigurationError: Its name, or a column of it, means something already.
     """
+    others = [each for each in METRICS[_SHIPPED:] if each.name != metric.name]
+    _check_names(metric, METRICS[:_SHIPPED] + others)
+    METRICS[_SHIPPED:] = [*others, metric]
+
+
+def _check_names(metric: Metric, others: Sequence[Metric]) -> None:
     from stewart_drake.scenario import Scenario
 
-    others = [each for each in METRICS[_SHIPPED:] if each.name != metric.name]
-    kept = METRICS[:_SHIPPED] + others
-    taken = {each.name for each in kept} | {column.name for each in kept for column in each.columns()}
+    taken = {each.name for each in others} | {column.name for each in others for column in each.columns()}
     # A sweep has a column for each key of the scenario that it varies.
     taken |= {*_TAKEN, *(column.name for column in OUTCOME), *keys_of(Scenario)}
     for name in (metric.name, *metric.parts):
         if name in taken:
             raise ConfigurationError("metric", name, "a name that no metric or column has")
-    METRICS[_SHIPPED:] = [*others, metric]
+
+
+def metrics_of(*scenarios: Scenario) -> list[Metric]:
+    """The metrics of runs of these scenarios: those of every run, and their own.
+
+    Raises:
+        ConfigurationError: One of their own cannot be loaded, or its name means something already.
+    """
+    found = list(METRICS)
+    for metric in (own.made for scenario in scenarios for own in scenario.metrics):
+        if metric not in found:
+            _check_names(metric, found)
+            found.append(metric)
+    return found
 
 
 def added_code() -> dict[str, str]:
@@ -262,17 +280,18 @@ def _source(function: Any) -> str:
         return repr(getattr(getattr(function, "__code__", None), "co_code", None))
 
 
-def flat(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Metrics by column, from `metrics.run_metrics`; and `not_finite`, named likewise."""
+def flat(metrics: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """Metrics of a run by column, from `metrics.run_metrics`; and `not_finite`, named likewise."""
     row: dict[str, Any] = {}
-    for metric in METRICS:
+    known = metrics_of(scenario)
+    for metric in known:
         value = metrics[metric.name]
         row |= (
             dict(zip(metric.parts, value or [None] * len(metric.parts), strict=True))
             if metric.parts
             else {metric.name: value}
         )
-    named = {f"{metric.name}.{index}": part for metric in METRICS for index, part in enumerate(metric.parts)}
+    named = {f"{metric.name}.{index}": part for metric in known for index, part in enumerate(metric.parts)}
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 
 
@@ -300,6 +319,6 @@ OUTCOME: tuple[Column, ...] = (
 """How a run ended, before the metrics."""
 
 
-def columns() -> tuple[Column, ...]:
-    """All that is told of a run in a table: how it ended, and its metrics."""
-    return (*OUTCOME, *(column for metric in METRICS for column in metric.columns()))
+def columns(*scenarios: Scenario) -> tuple[Column, ...]:
+    """All that is told of runs in a table: how they ended, and their metrics."""
+    return (*OUTCOME, *(column for metric in metrics_of(*scenarios) for column in metric.columns()))

@@ -44,7 +44,8 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
     return {
         "scenario": log.scenario.name,
         **outcome,
-        **{metric.name: figures.get(metric.name) for metric in METRICS},
+        **dict.fromkeys(metric.name for metric in METRICS),
+        **{name: value for name, value in figures.items() if name not in ("events", NOT_FINITE)},
         NOT_FINITE: figures.get(NOT_FINITE, {}),
         "real_time_factor": log.end_time / wall if wall > 0.0 else None,
         "git_revision": versions.pop("git_revision", None),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.logs.metric_table import METRICS
+from stewart_drake.logs.metric_table import metrics_of
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP
 from stewart_drake.sampling import steps_per
@@ -75,6 +75,7 @@ class Tally:
 
     def __post_init__(self) -> None:
         scenario = self.scenario
+        self._metrics = metrics_of(scenario)
         self._stride = steps_per("controller.period", scenario.controller.period, scenario.plant.time_step)
         self._monitors = MONITORS if scenario.safety is None else scenario.safety.monitor_names
         self._limit = scenario.controller.limit(scenario.robot)
@@ -112,7 +113,7 @@ class Tally:
             self._add_bounded(signals, time, in_charge)
             self._add_motion(signals["reference"], signals["pose"], tick & late & in_charge)
             self._add_weights(signals, tick)
-            for metric in METRICS:
+            for metric in self._metrics:
                 self.gathered[metric.name] = metric.gathered(self.gathered.get(metric.name), signals)
         self._add_interventions(signals, time)
         by_then = np.flatnonzero(tick & (time <= INTEGRAL_TIME + 1e-9))
@@ -127,10 +128,10 @@ class Tally:
         """Metrics so far, in plain values that may not be finite; None for what there is nothing to tell from.
 
         Returns:
-            Those of `metric_table.METRICS`, and events: when and where, for `outcomes.judge`.
+            Those of `metric_table.metrics_of`, and events: when and where, for `outcomes.judge`.
         """
         with np.errstate(all="ignore"):
-            figures = {metric.name: metric.value(self) for metric in METRICS}
+            figures = {metric.name: metric.value(self) for metric in self._metrics}
         bounds = self.scenario.bounds
         never = {
             name: {"time": 0.0, "worst": self.largest[name], "leg": None}

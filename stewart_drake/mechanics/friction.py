@@ -99,7 +99,7 @@ def level(law: FrictionLaw, slip: Array) -> Array:
 def moved(law: FrictionLaw, bristles: Bristles, angles: Array, step: float, width: float = 0.0) -> Bristles:
     """The bristles once the cranks have come to angles (..., 6) [rad] within a step [s]; `width` see above."""
     stretch = bristles.anchor - angles
-    kept = _clipped(stretch, level(law, bristles.slip) / law.stiffness, width / law.stiffness)
+    kept = _clipped(stretch, level(law, bristles.slip) / law.stiffness, width and width / law.stiffness)
     # In this form an anchor that holds keeps its last bit.
     anchor = bristles.anchor + (kept - stretch)
     return Bristles(anchor, (anchor - bristles.anchor) / step)

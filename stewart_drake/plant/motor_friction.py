@@ -21,11 +21,11 @@ from stewart_drake.mechanics.friction import Bristles, FrictionLaw, at_rest, lev
 
 
 class MotorFriction(LeafSystem):
-    """Anchors of the motors' bristles, see `mechanics.friction`; the anchors and their speeds live in the Context.
+    """Anchors of the motors' bristles, see `mechanics.friction`; the the state lives in the Context.
 
     Ports:
         plant_state: in (nq + nv,), state of the MultibodyPlant.
-        pull: out (12,), anchors [rad] and relief [N m] until the plant's next step.
+        pull: out (18,), anchors [rad], their speeds [rad/s] and relief [N m], until the plant's next step; the state.
 
     Args:
         plant: Finalised, with the actuators that `add_friction_actuators` adds.
@@ -38,9 +38,9 @@ class MotorFriction(LeafSystem):
         joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
         self._angles = np.array([joint.position_start() for joint in joints])
         state = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-        self.DeclareDiscreteState(np.concatenate(at_rest(state[self._angles])))
+        self.DeclareDiscreteState(self._relaxed(state))
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
-        self.pull = self.DeclareVectorOutputPort("pull", 2 * LEGS, self._calc)
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, self._calc)
         self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, self._store)
 
     def relax(self, context: Context, state: np.ndarray) -> None:
@@ -51,19 +51,21 @@ class MotorFriction(LeafSystem):
             state: Where the plant is put.
         """
         mine = self.GetMyMutableContextFromRoot(context)
-        mine.SetDiscreteState(np.concatenate(at_rest(state[self._angles])))
+        mine.SetDiscreteState(self._relaxed(state))
+
+    def _relaxed(self, state: np.ndarray) -> np.ndarray:
+        return np.concatenate([*at_rest(state[self._angles]), np.zeros(LEGS)])
 
     def _calc(self, context: Context, output: Any) -> None:
         # Between two events the memory is that of the step's beginning and the angles those of its end.
         memory = context.get_discrete_state(0).value()
         angles = self.plant_state.Eval(context)[self._angles]
-        now = moved(self._law, Bristles(memory[:LEGS], memory[LEGS:]), angles, self._step)
+        now = moved(self._law, Bristles(memory[:LEGS], memory[LEGS : 2 * LEGS]), angles, self._step)
         relief = np.sign(now.slip) * (self._law.break_away - level(self._law, now.slip))
-        output.SetFromVector(np.concatenate([now.anchor, relief]))
+        output.SetFromVector(np.concatenate([*now, relief]))
 
     def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
-        anchor, before = self.pull.Eval(context)[:LEGS], context.get_discrete_state(0).value()[:LEGS]
-        discrete_state.set_value(0, np.concatenate([anchor, (anchor - before) / self._step]))
+        discrete_state.set_value(0, self.pull.Eval(context))
 
 
 def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
@@ -85,15 +87,15 @@ def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionL
     friction = builder.AddNamedSystem("friction", MotorFriction(plant, law))
     builder.Connect(plant.get_state_output_port(), friction.plant_state)
     actuators = plant.num_actuators()
-    torque, desired = np.zeros((actuators, 3 * LEGS)), np.zeros((2 * actuators, 2 * LEGS))
-    force = np.zeros((plant.num_velocities(), 2 * LEGS))
+    torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
+    force = np.zeros((plant.num_velocities(), 3 * LEGS))
     for leg in range(LEGS):
         torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
-        force[plant.GetJointByName(f"motor_{leg}").velocity_start(), LEGS + leg] = 1.0
+        force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEGS + leg] = 1.0
     for leg in _with_friction(law):
         servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
-        torque[servo, 2 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
-    both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 2 * LEGS]))
+        torque[servo, 3 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
+    both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 3 * LEGS]))
     builder.Connect(friction.pull, both.get_input_port(1))
     instance = plant.GetModelInstanceByName("stewart")
     for name, matrix, source, target in (

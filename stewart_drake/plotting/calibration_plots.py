@@ -38,5 +38,5 @@ def plot_calibration(found: Calibration, path: str | Path) -> None:
         names = [f"{OF_LEG[at].name} {OF_LEG[at].axis}".strip().replace("_", " ") for at in columns]
         panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
         look.label(panel, f"{title}, with 95 % intervals", "", f"m{unit}")
-    look.legend(axes[0, 1], fontsize=7, ncols=3)
+    look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)
     figure.savefig(path, dpi=130)

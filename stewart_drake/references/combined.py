@@ -12,7 +12,7 @@ from stewart_drake.registry import REFERENCES
 from stewart_drake.section import Real, Section, Vector6
 
 Motion = Annotated[Reference, REFERENCES.but("sum", "adjusted")]
-Size = Annotated[Real, Field(ge=0.0, le=1e6)]
+Scale = Annotated[Real, Field(ge=0.0, le=1e6)]
 
 
 class SumReference(Section, key="reference"):
@@ -44,11 +44,11 @@ class AdjustedReference(Section, key="reference"):
     kind: Literal["adjusted"] = "adjusted"
     motion: Annotated[Reference, REFERENCES.but("adjusted")]
     """The motion to adjust."""
-    scale: Size = 1.0
+    scale: Scale = 1.0
     """[-] size of the motion about the centre, at least 0."""
     slowdown: Annotated[Real, Field(ge=1e-6, le=1e6)] = 1.0
     """[-] by how much longer the motion takes, 1e-6 to 1e6."""
-    fade_in: Size = 0.0
+    fade_in: Scale = 0.0
     """[s] of the motion's own time over which it grows from rest in the centre, a quintic; 0 for none."""
     center: Vector6 | None = None
     """[rad, m] null takes the motion's own: `center` of a wave; the first pose of a path, a recording or a hold."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.registry import UserMade
+from stewart_drake.families import UserMade
 
 
 class UserReference(UserMade, key="reference"):

@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import OlderFileWarning
-from stewart_drake.logs.metric_table import METRICS
+from stewart_drake.logs.metric_table import metrics_of
 from stewart_drake.logs.outcomes import told
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ("status", told(log.status, log.reason)),
         ("simulated time", f"{log.end_time:.3f} s"),
     ]
-    for metric in METRICS:
+    for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
         if metric.label and (value is not None or metric.over.startswith("late")):

@@ -6,7 +6,7 @@ import reprlib
 
 import numpy as np
 
-from stewart_drake.registry import UserMade
+from stewart_drake.families import UserMade
 from stewart_drake.safety.memory import SafetyInputs
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource
 
+from stewart_drake.control import tuners
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, Tuner
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.sampling import on_grid
 from stewart_drake.section import Real, check_value
@@ -66,13 +66,17 @@ class NetworkTuner(LeafSystem):
         discrete_state.set_value(weights)
 
 
-def add_network_tuner(wiring: Any, options: AnnTuner, density: OutputPort) -> OutputPort:
+AnnTuner = NetworkTuner
+"""The public name."""
+
+
+def add_network_tuner(wiring: Any, options: tuners.AnnTuner, density: OutputPort) -> OutputPort:
     """Adds the network to a closed loop; its weights (2,)."""
     tuner = NetworkTuner(options.network(), wiring.period, options.weights, wiring.scenario.compiled)
     return wiring.add("tuner", tuner, density=density).weights
 
 
-def add_fixed_weights(wiring: Any, options: Tuner, density: OutputPort) -> OutputPort:  # noqa: ARG001 - they stay
+def add_fixed_weights(wiring: Any, options: tuners.Tuner, density: OutputPort) -> OutputPort:  # noqa: ARG001 - they stay
     """Adds weights that stay to a closed loop, (2,) or (4,)."""
     port: OutputPort = wiring.add("tuner", ConstantVectorSource(options.weights)).get_output_port()
     return port

@@ -46,17 +46,21 @@ class LqiController(TrackingController):
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(options.period, MEMORY_SIZE, guarded)
+        self._weights = weights
+        super().__init__(robot, options, gravity, guarded)
         self._tick = flat_tick(robot, options, gravity, compiled)
-        self.weights = self.DeclareVectorInputPort("weights", weights)
-        self._declare_torque()
-        self.error = self._declare_output("error", 6, 6)
-        self.integral = self._declare_output("integral", 12, 6)
 
     @classmethod
     def build(cls, options: LqiOptions, site: ControllerSite) -> LqiController:
         """See `TrackingController.build`."""
         return cls(site.robot, options, site.gravity, site.weights, site.guarded, site.compiled)
+
+    @classmethod
+    def _memory_size(cls) -> int:
+        return MEMORY_SIZE
+
+    def _declare_more(self) -> None:
+        self.weights = self.DeclareVectorInputPort("weights", self._weights)
 
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `lqi.held_tick`."""

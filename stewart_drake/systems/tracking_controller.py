@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, OutputPort
 
+from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.ticked import TickedSystem
@@ -31,36 +33,49 @@ class ControllerSite(NamedTuple):
 
 
 class TrackingController(TickedSystem):
-    """Answers within the tick with the torque that leads the platform after its reference.
+    """Answers within the tick with the torque that leads the platform after its reference; state lives in the Context.
+
+    A subclass says by which pure function, `law` of robot, options, gravity, measurement, setpoint and memory, or has a
+    `tick` of its own.
 
     Args:
-        period: [s] control period.
-        memory: Size of what a tick leaves for the next one; its first 6 are the torque.
+        robot: As the controller believes it to be.
+        options: Of the controller; its `results` are ports: torque, and error and integral where it tells them.
+        gravity: [m/s^2].
         guarded: See `TickedSystem`.
-
-    Ports:
-        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
-        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
-        torque: out (6,) [N m].
     """
 
-    def __init__(self, period: float, memory: int, guarded: bool) -> None:
-        super().__init__(period, np.zeros(memory), guarded)
+    law: Callable[..., Any]
+    memory: Any
+    """NamedTuple of (6,) arrays that `law` takes and gives; it begins with the results."""
+    torque: OutputPort
+
+    def __init__(
+        self, robot: RobotParameters, options: OwnControllerOptions, gravity: float, guarded: bool = False
+    ) -> None:
+        super().__init__(options.period, np.zeros(self._memory_size()), guarded)
+        self._believed = robot, options, gravity
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
         self.reference = self.DeclareVectorInputPort("reference", 18)
+        self._declare_more()
+        self._declare_result()
+        for place, name in enumerate(("torque", "error", "integral")[: len(options.results)]):
+            setattr(self, name, self._declare_output(name, 6 * place, 6))
 
     @classmethod
     def build(cls, options: Any, site: ControllerSite) -> TrackingController:
         """The system for the options of a scenario."""
-        made: Any = cls
-        return made(site.robot, options, site.gravity, guarded=site.guarded)
+        return cls(site.robot, options, site.gravity, guarded=site.guarded)
 
-    def _declare_torque(self) -> None:
-        """Declares the result and, as part of it, the port `torque`; called once the input ports exist."""
-        self._declare_result()
-        self.torque = self._declare_output("torque", 0, 6)
+    @classmethod
+    def _memory_size(cls) -> int:
+        return 6 * len(cls.memory._fields)
 
-    def _seen(self, context: Context) -> tuple[Measurement, Setpoint]:
-        """What the input ports say."""
+    def _declare_more(self) -> None:
+        """Declares further input ports."""
+
+    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
+        """See `TickedSystem.tick`: the law's answer."""
         now, wanted = self.measurement.Eval(context), self.reference.Eval(context)
-        return Measurement(now[:6], now[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
+        seen = Measurement(now[:6], now[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
+        return np.concatenate(self.law(*self._believed, *seen, self.memory(*previous.reshape(-1, 6))))

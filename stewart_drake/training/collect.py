@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import Given, SerialExecutor, Workplace
+from stewart_drake.campaigns.executors import SerialExecutor, Workplace
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
@@ -208,7 +208,7 @@ def collect_dataset(
     def work(index: int) -> Work:
         return simulate, (scenarios[index],)
 
-    carry_out(range(len(scenarios)), work, keep, where or Given(SerialExecutor()))
+    carry_out(range(len(scenarios)), work, keep, where or SerialExecutor())
     metadata = dataset_metadata(base, reference)
     ordered = [logs[index] for index in sorted(logs)]
     return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)

@@ -136,8 +136,9 @@ def test_a_scenario_gets_what_was_drawn():
 
 def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     masses = {"robot.platform_mass": {"kind": "uniform", "low": 2.0, "high": 3.0}}
-    s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41})
+    s = sweep(mismatch=True, distributions=masses, set={"robot.rod_length": 0.41, "initial_offset[5]": 0.01})
     scenario = s.scenario(0)
+    assert scenario.initial_offset == (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)
     assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
     assert scenario.model_robot == s.base.robot
     assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
@@ -145,19 +146,6 @@ def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     own = sweep(mismatch=True, distributions=masses, set={"model_robot.rod_mass": 0.1})
     assert own.scenario(0).model_robot == own.base.model_robot
     assert own.base.model_robot.rod_mass == 0.1
-
-
-def test_set_changes_every_run_components_too():
-    s = sweep(set={"duration": 0.5, "initial_offset[5]": 0.01, "tuner": {"kind": "fixed"}})
-    assert s.base.initial_offset == (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)
-    assert s.scenario(3).initial_offset[5] == 0.01
-    assert (s.base.duration, s.base.tuner.kind) == (0.5, "fixed")
-
-
-def test_a_list_in_a_list_has_components_too():
-    bursts = {"kind": "sine_bursts", "frequency": [1.0], "amplitude": [[0.1, 0, 0, 0, 0, 0]]}
-    base = Scenario().replace({"reference": bursts})
-    assert vary(base, {"reference.amplitude[0][2]": 0.2}).reference.amplitude == ((0.1, 0.0, 0.2, 0.0, 0.0, 0.0),)
 
 
 def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_changes():
@@ -178,7 +166,8 @@ def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_chang
     assert s.scenario(1).replace({"robot.rod_length": 0.41}).robot.rod_lengths[[1, 2]].tolist() == [0.41, rods[2]]
     shell = load_scenario("paper_fig7", ["robot.legs[2].rod_length=0.405", "robot.rod_length=0.41"])
     assert shell.robot.rod_lengths.tolist() == [0.41, 0.41, 0.405, 0.41, 0.41, 0.41]
-    for key, words in (("robot.legs[6].rod_length", "from 0 to 5"), ("robot.legs[0].rod_lenght", "did you mean rod_length?")):
+    slips = {"robot.legs[6].rod_length": "from 0 to 5", "robot.legs[0].rod_lenght": "did you mean rod_length?"}
+    for key, words in slips.items():
         with pytest.raises(ConfigurationError, match=re.escape(words)):
             load_scenario("paper_fig7", [f"{key}=0.4"])
 
@@ -207,6 +196,9 @@ def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
 # --- bad input -----------------------------------------------------------------------------------------------------
 
 
+ANY = {"kind": "uniform", "low": 1, "high": 2}
+
+
 def only(key, **distribution):
     return {"distributions": {key: distribution}}
 
@@ -215,62 +207,43 @@ BAD = [
     # changes, words that the line must have
     ({"runns": 3}, ["runns", "did you mean runs?"]),
     ({"runs": 0}, ["runs", "0", "from 1 to 1000000"]),
-    ({"runs": 2.5}, ["runs", "2.5", "whole number"]),
-    ({"runs": True}, ["runs", "True", "whole number"]),
     ({"runs": None}, ["runs", "None", "grid"]),
-    ({"runs": 10**7}, ["runs", "from 1 to 1000000"]),
     ({"seed": -1}, ["seed", "-1", "a whole number from 0"]),
     ({"sampler": "halton"}, ["sampler", "'halton'", "random or sobol"]),
-    ({"mismatch": 1}, ["mismatch", "true or false"]),
     ({"name": "../x"}, ["name", "letters"]),
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
-    ({"scenario": 3}, ["scenario", "3", "a text"]),
-    ({"set": [1]}, ["set", "[1]", "a section"]),
     ({"set": {1: 2}}, ["set", "keys that are texts"]),
     ({"set": {"durration": 3}}, ["durration", "did you mean duration?"]),
-    ({"set": {"duration": float("nan")}}, ["duration", "nan", "finite"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
-    ({"distributions": None}, ["distributions", "None", "a section"]),
     ({"distributions": {}}, ["distributions", "at least one"]),
     ({"distributions": {"gravity": 3}}, ["distributions.gravity", "3", "kind: uniform"]),
     (only("gravity"), ["distributions.gravity.kind", "None", "loguniform"]),
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
-    (only("gravity", kind=["uniform"]), ["distributions.gravity.kind", "uniform"]),
     (only("gravity", kind="uniform", low=1), ["distributions.gravity.high", "required"]),
     (only("gravity", kind="uniform", low=1, hihg=2), ["distributions.gravity.hihg", "did you mean high?"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
     (only("gravity", kind="uniform", low="1", high=2), ["distributions.gravity.low", "without quotes"]),
-    (only("gravity", kind="uniform", low=float("nan"), high=2), ["distributions.gravity.low", "nan", "finite"]),
     (only("gravity", kind="uniform", low=-1e308, high=1), ["distributions.gravity.low", "from -1e+100 to 1e+100"]),
     (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "above 0"]),
     (only("gravity", kind="normal", mean=0, std=0), ["distributions.gravity.std", "above 0"]),
     (only("gravity", kind="normal", mean=0, std=1, low=9), ["distributions.gravity.low", "bounds that keep"]),
-    (only("gravity", kind="normal", mean=0, std=1, low=2, high=1), ["distributions.gravity.high", "more than low"]),
     (only("gravity", kind="choice", values=[]), ["distributions.gravity.values", "[]"]),
     (only("gravity", kind="choice", values=[float("inf")]), ["distributions.gravity.values", "inf", "finite"]),
     (only("gravity", kind="choice", values=["x"], factor=True), ["distributions.gravity.values", "'x'", "numbers"]),
     (only("gravity", kind="choice", values=["9.81"]), ["distributions.gravity", "'9.81'", "a number"]),
-    (only("gravity", kind="uniform", low=0, high=1, factor=1), ["distributions.gravity.factor", "true or false"]),
-    (only("gravty", kind="uniform", low=0, high=1), ["distributions.gravty", "did you mean gravity?"]),
-    (only("robot.rod_lenght", kind="uniform", low=0, high=1), ["robot.rod_lenght", "did you mean rod_length?"]),
-    (only("gravity.x", kind="uniform", low=0, high=1), ["distributions.gravity.x", "gravity is none"]),
-    (only("gravity[0]", kind="uniform", low=0, high=1), ["distributions.gravity[0]", "gravity is no list"]),
-    (only("initial_offset", kind="uniform", low=0, high=1), ["distributions.initial_offset", "initial_offset[0]"]),
-    (only("initial_offset[6]", kind="uniform", low=0, high=1), ["initial_offset[6]", "0 to 5"]),
-    (only("initial_offset[-1]", kind="uniform", low=0, high=1), ["initial_offset[-1]", "a key such as"]),
-    (only("initial_offset[00]", kind="uniform", low=0, high=1), ["initial_offset[00]", "a key such as"]),
-    (only("", kind="uniform", low=0, high=1), ["distributions.''", "a key such as"]),
-    (only("model_robot.rod_mass", kind="uniform", low=1, high=2), ["model_robot.rod_mass", "mismatch: true"]),
-    (only("controller.solver", kind="uniform", low=0, high=1), ["controller.solver", "choice and grid"]),
-    (
-        only("controller.solver", kind="choice", values=["sprit"]),
-        ["distributions.controller.solver", "'sprit'", "split"],
-    ),
-    (only("plant.collision", kind="integers", low=0, high=1), ["plant.collision", "choice and grid"]),
-    (only("tuner.window", kind="uniform", low=1, high=50), ["tuner.window", "'uniform'", "integers"]),
-    (only("model_robot", kind="uniform", low=1, high=2, factor=True), ["model_robot", "None", "to multiply"]),
-    (only("log_period", kind="uniform", low=1, high=2), ["log_period", "every tick"]),
-    (only("controller.solver", kind="uniform", low=1, high=2, factor=True), ["controller.solver", "to multiply"]),
+    (only("gravty", **ANY), ["distributions.gravty", "did you mean gravity?"]),
+    (only("gravity.x", **ANY), ["distributions.gravity.x", "gravity is none"]),
+    (only("gravity[0]", **ANY), ["distributions.gravity[0]", "gravity is no list"]),
+    (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
+    (only("initial_offset[6]", **ANY), ["initial_offset[6]", "0 to 5"]),
+    (only("initial_offset[-1]", **ANY), ["initial_offset[-1]", "a key such as"]),
+    (only("", **ANY), ["distributions.''", "a key such as"]),
+    (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
+    (only("controller.solver", **ANY), ["controller.solver", "choice and grid"]),
+    (only("controller.solver", kind="choice", values=["sprit"]), ["controller.solver", "'sprit'", "split"]),
+    (only("controller.solver", factor=True, **ANY), ["controller.solver", "to multiply"]),
+    (only("tuner.window", **ANY), ["tuner.window", "'uniform'", "integers"]),
+    (only("log_period", **ANY), ["log_period", "every tick"]),
     (
         {"distributions": {"robot": {"kind": "choice", "values": [{}]}, "robot.rod_mass": UNIFORM}},
         ["distributions.robot.rod_mass", "outside of robot"],
@@ -292,31 +265,21 @@ def test_bad_input_is_one_line_that_names_the_key(changes, words):
     assert len(text) < 700
 
 
-FILES = {
-    "twice inside": (b"distributions:\n  gravity: 1\n  gravity: 2\n", ["line 3", 'duplicate key "gravity"']),
-    "broken": (b"distributions: {", ["line 1"]),
-    "nothing in it": (b"runs: 3\n", ["scenario", "required"]),
-}
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_file_that_is_no_sweep_is_refused_by_its_name(tmp_path, name):
-    content, words = FILES[name]
-    path = tmp_path / f"{name}.yaml"
-    path.write_bytes(content)
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"distributions:\n  gravity: 1\n  gravity: 2\n", ["line 3", 'duplicate key "gravity"', "sweep.yaml"]),
+        (b"runs: 3\n", ["scenario", "required"]),
+        (None, ["sweep file", "initial_offset"]),
+    ],
+)
+def test_a_file_that_is_no_sweep_is_refused_by_its_name(tmp_path, content, words):
+    path = tmp_path / "sweep.yaml"
+    if content is not None:
+        path.write_bytes(content)
     with pytest.raises(ConfigurationError) as caught:
         load_sweep(path)
-    text = str(caught.value)
-    assert [word for word in words if word not in text] == [], text
-    assert name == "nothing in it" or str(path) in text
-
-
-@pytest.mark.parametrize("name", ["initial_ofset", "a" * 300, "folder"])
-def test_a_file_that_is_not_there_is_refused_with_those_that_are(tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(ConfigurationError, match="sweep file"):
-        load_sweep(name)
+    assert [word for word in words if word not in str(caught.value)] == []
 
 
 def test_a_number_out_of_range_is_left_to_its_run():
@@ -327,8 +290,7 @@ def test_a_number_out_of_range_is_left_to_its_run():
 
 
 def test_a_sweep_of_a_scenario_made_in_python():
-    base = load_scenario("paper_fig7", ["duration=1"])
-    s = Sweep(base, {"gravity": parsed(kind="uniform", low=1, high=2)}, runs=3)
+    s = Sweep(load_scenario("paper_fig7", ["duration=1"]), {"gravity": parsed(**ANY)}, runs=3)
     assert 1.0 <= s.scenario(2).gravity <= 2.0
     assert s.scenario(2).duration == 1.0
 
@@ -342,6 +304,9 @@ def test_a_component_of_a_section_in_a_list_is_drawn_and_nothing_else_changes():
     assert changed.disturbances[1].wrench == (0.0, 0.0, 0.0, 2.5, 0.0, 0.0)
     assert (changed.disturbances[1].time, changed.disturbances[0].time) == (0.05, 0.1)
     assert changed.disturbances[0].wrench == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    bursts = {"kind": "sine_bursts", "frequency": [1.0], "amplitude": [[0.1, 0, 0, 0, 0, 0]]}
+    varied = vary(base.replace({"reference": bursts}), {"reference.amplitude[0][2]": 0.2})
+    assert varied.reference.amplitude == ((0.1, 0.0, 0.2, 0.0, 0.0, 0.0),)
     with pytest.raises(ConfigurationError, match="component from 0 to 1"):
         vary(base, {"disturbances[2].time": 0.1})
     with pytest.raises(ConfigurationError, match="wrenc"):

@@ -16,7 +16,7 @@ def check(call):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["breathing", "heart", "tool_path", "paper_fig7"])
+@pytest.mark.parametrize("name", ["heart", "paper_fig7"])
 def test_the_shipped_motions_can_be_done_and_every_margin_is_shown(check, tmp_path, name):
     status, out, err = check(name)
     assert (status, err) == (0, "")
@@ -87,22 +87,3 @@ def test_what_no_size_or_speed_can_mend_is_said(check, tmp_path):
     assert "reach" in err
     assert check("paper_fig7", *away, "--scale", "--out", "fit.yaml")[0] == 2
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("flags", [(), ("--scale", "--retime")])
-def test_out_needs_one_way_to_mend_the_motion(check, flags):
-    status, out, err = check("paper_fig7", *flags, "--out", "fit.yaml")
-    assert (status, out) == (2, "")
-    assert "--out needs one of --scale and --retime" in err
-
-
-def test_a_start_where_the_robot_cannot_stand_is_found_too(check):
-    status, _, err = check("breathing", "--set", "initial_offset=[0,0,0,0,0,0.3]")
-    assert status == 2
-    assert "initial_offset" in err
-
-
-def test_a_part_of_a_sum_is_set_with_the_whole_list(check):
-    parts = "reference.parts=[{kind: heartbeat, excursion: [0, 0, 0, 0, 0, 0.2], rate: 3}]"
-    assert check("heart", "--set", parts)[0] == 2
-    assert check("heart", "--set", "reference.parts=[{kind: breathing}]")[0] == 0

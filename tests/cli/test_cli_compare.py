@@ -30,15 +30,3 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(compare, tmp_path, monk
     status, out, _ = compare("mine.yaml", "--quiet", "--quick", "--workers", 1)
     assert (status, out) == (0, "")
     assert (tmp_path / "runs" / "mine-quick").is_dir()
-
-
-def test_bad_input_ends_in_one_line(compare, tmp_path):
-    status, out, err = compare("none_of_this_name")
-    assert (status, out) == (2, "")
-    assert "controllers, tracking" in err
-    (tmp_path / "mine.yaml").write_text(TEXT.replace("kp: 20.0", "kpp: 20.0"))
-    status, out, err = compare("mine.yaml")
-    assert (status, out) == (2, "")
-    assert "weak, hold, nominal: controller.kpp" in err
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "runs").exists()

@@ -117,23 +117,3 @@ def test_a_change_below_reaches_what_was_compiled_above(package, tmp_path, monke
     shutil.copytree(package / "cache", tmp_path / "cache")
     changed = make_package(tmp_path / "changed", 3.0)
     assert answer(changed, tmp_path / "cache", monkeypatch) == (3.0, False, True, 1)
-
-
-def _flip(content):
-    return content[:-40] + bytes([content[-40] ^ 1]) + content[-39:]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-@pytest.mark.parametrize(
-    "damage", [lambda content: content[: len(content) // 2], lambda _: b"", lambda _: os.urandom(500), _flip]
-)
-def test_a_cache_that_is_not_whole_is_thrown_away(package, tmp_path, monkeypatch, suffix, damage):
-    cache = tmp_path / "cache"
-    shutil.copytree(package / "cache", cache)
-    files = list(cache.rglob(f"*{suffix}"))
-    assert len(files) == 2
-    for file in files:
-        file.write_bytes(damage(file.read_bytes()))
-    assert answer(package, cache, monkeypatch) == (2.0, False, True, 1)
-    assert answer(package, cache, monkeypatch) == (2.0, True, True, 0)

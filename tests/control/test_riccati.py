@@ -130,25 +130,15 @@ def assert_split_is_drakes(acceleration_map, blocks, method, length, period, rto
     q_e=logs(-2.0, 6.0),
     q_v=logs(-2.0, 4.0),
     q_z=logs(-2.0, 6.0),
+    r=logs(-3.0, 3.0),
     method=st.sampled_from(METHODS),
     length=st.sampled_from([1.0, 0.11]),
     period=st.sampled_from([0.001, 0.005]),
 )
-def test_split_is_drakes_gain_over_eight_decades_of_weights(acceleration_map, q_e, q_v, q_z, method, length, period):
-    assert_split_is_drakes(acceleration_map, (q_e, q_v, q_z, 1.0), method, length, period, 1e-9)
-
-
-@settings(max_examples=50)
-@given(
-    acceleration_map=wide_maps,
-    exponents=st.tuples(st.floats(-2.0, 6.0), st.floats(4.0, 6.0), st.floats(-2.0, 6.0)),
-    method=st.sampled_from(METHODS),
-    length=st.sampled_from([1.0, 0.11]),
-)
-def test_split_is_drakes_gain_as_far_as_drakes_digits_reach(acceleration_map, exponents, method, length):
-    # At great weights on the rate the digits of Drake's P run out, not ours: see the test at sixty digits.
-    blocks = (*(10.0 ** np.array(exponents)).tolist(), 1.0)
-    assert_split_is_drakes(acceleration_map, blocks, method, length, 0.005, 1e-7)
+def test_split_is_drakes_gain_over_eight_decades_of_weights(acceleration_map, q_e, q_v, q_z, r, method, length, period):
+    # Only the ratios of the weights matter.
+    blocks = (r * q_e, r * q_v, r * q_z, r)
+    assert_split_is_drakes(acceleration_map, blocks, method, length, period, 1e-9)
 
 
 DIGITS = 60
@@ -250,22 +240,6 @@ def test_poles_that_coincide_keep_half_of_their_digits(method, root, other):
         assert worst_digit(gains, expected) < 1e-5
 
 
-@settings(max_examples=100)
-@given(
-    acceleration_map=st.builds(made_map, st.integers(0, 2**32 - 1), logs(0.0, 6.0), logs(-3.0, 4.0)),
-    exponents=st.tuples(*[st.floats(-4.0, 6.0)] * 4),
-    method=st.sampled_from(METHODS),
-    length=st.sampled_from([1.0, 0.11]),
-    period=logs(-4.0, -1.0),
-)
-def test_compiled_is_numpy(acceleration_map, exponents, method, length, period):
-    blocks = tuple((10.0 ** np.array(exponents)).tolist())
-    expected = split_gain(acceleration_map, period, blocks, method, length)
-    compiled = compiled_gain(acceleration_map, period, blocks, method, length)
-    for states in (POSITION, RATE, INTEGRAL):
-        assert_same(compiled[:, states], expected[:, states], 1e-9)
-
-
 def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
     turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
     for factor, usable in ((0.0, False), (1e-3, False), (1e3, True)):
@@ -277,13 +251,6 @@ def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
         else:
             with pytest.raises(RiccatiError, match="singular"):
                 split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))
-
-
-@settings(max_examples=40)
-@given(acceleration_map=maps, omega_q=weights, omega_r=weights, factor=st.floats(1e-3, 1e3))
-def test_only_the_ratio_of_the_weights_matters(acceleration_map, omega_q, omega_r, factor):
-    one = split_gain(acceleration_map, PERIOD, (omega_q, omega_q, omega_q, omega_r))
-    assert_same(split_gain(acceleration_map, PERIOD, (*(factor * omega_q,) * 3, factor * omega_r)), one, 1e-10)
 
 
 def test_equal_and_widely_spread_singular_values_have_a_gain_too():

@@ -18,12 +18,6 @@ def test_a_file_holds_exactly_what_was_written(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "with space and .dots.json"]
 
 
-def test_a_relative_path_is_relative_to_the_current_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_atomically(Path("here"), b"x")
-    assert (tmp_path / "here").read_bytes() == b"x"
-
-
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("step", ["chmod", "replace"])
 def test_whatever_stops_the_writing_the_old_file_stays_and_nothing_else(tmp_path, monkeypatch, failure, step):

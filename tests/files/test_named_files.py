@@ -3,13 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.campaigns.run_store import run_key
-from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.named_files import anchor_files, digest, file_digests, take_code_along
 from stewart_drake.scenario import Scenario, load_scenario
-
-RECORDING = "time,roll,pitch,yaw,x,y,z\n" + "".join(f"{0.1 * k},0,0,0,0,0,0.3\n" for k in range(9))
 
 
 def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay():
@@ -55,11 +51,11 @@ PLACES = (
 
 
 @pytest.mark.parametrize(("wrap", "place"), list(zip(WRAPPED, PLACES, strict=True)), ids=range(5))
-@pytest.mark.parametrize("system", OUT)
-def test_code_lies_in_the_folder_or_below(wrap, place, system):
-    with pytest.raises(ConfigurationError, match="a file in /base or below") as caught:
-        anchor_files(wrap(system), Path("/base"))
-    assert (caught.value.key, caught.value.value) == (place, system)
+def test_code_lies_in_the_folder_or_below(wrap, place):
+    for system in OUT:
+        with pytest.raises(ConfigurationError, match="a file in /base or below") as caught:
+            anchor_files(wrap(system), Path("/base"))
+        assert (caught.value.key, caught.value.value) == (place, system)
     for inside in ("mine.py:Mine", "a/../b/mine.py:Mine", "/base/c/mine.py:Mine"):
         anchor_files(wrap(inside), Path("/base"))
 
@@ -131,29 +127,3 @@ def test_digests_tell_contents_apart_and_a_missing_file_has_none(tmp_path):
     assert before[str(tmp_path / "none.csv")] is None
     (tmp_path / "net.json").write_text("2")
     assert file_digests(data)[str(tmp_path / "net.json")] not in (None, before[str(tmp_path / "net.json")])
-
-
-def test_another_recording_under_the_same_name_is_another_run(tmp_path):
-    path = tmp_path / "motion.csv"
-    path.write_text(RECORDING)
-    scenario = Scenario.from_dict({"reference": {"kind": "recorded", "motion_file": str(path)}})
-    before = run_key(scenario)
-    path.write_text(RECORDING.replace("0.8,0,", "0.8,0.01,"))
-    assert run_key(scenario) != before
-
-
-@pytest.mark.parametrize("section", ["set", "distributions"])
-def test_a_sweep_finds_a_recording_beside_its_file(tmp_path, section):
-    (tmp_path / "motion.csv").write_text(RECORDING)
-    recorded = {"kind": "recorded", "motion_file": "motion.csv"}
-    data = {
-        "scenario": "exact_fig7",
-        "runs": 1,
-        "distributions": {"gravity": {"kind": "uniform", "low": 9, "high": 10}},
-    }
-    if section == "set":
-        data["set"] = {"reference": recorded}
-    else:
-        data["distributions"]["reference"] = {"kind": "choice", "values": [recorded]}
-    sweep = Sweep.from_dict(data, tmp_path)
-    assert str(tmp_path / "motion.csv") in file_digests(sweep.to_dict())

@@ -11,7 +11,7 @@ import pytest
 from made_logs import STATES, made_log, sealed
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import AXES, SIGNALS, SimulationLog, load_log
+from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, SimulationLog, load_log
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.robot import RobotParameters
 
@@ -80,9 +80,9 @@ def test_every_column_tells_its_unit_frame_and_meaning(log):
     assert all(field.metadata[b"text"] for field in schema)
     assert all(field.type == pa.float64() for field in schema)
     assert units["time"] == "s"
-    assert [units[f"pose.{axis}"] for axis in AXES] == ["rad"] * 3 + ["m"] * 3
-    assert [units[f"pose_rate.{axis}"] for axis in AXES] == ["rad/s"] * 3 + ["m/s"] * 3
-    assert [units[f"integral.{axis}"] for axis in AXES] == ["rad s"] * 3 + ["m s"] * 3
+    assert [units[f"pose.{axis}"] for axis in AXIS_NAMES] == ["rad"] * 3 + ["m"] * 3
+    assert [units[f"pose_rate.{axis}"] for axis in AXIS_NAMES] == ["rad/s"] * 3 + ["m/s"] * 3
+    assert [units[f"integral.{axis}"] for axis in AXIS_NAMES] == ["rad s"] * 3 + ["m s"] * 3
     assert [units[f"torque.{leg}"] for leg in range(6)] == ["N m"] * 6
     assert units["loop_gap.0"] == "m"
     assert frames["pose.x"] == "P in B"

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_logs import made_log
 
@@ -158,6 +158,7 @@ def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
 
 @pytest.mark.slow
 @given(st.integers(1, 60), st.integers(0, 10**6))
+@settings(max_examples=30)
 def test_figures_do_not_depend_on_the_parts_they_are_taken_in(parts, seed):
     rng = np.random.default_rng(seed)
     signals = {name: 0.05 * rng.normal(size=(101, 6)) for name in ("pose", "reference", "torque", "integral")}

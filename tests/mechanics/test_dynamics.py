@@ -199,15 +199,6 @@ def test_static_torque_is_inverse_dynamics_at_rest(at):
         np.testing.assert_allclose(static_torque(robot, pose, gravity), at_rest, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.slow
-@given(at=robots_and_poses())
-def test_static_torque_is_the_gradient_of_the_potential_energy(at):
-    robot, pose = at
-    gradient = [differentiate(lambda t, e=e: potential_energy(robot, pose + t * e), 0.0) for e in np.eye(6)]
-    holding = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
-    np.testing.assert_allclose(holding, gradient, rtol=1e-7, atol=1e-8)
-
-
 def test_a_pose_out_of_reach_raises_and_a_torque_of_another_size_is_refused():
     high, zero = np.array([0, 0, 0, 0, 0, 0.6]), np.zeros(6)
     every = {static_torque: (), inverse_dynamics: (zero, zero), forward_dynamics: (zero, zero)}

@@ -149,25 +149,6 @@ def test_a_finished_report_is_made_again_without_any_work(tmp_path, made):
     assert content(tmp_path) == before
 
 
-SPOILT_FILES = {
-    "a file gone": ("first.txt", Path.unlink),
-    "a picture gone": ("figures/first.png", Path.unlink),
-    "a file changed": ("first.txt", lambda path: path.write_bytes(b"another report's")),
-    "a picture changed": ("figures/first.png", lambda path: path.write_bytes(b"another report's")),
-}
-
-
-@pytest.mark.parametrize("how", SPOILT_FILES)
-def test_a_part_whose_files_are_not_its_own_any_more_is_made_again(tmp_path, made, how):
-    reproduce(tmp_path, base=BASE)
-    before, (name, spoil) = content(tmp_path), SPOILT_FILES[how]
-    spoil(tmp_path / name)
-    made.clear()
-    reproduce(tmp_path, base=BASE)
-    assert made == [("first", False)]
-    assert content(tmp_path) == before
-
-
 def another_number(part):
     document = json.loads(part.read_text())
     document["section"]["numbers"]["another"] = 3
@@ -184,19 +165,22 @@ def a_device(part):
     part.symlink_to("/dev/zero")
 
 
-TEXTS = ["", "{", "[]", "{}", '{"section": {}, "digests": {}}', '{"section": 3}']
+TEXTS = ["", "{", "[]", "{}", '{"section": {}, "digests": {}}', '{"section": 3}', "another report's"]
+SPOILT = [
+    *(("parts/first-*.json", spoil) for spoil in (another_number, a_pipe, a_device, Path.unlink, *TEXTS)),
+    *((name, spoil) for name in ("first.txt", "figures/first.png") for spoil in (Path.unlink, "another report's")),
+]
 
 
-@pytest.mark.parametrize("spoil", [another_number, a_pipe, a_device, *TEXTS], ids=repr)
-def test_a_part_that_is_not_what_was_written_is_made_again(tmp_path, made, spoil):
+@pytest.mark.parametrize(("name", "spoil"), SPOILT, ids=lambda value: getattr(value, "__name__", value))
+def test_a_part_that_is_not_what_was_written_or_whose_files_are_not_is_made_again(tmp_path, made, name, spoil):
     reproduce(tmp_path, base=BASE)
-    (part,) = (tmp_path / "parts").glob("second-*.json")
-    whole = part.read_bytes()
-    part.write_text(spoil) if isinstance(spoil, str) else spoil(part)
+    before, (path,) = content(tmp_path), tmp_path.glob(name)
+    path.write_text(spoil) if isinstance(spoil, str) else spoil(path)
     made.clear()
     reproduce(tmp_path, base=BASE)
-    assert made == [("second", False)]
-    assert part.read_bytes() == whole
+    assert made == [("first", False)]
+    assert content(tmp_path) == before
 
 
 def test_quick_and_whole_in_one_folder_do_not_mix(tmp_path, made):
@@ -247,10 +231,7 @@ BAD_BASE = {
     "own reference out of reach": ({"reference.amplitude": [1.5, 0, 0, 0, 0, 0]}, InfeasibleReferenceError),
     "paper's reference out of the limits": (HOLD | {"limits.joint_swing": 0.5}, InfeasibleReferenceError),
     "only later out of the limits": ({"duration": 0.1, "limits.joint_swing": 0.5}, InfeasibleReferenceError),
-    "motors too weak once there is gravity": (
-        HOLD | {"gravity": 0.0, "robot.effort_limit": 0.2},
-        InfeasibleReferenceError,
-    ),
+    "too weak once there is gravity": (HOLD | {"gravity": 0.0, "robot.effort_limit": 0.2}, InfeasibleReferenceError),
     "weights": ({"tuner.weights_file": "tuner.json"}, ConfigurationError),
 }
 
@@ -259,17 +240,10 @@ BAD_BASE = {
 def test_a_base_that_cannot_do_it_is_refused_before_any_work(tmp_path, monkeypatch, made, case):
     monkeypatch.chdir(tmp_path)
     Path("tuner.json").write_text('{"format": "stewart-drake tuner", "version": 1')
-    reproduce(tmp_path / "out", base=BASE)
-    made.clear()
     changes, kind = BAD_BASE[case]
-    before = content(tmp_path)
-    base = BASE.replace(changes)
     with pytest.raises(kind):
-        reproduce(tmp_path / "out", base=base)
-    with pytest.raises(kind):
-        reproduce(tmp_path / "new", base=base)
+        reproduce(tmp_path / "new", base=BASE.replace(changes))
     assert made == []
-    assert content(tmp_path) == before
     assert not (tmp_path / "new").exists()
 
 
@@ -337,9 +311,7 @@ def test_the_command_makes_the_report_and_prints_each_verdict(call, made):
         (["--set", "robot.rod_length=0.3"], ["reference", "leg"]),
         (["--set", "tuner.weights_file=none.json"], ["none.json"]),
         (["--scenario", "paper_fig8"], ["paper_fig8", "paper_fig7"]),
-        (["--set", "durration=3"], ["did you mean duration?"]),
         (["--out", "file"], ["--out", "this is a file"]),
-        (["--fast"], ["--fast"]),
     ],
 )
 def test_the_command_refuses_bad_input_in_one_line_and_writes_nothing(call, made, tmp_path, args, words):

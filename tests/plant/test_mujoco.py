@@ -23,33 +23,39 @@ from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.robot_files import load_robot
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 DURATION, STEP = 0.15, 5e-5
 _BOLD = np.array([0.15, -0.1, 0.2, 0.02, -0.015, 0.31])
+HEAD = load_robot("reachy_mini")
+_TILTED = HEAD.home_pose + [0.1, -0.08, 0.12, 0.002, -0.003, 0.004]
 MOTIONS = {
     # 25 mm down and 15 deg of yaw.
-    "reference": (np.array(FREE_MOTION["pose"]), np.array(FREE_MOTION["torque"])),
+    "reference": (ROBOT, np.array(FREE_MOTION["pose"]), np.array(FREE_MOTION["torque"])),
     # 33 mm up, while it turns by 50 deg.
-    "bold": (_BOLD, static_torque(ROBOT, _BOLD) + [0.25, -0.1, 0.2, 0.1, -0.15, 0.3]),
+    "bold": (ROBOT, _BOLD, static_torque(ROBOT, _BOLD) + [0.25, -0.1, 0.2, 0.1, -0.15, 0.3]),
+    # Rotors behind gears, the mass far above the joints, legs of either branch.
+    "reachy_mini": (HEAD, _TILTED, static_torque(HEAD, _TILTED) + [0.05, -0.02, 0.04, 0.02, -0.03, 0.06]),
 }
-THIN = ROBOT.replace(rod_inertia=(*ROBOT.rod_inertia[:2], 1e-12))
-"""Rods without spin inertia, as the closed form has them."""
-ARC = np.array([1.0] * 3 + [2.0 * ROBOT.platform_joint_radius] * 4)
-"""Turns differences of quaternions into metres at the platform's joints."""
 motions = pytest.mark.parametrize("motion", MOTIONS)
 
 
 @functools.cache
-def built(time_step=STEP):
-    return build_plant(ROBOT, PlantOptions(time_step=time_step))
+def built(robot, time_step=STEP):
+    return build_plant(robot, PlantOptions(time_step=time_step))
+
+
+def thin(robot):
+    """Rods without spin inertia, as the closed form has them."""
+    return robot.replace(rod_inertia=(*robot.rod_inertia[:2], 1e-12))
 
 
 @functools.cache
 def of_drake(motion, time_step=STEP):
     """(7,) [m, -] where Drake's plant has the platform after DURATION: X, Y, Z and the quaternion."""
-    pose, torque = MOTIONS[motion]
-    diagram, stewart = built(time_step)
+    robot, pose, torque = MOTIONS[motion]
+    diagram, stewart = built(robot, time_step)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     stewart.set_state(context, pose)
@@ -62,49 +68,51 @@ def of_drake(motion, time_step=STEP):
 
 
 @functools.cache
-def of_mujoco(motion, integrator, time_step=STEP, robot=ROBOT):
-    """The same of MuJoCo, and its largest gap at the end [m]."""
-    pose, torque = MOTIONS[motion]
-    engine = MujocoRobot(robot, STANDARD_GRAVITY, PlantOptions(time_step=time_step), integrator)
-    _, stewart = built()
+def of_mujoco(motion, integrator, time_step=STEP, change=None):
+    """The same of MuJoCo, and its largest gap at the end [m]; `change` of the robot before."""
+    robot, pose, torque = MOTIONS[motion]
+    changed = robot if change is None else change(robot)
+    engine = MujocoRobot(changed, STANDARD_GRAVITY, PlantOptions(time_step=time_step), integrator)
+    _, stewart = built(robot)
     engine.set_state(stewart, stewart.assemble(pose))
     engine.advance(torque, round(DURATION / time_step))
     return engine.platform, engine.loop_gap.max()
 
 
-def plants_model(pose, twist, torque):
+def plants_model(robot, pose, twist, torque):
     """d(twist)/dt of the plant's exact model, the rods' spin included as in both engines."""
-    _, stewart = built()
+    _, stewart = built(robot)
     context = stewart.plant.CreateDefaultContext()
     stewart.plant.SetPositionsAndVelocities(context, stewart.assemble(pose, twist_to_pose_rate(pose, twist)))
     return task_dynamics(stewart, context).acceleration(torque)
 
 
-def closed_form(pose, twist, torque):
-    load = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
-    return np.linalg.solve(task_inertia(ROBOT, pose), load)
+def closed_form(robot, pose, twist, torque):
+    load = twist_jacobian(robot, pose).T @ torque - task_bias(robot, pose, twist)
+    return np.linalg.solve(task_inertia(robot, pose), load)
 
 
 @functools.cache
 def exact(motion, model=plants_model):
     """The same of a model, integrated to rounding."""
-    pose, torque = MOTIONS[motion]
+    robot, pose, torque = MOTIONS[motion]
 
     def derivative(_, state):
-        return np.concatenate([twist_to_pose_rate(state[:6], state[6:]), model(state[:6], state[6:], torque)])
+        return np.concatenate([twist_to_pose_rate(state[:6], state[6:]), model(robot, state[:6], state[6:], torque)])
 
     start = np.concatenate([pose, np.zeros(6)])
     end = solve_ivp(derivative, (0.0, DURATION), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     return np.concatenate([end[3:6], RollPitchYaw(end[:3]).ToQuaternion().wxyz()])
 
 
-def apart(one, other):
-    """[m] largest difference of two platforms, in position or by turning."""
-    return np.abs(ARC * (one - other)).max()
+def apart(motion, one, other):
+    """[m] largest difference of two platforms, in position or by turning the platform's joints."""
+    arc = 2.0 * MOTIONS[motion][0].platform_radius
+    return np.abs(np.array([1.0] * 3 + [arc] * 4) * (one - other)).max()
 
 
 def test_from_the_same_state_both_accelerate_alike():
-    _, stewart = built()
+    _, stewart = built(ROBOT)
     robot = MujocoRobot(ROBOT, STANDARD_GRAVITY, PlantOptions(time_step=STEP))
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -116,7 +124,7 @@ def test_from_the_same_state_both_accelerate_alike():
         assert robot.loop_gap.max() < 1e-14
         assert len(robot.data.efc_vel) == 18
         assert np.abs(robot.data.efc_vel).max() < 1e-13
-        expected = plants_model(pose, pose_rate_to_twist(pose, rate), torque)
+        expected = plants_model(ROBOT, pose, pose_rate_to_twist(pose, rate), torque)
         # An impedance of 0.9999 leaves a ten-thousandth of what would open the loops.
         np.testing.assert_allclose(robot.acceleration, expected, rtol=0.0, atol=2e-4 * np.abs(expected).max())
 
@@ -127,7 +135,7 @@ def test_runge_kutta_of_mujoco_reaches_the_exact_motion(motion):
     errors = []
     for time_step in (2.0 * STEP, STEP):
         platform, gap = of_mujoco(motion, "RK4", time_step)
-        errors.append(apart(platform, exact(motion)))
+        errors.append(apart(motion, platform, exact(motion)))
         # No nearer than its loops are closed, and that is of second order in the step.
         assert errors[-1] < gap < 1e-8 * (time_step / STEP) ** 2
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
@@ -136,9 +144,9 @@ def test_runge_kutta_of_mujoco_reaches_the_exact_motion(motion):
 @pytest.mark.slow
 @motions
 def test_closed_form_lacks_the_spin_of_the_rods_alone(motion):
-    platform, gap = of_mujoco(motion, "RK4", robot=THIN)
-    assert apart(platform, exact(motion, closed_form)) < gap
-    spin = apart(exact(motion), exact(motion, closed_form))
+    platform, gap = of_mujoco(motion, "RK4", change=thin)
+    assert apart(motion, platform, exact(motion, closed_form)) < gap
+    spin = apart(motion, exact(motion), exact(motion, closed_form))
     assert 20.0 * gap < spin < 1e-6
 
 
@@ -146,20 +154,22 @@ def test_closed_form_lacks_the_spin_of_the_rods_alone(motion):
 @motions
 def test_drake_reaches_the_exact_motion_as_its_step_shrinks(motion):
     coarse, middle, fine = (of_drake(motion, time_step) for time_step in (2.0 * STEP, STEP, 0.5 * STEP))
-    errors = [apart(platform, exact(motion)) for platform in (coarse, middle, fine)]
+    errors = [apart(motion, platform, exact(motion)) for platform in (coarse, middle, fine)]
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.02)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.01)
     # Without its errors of first and second order; the third leaves 1e-11 m of the reference, 2e-9 m of the bold one.
-    assert apart((8.0 * fine - 6.0 * middle + coarse) / 3.0, exact(motion)) < 5e-9
+    assert apart(motion, (8.0 * fine - 6.0 * middle + coarse) / 3.0, exact(motion)) < 5e-9
 
 
 @pytest.mark.slow
 @motions
 def test_drake_and_euler_of_mujoco_differ_at_second_order_only(motion):
-    apart_at = {step: apart(of_drake(motion, step), of_mujoco(motion, "Euler", step)[0]) for step in (2.0 * STEP, STEP)}
+    apart_at = {
+        step: apart(motion, of_drake(motion, step), of_mujoco(motion, "Euler", step)[0]) for step in (2.0 * STEP, STEP)
+    }
     assert apart_at[2.0 * STEP] / apart_at[STEP] == pytest.approx(4.0, rel=0.1)
     # The error that they share is of first order, and far larger.
-    assert apart_at[STEP] < 0.02 * apart(of_drake(motion), exact(motion))
+    assert apart_at[STEP] < 0.02 * apart(motion, of_drake(motion), exact(motion))
     # What the project promises; 5e-10 m of the reference, 98e-9 m of the bold one.
     position = (of_drake(motion) - of_mujoco(motion, "Euler")[0])[:3]
     assert np.abs(position).max() < 1e-7

@@ -54,7 +54,7 @@ def test_links_joints_and_closures(rod_joint):
 
 @pytest.mark.parametrize("rod_joint", ["universal", "ball"])
 @pytest.mark.parametrize("radius", [None, 7e-7, 3e-5])
-def test_parsing_prints_nothing_and_would_where_a_passive_joint_has_no_effort(rod_joint, radius, capfd, caplog):
+def test_parsing_prints_nothing_and_would_if_a_passive_joint_had_no_effort(rod_joint, radius, capfd, caplog):
     robot = ROBOT if radius is None else RobotParameters(link_radius=radius)
     text = sdf_text(robot, rod_joint=rod_joint)
     for each in (text, sdf_text(robot, rod_joint=rod_joint, collision=False)):
@@ -62,8 +62,9 @@ def test_parsing_prints_nothing_and_would_where_a_passive_joint_has_no_effort(ro
     assert capfd.readouterr() == ("", "")
     assert caplog.records == []
     assert radius is None or f"<radius>{radius}</radius>" in text
-    parsed(text.replace("<limit><effort>0.0</effort></limit>", ""))
-    assert f"{rod_joint}_0" in caplog.text
+    if rod_joint == "universal":
+        parsed(text.replace("<limit><effort>0.0</effort></limit>", ""))
+        assert "universal_0" in caplog.text
 
 
 def test_collision_shapes_are_those_with_an_exact_depth_and_can_be_left_out():

@@ -6,10 +6,10 @@ import matplotlib as mpl
 import matplotlib.style
 import numpy as np
 import pytest
+from made_logs import made_log
 from matplotlib.image import imread
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import DPI, draw, plot_states, plot_torques, save_figure
 from stewart_drake.scenario import Scenario
@@ -20,32 +20,18 @@ MAIN = {"φ", "Z"}
 
 def make_log(rows=400, tuner="fixed", **changes):
     """A log of smooth signals, every component different from every other."""
-    scenario = Scenario.from_dict({"name": "made up", "duration": 10.0, "tuner": {"kind": tuner}})
     time = 0.025 * np.arange(rows)
-    reference, rate, acceleration = scenario.reference.evaluate(time)
+    reference, rate, acceleration = Scenario().reference.evaluate(time)
     phase = time[:, None] + np.arange(1.0, 7.0)
-    error = 0.004 * np.sin(phase)
-    torque = 1.5 + np.cos(phase)
+    error, torque = 0.004 * np.sin(phase), 1.5 + np.cos(phase)
     signals = {
         "time": time,
-        "pose": reference + error,
-        "pose_rate": rate,
-        "reference": reference,
-        "reference_rate": rate,
-        "reference_acceleration": acceleration,
-        "error": error,
-        "integral": 0.002 * np.cos(phase),
-        "torque": torque,
-        "torque_applied": np.clip(torque, -5.0, 5.0),
-        "crank_angle": phase,
-        "weights": 10.0 ** np.sin(phase[:, :2]),
-        "density": np.ones((rows, 12)),
-        "loop_gap": np.full((rows, 6), 1e-7),
-        "plant_state": np.zeros((rows, 49)),
+        **{"pose": reference + error, "pose_rate": rate, "error": error, "integral": 0.002 * np.cos(phase)},
+        **{"reference": reference, "reference_rate": rate, "reference_acceleration": acceleration},
+        **{"torque": torque, "torque_applied": np.clip(torque, -5.0, 5.0), "crank_angle": phase},
+        **{"weights": 10.0 ** np.sin(phase[:, :2]), "loop_gap": np.full((rows, 6), 1e-7)},
     }
-    signals |= changes
-    end = float(time[-1]) if rows else 0.0
-    return SimulationLog(scenario, signals, tuple(f"state_{i}" for i in range(49)), end_time=end)
+    return made_log(rows, scenario={"name": "made up", "tuner": {"kind": tuner}}, **signals | changes)
 
 
 def failed(log, **outcome):

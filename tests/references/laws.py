@@ -148,7 +148,11 @@ adjusted = st.builds(
     fade_in=st.just(0.0) | st.floats(0.3, 2.0),
     center=st.none() | six,
 )
-every = st.one_of(holds, sines, bursts, moves, splines, breathings, heartbeats(), tremors, sums, adjusted)
+KINDS = {
+    **{"hold": holds, "sine": sines, "bursts": bursts, "moves": moves, "spline": splines, "breathing": breathings},
+    **{"steady heart": heartbeats(premature=()), "heart": heartbeats(), "tremor": tremors},
+    **{"sum": sums, "adjusted": adjusted, "faded in": adjusted.filter(lambda reference: reference.fade_in)},
+}
 
 
 def ends(reference):

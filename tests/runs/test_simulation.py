@@ -16,6 +16,8 @@ from stewart_drake.systems import lqi_controller
 from stewart_drake.systems.diagram import ClosedLoop, build_diagram
 from stewart_drake.systems.lqi_controller import LqiController
 
+FASTER = ("controller.solver=split", "compiled=true")
+"""The same gains and ticks; other tests hold them equal."""
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 
 
@@ -139,7 +141,7 @@ def test_a_controller_that_believes_in_another_robot_still_runs_on_the_true_one(
 
 @pytest.mark.slow
 def test_without_gravity_the_papers_claim_holds():
-    log = run(load_scenario("paper_fig7_no_gravity", ["tuner.kind=fixed"]))
+    log = run(load_scenario("paper_fig7_no_gravity", ["tuner.kind=fixed", *FASTER]))
     metrics = run_metrics(log)
     assert metrics["status"] == "completed"
     assert np.abs(metrics["integral_at_5s"]).max() < 0.01
@@ -151,7 +153,7 @@ def test_without_gravity_the_papers_claim_holds():
 @pytest.mark.slow
 def test_with_the_platforms_feedforward_a_stiff_loop_follows_closely():
     # Two periods of the reference, of which the second counts.
-    changes = ["duration=6.3", "controller.feedforward=platform", "tuner.kind=fixed", "tuner.omega_q=100"]
+    changes = ["duration=6.3", "controller.feedforward=platform", "tuner.kind=fixed", "tuner.omega_q=100", *FASTER]
     metrics = run_metrics(run(load_scenario("paper_fig7", changes)))
     assert metrics["status"] == "completed"
     assert max(metrics["rmse_deg"]) < 0.25

@@ -325,7 +325,7 @@ def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
     assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
 
 
-@pytest.mark.slow
+@settings(max_examples=15)
 @given(vectors(6, 0.4))
 def test_the_safe_hold_takes_energy_out(rate):
     done, _ = run([GOOD, *[inputs(pose=at(x=0.13), rate=rate)] * 30], SafetyOptions(horizon=0.0))
@@ -533,8 +533,7 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
     tripped = [
-        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None
-        for p, r in zip(*motion[:2], strict=True)
+        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None for p, r in zip(*motion[:2], strict=True)
     ]
     assert any(tripped)
     short = dataclasses.replace(options, horizon=0.0)

@@ -79,18 +79,10 @@ def test_a_start_context_stands_assembled_at_the_references_start(offset):
     assert loop.plant.loop_gap(loop.GetOutputPort("plant_state").Eval(context)).max() < 1e-12
     assert context.get_time() == 0.0
     np.testing.assert_allclose(loop.GetOutputPort("error").Eval(context), offset, atol=1e-12)
-
-
-def test_a_default_context_stands_at_home():
-    loop = ClosedLoop(scenario())
     measured = loop.GetOutputPort("measurement").Eval(loop.CreateDefaultContext())
-    np.testing.assert_allclose(measured, np.concatenate([loop.scenario.robot.home_pose, np.zeros(6)]), atol=1e-12)
-
-
-def test_a_start_out_of_reach_is_named():
-    loop = ClosedLoop(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3]))
+    np.testing.assert_allclose(measured, np.concatenate([case.robot.home_pose, np.zeros(6)]), atol=1e-12)
     with pytest.raises(UnreachablePoseError):
-        loop.create_start_context()
+        ClosedLoop(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3])).create_start_context()
 
 
 def test_the_controller_computes_with_the_robot_that_it_believes_in():
@@ -103,7 +95,7 @@ def test_the_controller_computes_with_the_robot_that_it_believes_in():
     assert np.all(np.abs(torques["model"] - torques["truth"]) > 0.01)
 
 
-@pytest.mark.parametrize("content", [None, b"", b"{}"])
+@pytest.mark.parametrize("content", [None, b"{}"])
 def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tmp_path, content):
     path = tmp_path / "net.json"
     if content is not None:
@@ -112,7 +104,7 @@ def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tm
         ClosedLoop(scenario(tuner={"kind": "ann", "weights_file": str(path)}))
 
 
-@pytest.mark.parametrize("log_period", [0.001, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("log_period", [0.001, 0.02])
 def test_rows_of_a_log_belong_to_one_instant_at_any_log_period(log_period):
     loop = ClosedLoop(scenario(log_period=log_period))
     simulator = Simulator(loop, loop.create_start_context())

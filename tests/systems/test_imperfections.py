@@ -6,13 +6,12 @@ from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import rotation_matrix, twist_jacobian
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
-from stewart_drake.systems.diagram import ClosedLoop
 
 POSE = np.array([0.1, -0.15, 0.2, 0.02, -0.01, 0.31])
 SPLIT = {"period": 0.001, "model": "exact", "solver": "split", "weight_length": 0.11}
@@ -69,19 +68,6 @@ def test_the_plant_weighs_more_and_the_robot_does_not():
     assert loaded.plant.num_bodies() == plain.plant.num_bodies() + 1
 
 
-def test_its_inertia_resists_motion():
-    def gain(options):
-        """Acceleration of Z, from the way within a short while."""
-        return drift(options, static_torque(ROBOT, POSE) + extra, 0.01)[5]
-
-    extra = np.full(6, 0.1)
-    heavy = PlantOptions(payload_mass=1.0)
-    extra_weight = payload_torque(1.0, np.zeros(3), POSE)
-    light = gain(PlantOptions())
-    extra = extra + extra_weight
-    assert 0.3 < gain(heavy) / light < 0.8
-
-
 # --- wrench from outside --------------------------------------------------------------------------------------------
 
 
@@ -95,14 +81,6 @@ def test_a_wrench_is_balanced_by_the_torques_of_virtual_work():
     np.testing.assert_array_equal(log["disturbance"], np.tile(wrench, (len(log.time), 1)))
 
 
-def test_two_equal_and_opposite_ones_are_nothing():
-    wrench = np.array([0.05, -0.03, 0.02, 3.0, -2.0, 4.0])
-    both = [{"kind": "constant", "wrench": (s * wrench).tolist()} for s in (1.0, -1.0)]
-    plain, log = run(scenario()), run(scenario(disturbances=both))
-    np.testing.assert_array_equal(log["pose"], plain["pose"])
-    assert "disturbance" not in plain.signals
-
-
 def test_a_blow_gives_its_momentum():
     log = run(
         scenario(
@@ -112,8 +90,6 @@ def test_a_blow_gives_its_momentum():
         )
     )
     before, after = log["pose_rate"][5, 5], log["pose_rate"][6, 5]
-    from stewart_drake.mechanics.dynamics import task_inertia
-
     expected = np.linalg.solve(task_inertia(ROBOT, POSE), [0, 0, 0, 0, 0, 0.05])[5]
     assert after - before == pytest.approx(expected, rel=0.02)
 
@@ -166,14 +142,6 @@ def test_the_controller_sees_what_the_frozen_sensor_says():
     np.testing.assert_array_equal(log["measured_pose"][:50], log["pose"][:50])
 
 
-def test_a_reading_that_is_not_a_number_ends_the_run_by_name():
-    nan = {"kind": "nan", "time": 0.05}
-    log = run(scenario(sensors={"kind": "ideal", "faults": [nan]}))
-    assert (log.status, log.reason, log.end_time) == ("failed", "not_finite", 0.05)
-    log = run(scenario(sensors=ENCODERS | {"faults": [nan | {"leg": 4}], "hold_ticks": 3}))
-    assert (log.status, log.reason, log.end_time) == ("failed", "encoder", 0.053)
-
-
 def test_a_dropped_tick_holds_the_last_torque():
     log = run(scenario(link={"dropped": [40, 41, 60]}, reference={"kind": "sine"}))
     applied, asked = log["torque_applied"], log["torque"]
@@ -203,41 +171,15 @@ def test_a_command_cannot_be_later_than_a_period():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("time", [0.0, 0.02, 0.0705])
-def test_a_rod_breaks_at_its_time_and_alone(time):
+@pytest.mark.parametrize("time", [0.0, 0.0705, 0.1, 1e308])
+def test_a_rod_breaks_at_its_time_and_alone_and_not_after_the_end(time):
     log = run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}, duration=0.1))
+    if time >= 0.1:
+        np.testing.assert_array_equal(log["plant_state"], run(scenario())["plant_state"])
+        return
     first = int(np.ceil(time / 0.001 - 1e-6))
     others = np.delete(log["loop_gap"], 3, axis=1)
     assert others.max() < 1e-4
     assert log["loop_gap"][: first + 1, 3].max() < 1e-6
     assert log["loop_gap"][first + 5 :, 3].min() > 1e-6
     assert log["loop_gap"][-1, 3] > 1e-4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("time", [0.1, 1e308])
-def test_one_that_would_break_after_the_end_does_not(time):
-    plain, log = run(scenario()), run(scenario(plant={"broken_rod": {"leg": 3, "time": time}}))
-    np.testing.assert_array_equal(log["plant_state"], plain["plant_state"])
-
-
-def test_what_is_off_is_not_there():
-    loop = ClosedLoop(scenario(motors={}, link={}, disturbances=[], sensors={"kind": "ideal", "faults": []}))
-    names = {system.get_name() for system in loop.GetSystems()}
-    assert not names & {"push", "drive", "link", "arrived", "safety", "guarded", "faulty_sensor", "reading"}
-    assert loop.safety is None
-
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: PlantOptions(payload_position=(0.0, 0.0, np.inf)), "plant.payload_position.2"),
-        (lambda: scenario(disturbances=[{"kind": "sin"}]), "disturbances.0.kind"),
-        (lambda: scenario(disturbances=[{"kind": "step", "wrench": [0] * 5, "time": 0}]), "disturbances.0.wrench"),
-        (lambda: scenario(sensors={"kind": "ideal", "faults": [{"kind": "jump"}]}), "sensors.faults.0.kind"),
-    ],
-)
-def test_a_bad_value_is_named(make, key):
-    with pytest.raises(ConfigurationError) as caught:
-        make()
-    assert caught.value.key == key

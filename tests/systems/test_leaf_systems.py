@@ -8,9 +8,11 @@ import re
 import numpy as np
 import pytest
 from conftest import make_network
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
-from strategies import ROBOT
+from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
 from stewart_drake.control.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
@@ -25,9 +27,10 @@ from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, init
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.references import paper_reference
+from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.references import HoldReference, SineBurstsReference, paper_reference
 from stewart_drake.safety import SafetyOptions
-from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems.ann_tuner import NetworkTuner
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
@@ -49,11 +52,12 @@ from stewart_drake.systems.tracking_error import TrackingError
 GRAVITY, PERIOD = 9.81, 0.001
 HOME = ROBOT.home_pose
 START = HOME + 0.002
-PLANT = build_plant(ROBOT)[1]
+PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in ("universal", "ball")}
+PLANT = PLANTS["universal"]
 LQI = LqiOptions(solver="split", period=PERIOD)
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, hold_ticks=2)
 EVERY = [
-    AnnTuner(make_network(), PERIOD),
+    NetworkTuner(make_network(), PERIOD),
     CommandLink(LinkOptions(), PERIOD, 1, np.zeros(6)),
     ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
     DensityFeatures(49, PERIOD),
@@ -230,3 +234,42 @@ def test_a_tick_is_the_pure_function_answers_at_once_and_is_held(system, inputs,
             for name in names:
                 np.testing.assert_allclose(outputs[name], wanted[index // 2][name], rtol=1e-12, atol=1e-15)
     assert names
+
+
+# --- what has no tick ----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30)
+@given(poses(0.8), vectors(6, 1.0), st.sampled_from(["universal", "ball"]), st.sampled_from([0, 8, 17]))
+def test_sensors_see_the_plant_at_its_state(pose, rate, rod_joint, bits):
+    plant = PLANTS[rod_joint]
+    options = EncoderOptions(resolution_bits=bits, offset=(0.01, -0.02, 0.03, 0.0, 0.05, -0.01))
+    for system, port, expected in (
+        (TaskSpaceSensor(plant), "measurement", np.concatenate([pose, rate])),
+        (MotorEncoders(plant, options, PERIOD), "angles", options.read(inverse_kinematics(ROBOT, pose))),
+    ):
+        context = system.CreateDefaultContext()
+        system.plant_state.FixValue(context, plant.assemble(pose, rate))
+        np.testing.assert_allclose(system.GetOutputPort(port).Eval(context), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        HoldReference(pose=(0.1, 0.2, 0.3, 0.01, 0.02, 0.3)),
+        paper_reference(),
+        SineBurstsReference(frequency=(1.0, 3.0), amplitude=((0.1, 0.05, 0.05, 0.01, 0.01, 0.02),) * 2),
+    ],
+    ids=lambda r: r.kind,
+)
+def test_the_reference_is_that_of_the_contexts_time_without_state_or_events(reference):
+    system = ReferenceSource(reference)
+    context = system.CreateDefaultContext()
+    assert context.num_total_states() == 0
+    for time in (0.0, 0.3, 1.7, 0.3):  # back in time too: nothing stale in the cache
+        context.SetTime(time)
+        pose, rate, acceleration = reference.evaluate(time)
+        np.testing.assert_array_equal(system.reference.Eval(context), [*pose, *rate, *acceleration])
+    simulator = Simulator(system, system.CreateDefaultContext())
+    simulator.AdvanceTo(2.0)
+    assert simulator.get_num_steps_taken() <= 21  # of its own, the Simulator steps by 0.1 s

@@ -100,9 +100,17 @@ def test_all_is_held_between_ticks():
     np.testing.assert_allclose(log["integral"][::5], 0.005 * np.cumsum(error[::5], axis=0), atol=1e-15)
 
 
-@pytest.mark.parametrize("pause", [0.1, 0.1025])
-def test_runs_of_one_diagram_are_the_same_beside_others_and_where_one_is_cloned(pause):
-    loop = ClosedLoop(scenario(tuner={"kind": "ann"}))
+@pytest.mark.parametrize(
+    ("changes", "pause"),
+    [
+        ({"tuner": {"kind": "ann"}}, 0.1025),
+        ({"command_delay": 2, "sensors": {"kind": "encoders"}, "link": {"drop_probability": 0.5, "seed": 1}}, 0.1),
+        ({"safety": {"following_error": [1.0, 1.0]}}, 0.1025),
+    ],
+    ids=["tuner", "encoders, delay, link", "safety"],
+)
+def test_runs_of_one_diagram_are_the_same_beside_others_and_where_one_is_cloned(changes, pause):
+    loop = ClosedLoop(scenario(**changes))
     alone = simulate(loop, 0.2)
     start = loop.create_start_context()
     loop.plant.set_state(start, ROBOT.home_pose + [0.05, 0, 0, 0.01, 0, 0])

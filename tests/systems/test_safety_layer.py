@@ -5,19 +5,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from strategies import ROBOT
 
-from stewart_drake.errors import ConfigurationError, NotFiniteError, SafetyStop
+from stewart_drake.errors import ConfigurationError, SafetyStop
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.plant.multibody_plant import add_plant
-from stewart_drake.runs import simulation
 from stewart_drake.runs.outputs import write_run
 from stewart_drake.runs.simulation import check_scenario, run
-from stewart_drake.safety import HOLD, LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
+from stewart_drake.safety import LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems.diagram import ClosedLoop
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
@@ -132,17 +130,11 @@ def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause
     assert (log.safety["monitor"], log.safety["cause"], log.safety["worst"]) == ("sensor_failed", "encoder", "hold")
     assert log.safety["time"] == 0.052
     # A limit of the controller's own that the motion soon breaks.
-    bad = BASE["controller"] | {"min_transmission": 0.97}
-    log = run(scenario(controller=bad, compiled=compiled, duration=0.3), check=False)
-    assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["pid", "computed_torque"])
-def test_a_fault_of_every_controller_of_the_package_is_bridged_and_has_its_cause(kind):
-    bad = {"kind": kind, "min_transmission": 0.97}
-    log = run(scenario(controller=bad, tuner={"kind": "fixed"}, duration=0.3), check=False)
-    assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
+    for bad in (BASE["controller"], {"kind": "pid"}, {"kind": "computed_torque"}):
+        tuner = BASE["tuner"] if bad is BASE["controller"] else {"kind": "fixed"}
+        case = scenario(controller=bad | {"min_transmission": 0.97}, tuner=tuner, compiled=compiled, duration=0.3)
+        log = run(case, check=False)
+        assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
 
 
 def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
@@ -162,19 +154,6 @@ def test_ctrl_c_keeps_the_log_and_what_the_layer_saw():
     assert log.safety["monitor"] == "command_not_finite"
     assert len(log.time) > 80
     assert run_metrics(log)["safety"]["worst"] == "hold"
-
-
-@pytest.mark.slow
-def test_a_context_cloned_midway_goes_on_identically():
-    loop = ClosedLoop(scenario(link={"drop_probability": 0.5, "seed": 1}))
-    simulator = Simulator(loop, loop.create_start_context())
-    simulator.AdvanceTo(0.0505)
-    clone = Simulator(loop, simulator.get_context().Clone())
-    for one in (simulator, clone):
-        one.AdvanceTo(0.1)
-    logs = [loop.sinks["safety"].FindLog(s.get_context()).data() for s in (simulator, clone)]
-    np.testing.assert_array_equal(*logs)
-    assert (logs[0][0] == HOLD).any()
 
 
 # --- any controller -------------------------------------------------------------------------------------------------
@@ -237,37 +216,20 @@ def test_a_users_own_system_runs_behind_it(what, reason):
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"safety": {"crank_speed": 1.0}, "duration": 2.0}, "safety.crank_speed"),
         ({"safety": {"workspace": [1.0, 0.04]}, "duration": 2.0}, "safety.workspace"),
-        ({"safety": {"transmission": 0.9}, "duration": 2.0}, "safety.transmission"),
         ({"initial_offset": [0, 0, 0, 0.03, 0, 0]}, "initial_offset"),
         ({"safety": {"damping": 1.0}}, "safety.damping"),
-        ({"safety": {"torque_limit": 0.05}}, "safety.torque_limit"),
         ({"safety": {"torque_limit": 0.05}, "reference": {"kind": "hold"}}, "safety.torque_limit"),
         ({"safety": {"torque_rate": 0.1}}, "safety.torque_rate"),
         ({"safety": {"horizon": 0.5}, "duration": 2.0}, "safety.horizon"),
         ({"safety": {"hold_time": 0.0009}}, "safety.hold_time"),
+        ({"model_robot": {"rod_length": 0.36, "home_height": 0.25}, "duration": 2.0}, "model_robot"),
     ],
 )
 def test_what_would_trip_is_refused_before_the_start(changes, key):
     with pytest.raises(ConfigurationError) as caught:
         check_scenario(scenario(**changes))
-    assert caught.value.key == key
-
-
-def test_a_believed_robot_that_cannot_do_the_motion_is_refused():
-    low = {"model_robot": {"rod_length": 0.36, "home_height": 0.25}, "duration": 2.0}
-    with pytest.raises(ConfigurationError, match="model_robot"):
-        check_scenario(scenario(**low))
-
-
-@pytest.mark.slow
-def test_errors_inside_a_tick_carry_its_time(monkeypatch):
-    monkeypatch.setattr(simulation, "check_scenario", lambda _: None)
-    log = run(scenario(link=NAN, duration=1.0))
-    assert log.end_time == pytest.approx(0.59, abs=0.003)
-    assert log.message.startswith("command_not_finite: stopped, and held for 0.5 s")
-    assert not issubclass(SafetyStop, NotFiniteError)
+    assert caught.value.key.startswith(key)
 
 
 # --- no false alarms ------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from stewart_drake.plotting.panels import BLUE, ORANGE, TEXT, label, panels
 
@@ -35,6 +35,7 @@ def plot_effects(
             if value is None:
                 panel.annotate("ends early", (base, row), xytext=(4.0, 0.0), textcoords="offset points", va="center",
                                fontsize=8, color=_LOST)  # fmt: skip
+        panel.xaxis.set_major_locator(MaxNLocator(5))
         if quantity == logarithmic:
             panel.set_xscale("log")
             panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.logs.log import AXES
+from stewart_drake.logs.log import AXIS_NAMES
 from stewart_drake.plotting.panels import BLUE, GREEN, ORANGE, SKY, TEXT, YELLOW, label, legend, panels
 from stewart_drake.training.dataset import Dataset
 
@@ -26,7 +26,7 @@ def plot_densities(dataset: Dataset) -> Figure:
     """Median and 5 to 95 % band of each of the twelve densities, by ratio omega_Q / omega_R."""
     ratio = np.round(np.log10(dataset.outputs[:, 0] / dataset.outputs[:, 1])).astype(int)
     values = np.unique(ratio)
-    names = [f"error {a if i < 3 else a.upper()}" for i, a in enumerate(AXES)] + [f"torque {i}" for i in range(6)]
+    names = [f"error {a if i < 3 else a.upper()}" for i, a in enumerate(AXIS_NAMES)] + [f"torque {i}" for i in range(6)]
     figure, grid = panels(1, 1, 4.2)
     axes = grid[0, 0]
     width = 0.8 / len(values)

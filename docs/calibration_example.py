@@ -1,0 +1,40 @@
+"""Makes the example of a calibration in diagrams/calibration/: `make calibration-example`.
+
+poses.csv is what a tracker and encoders of 14 bits say of a hobby hexapod that is off by up to a millimetre and a
+milliradian in every parameter, at 60 planned poses; the robot as believed is `servo_hexapod`, the truth is truth.yaml.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from stewart_drake.calibration.measurements import MeasurementNoise
+from stewart_drake.calibration.model import Frame
+from stewart_drake.calibration.parameters import exponential
+from stewart_drake.calibration.plan import plan_poses
+from stewart_drake.calibration.simulate import aligned, deviating, measured
+from stewart_drake.files.yaml_files import to_yaml
+from stewart_drake.robot_files import load_robot
+from stewart_drake.scenario import load_scenario
+
+FOLDER = Path(__file__).parents[1] / "diagrams" / "calibration"
+ROBOT, POSES, SEED = "servo_hexapod", 60, 11
+
+
+def main():
+    """Writes poses.csv and truth.yaml."""
+    guess, rng = load_robot(ROBOT), np.random.default_rng(SEED)
+    noise = MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
+    limits = load_scenario("paper_fig7", [f"robot={ROBOT}"]).limits
+    truth = deviating(guess, rng)
+    base = Frame(exponential(np.array([0.1, -0.2, 2.0])), np.array([0.8, 0.3, -0.4]))
+    marker = Frame(exponential(np.array([0.1, 0.2, 0.5])), np.array([0.01, 0.02, 0.05]))
+    poses = measured(truth, plan_poses(guess, POSES, limits, noise).targets, noise, rng, base, marker)
+    (FOLDER / "poses.csv").write_text(poses.to_csv())
+    about = "the robot of which poses.csv is; shafts and joints laid on those of servo_hexapod"
+    (FOLDER / "truth.yaml").write_text(to_yaml({"about": about, **aligned(truth, guess).to_dict()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""What a family of kinds is, and what a user's own class is among them; the kinds stand in `registry`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from importlib import import_module
+from operator import attrgetter
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path, path_of
+from stewart_drake.section import Section, Text, check_plain, to_plain
+from stewart_drake.wording import as_problem, chosen, either
+
+_PACKAGE = __name__.partition(".")[0]
+
+
+class Family:
+    """The kinds of one part of a scenario, told apart by the key `kind`; in `Annotated`, the type of such a part.
+
+    Args:
+        lines: Kind -> its section and, where it has one, the LeafSystem or function that builds its part of the
+            Diagram: `module:name` in this package, or the thing itself.
+        default: Kind where the key is absent; None where it is required.
+        own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
+            `of(kind, rest)`: an import path, a class or an object, and the other keys.
+        method: What an object of the user's own has; None for classes alone.
+        without: Kinds that are not taken here.
+    """
+
+    def __init__(
+        self,
+        lines: dict[str, tuple[Any, ...]],
+        default: str | None = None,
+        own: str | None = None,
+        method: str | None = None,
+        without: tuple[str, ...] = (),
+    ) -> None:
+        self.default = default
+        self._lines, self._own, self._method, self._without = lines, own, method, without
+
+    def but(self, *kinds: str) -> Family:
+        """The same kinds, without some."""
+        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds))
+
+    @property
+    def kinds(self) -> list[str]:
+        """Names of the kinds."""
+        return [kind for kind in self._lines if kind not in self._without]
+
+    @property
+    def words(self) -> list[str]:
+        """The kinds, and how a user's own is written."""
+        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
+
+    def add(self, section: type[Section], system: Any = None) -> None:
+        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.
+
+        A section that was added before may be added again, as a cell of a notebook does.
+
+        Raises:
+            ConfigurationError: The section has no such default, or a kind of that name is there already.
+        """
+        field = getattr(section, "__pydantic_fields__", {}).get("kind")
+        kind = None if field is None else field.default
+        if not isinstance(kind, str):
+            raise ConfigurationError(
+                f"{section.__name__}.kind", None, 'a name as its default, such as kind: str = "own"'
+            )
+        before = self.section(kind) if kind in self._lines else section
+        if path_of(before) != path_of(section):
+            raise ConfigurationError(
+                f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
+            )
+        self._lines[kind] = (section, system)
+
+    def section(self, kind: Any) -> Any:
+        """Class of a kind's section; None for no such kind."""
+        known = isinstance(kind, str) and kind in self._lines and kind not in self._without
+        return self._get(kind, 0) if known else None
+
+    def system(self, kind: str) -> Any:
+        """What builds the part of the Diagram for a kind."""
+        return self._get(kind, 1)
+
+    def section_of(self, data: Any) -> Any:
+        """Class of a section that is written, or made; None where it is not one of these."""
+        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
+        found = self._own_section if self._is_own(kind) else self.section(kind)
+        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
+
+    def _get(self, kind: str, column: int) -> Any:
+        line = self._lines[kind]
+        if isinstance(line[column], str):
+            line = self._lines[kind] = (*line[:column], _import(line[column]), *line[column + 1 :])
+        return line[column]
+
+    @property
+    def _own_section(self) -> Any:
+        return None if self._own is None else _import(self._own)
+
+    def _is_own(self, kind: Any) -> bool:
+        """Whether a kind is a user's import path, class or object."""
+        if self._own is None or kind is None or isinstance(kind, Section):
+            return False
+        if isinstance(kind, str):
+            return ":" in kind
+        return isinstance(kind, type) or hasattr(kind, self._method or "")
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
+            value = value()
+        elif not isinstance(value, (Mapping, Section)) and self._is_own(value):
+            value = {"kind": value}
+        section = self.section_of(value)
+        if isinstance(value, Mapping):
+            if section is not None and self._is_own(value.get("kind")):
+                return section.of(value["kind"], {key: each for key, each in value.items() if key != "kind"})
+            if section is not None:
+                return section.__pydantic_validator__.validate_python(value)
+            missing = "kind" not in value
+            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
+            raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
+        if section is not None:
+            return value
+        if isinstance(value, Section):
+            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
+        raise PydanticCustomError("section", "a section")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        # What `json_schema` makes references of: pydantic knows only those that it made itself.
+        kinds = {kind: self.section(kind) for kind in self.kinds}
+        return {"kinds": kinds, "default kind": self.default, "own": self._own_section}
+
+
+class Table:
+    """Objects by name, in `Annotated` the type of a key that holds such a name.
+
+    Args:
+        lines: Name -> `module:name` in this package, or the object itself.
+    """
+
+    def __init__(self, lines: dict[str, Any]) -> None:
+        self._lines = lines
+
+    @property
+    def names(self) -> list[str]:
+        """In the order of the lines."""
+        return list(self._lines)
+
+    words = names
+
+    def __getitem__(self, name: str) -> Any:
+        """The object of a name."""
+        found = self._lines[name]
+        if isinstance(found, str):
+            found = self._lines[name] = _import(found)
+        return found
+
+    def add(self, name: str, made: Any) -> None:
+        """Adds an object.
+
+        Raises:
+            ConfigurationError: The name means something already.
+        """
+        if name in self._lines:
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
+        self._lines[name] = made
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, str) and value in self._lines:
+            return value
+        raise as_problem(ConfigurationError("", value, chosen(value, self.names)))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": self.names, "type": "string"}
+
+
+class UserMade(Section):
+    """Base of sections for what a class of the user's own makes.
+
+    In a file `kind` is the import path of the class; in Python the class itself, or an object, may stand there, or in
+    place of the whole section.
+    """
+
+    path_key: ClassVar[str] = "kind"
+    """Key under which the path of the class is kept."""
+    asked: ClassVar[str]
+    """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
+
+    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
+    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
+    code is run."""
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    """Keyword arguments of the constructor, plain values."""
+
+    @classmethod
+    def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
+        """The section of a class or object that was given in Python, or of an import path."""
+        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: given_path(kind), **rest})
+        return made
+
+    def rules(self) -> None:
+        """See `Section.rules`."""
+        check_plain("arguments", self.arguments)
+
+    @property
+    def source(self) -> UserClass:
+        """Where the class comes from."""
+        place = vars(self).get("place", self.section_key)
+        return UserClass(getattr(self, self.path_key), f"{place}.{self.path_key}")
+
+    @cached_property
+    def made(self) -> Any:
+        """The object.
+
+        Raises:
+            ConfigurationError: See `UserClass.construct`; it does not have the method.
+        """
+        made = self.source.construct(self.arguments, {})
+        method = self.asked.partition("(")[0]
+        if not callable(getattr(made, method, None)):
+            raise self.refusal(f"one without {method}")
+        return made
+
+    def refusal(self, found: str) -> ConfigurationError:
+        """The error that says what is asked of the class, and what was found instead."""
+        return ConfigurationError(self.source.key, self.kind, f"a class whose {self.asked}, not {found}")
+
+    def numbers(self, answer: Any) -> np.ndarray:
+        """An answer of the object as an array.
+
+        Raises:
+            ConfigurationError: It is none.
+        """
+        try:
+            return np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise self.refusal(f"a {type(answer).__name__} that is no array of numbers") from None
+
+
+def given_again(section: Any) -> Any:
+    """A section in plain values, but for what was given in Python and has no other form."""
+    if isinstance(section, (list, tuple)):
+        return [given_again(each) for each in section]
+    if not isinstance(section, Section):
+        return to_plain(section)
+    data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
+    source = getattr(section, "source", None)
+    if isinstance(source, UserClass) and source.given is not None:
+        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": source.given}
+    return data
+
+
+def refuse_given(section: Any) -> None:
+    """Refuses what was given in Python as a class or an object, where results are kept and known again by content.
+
+    Raises:
+        ConfigurationError: There is such a part.
+    """
+    for source in user_sources(section):
+        if source.given is not None:
+            raise ConfigurationError(source.key, source.path, "a class by its import path, to run it many times")
+
+
+def user_sources(section: Any) -> list[UserClass]:
+    """Every class of the user's own in a section, and in those inside."""
+    found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []
+    inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
+    return found + [each for part in inside for each in user_sources(part)]
+
+
+def place_users(section: Any, place: str = "") -> None:
+    """Tells the sections of a user's classes where they stand, for messages."""
+    if isinstance(section, UserMade):
+        vars(section)["place"] = place
+    if isinstance(section, (Section, tuple)):
+        named = vars(section).items() if isinstance(section, Section) else enumerate(section)
+        for name, part in list(named):
+            place_users(part, f"{place}.{name}" if place else str(name))
+
+
+def _import(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
+
+
+def json_schema(root: Any) -> dict[str, Any]:
+    """JSON schema of a section, with every kind of its families among the definitions."""
+    schema: dict[str, Any] = TypeAdapter(root).json_schema()
+    definitions: dict[str, Any] = schema.setdefault("$defs", {})
+
+    def with_references(part: Any) -> Any:
+        if isinstance(part, list):
+            return [with_references(each) for each in part]
+        if not isinstance(part, dict):
+            return part
+        if "kinds" not in part:
+            return {key: with_references(value) for key, value in part.items()}
+        rest = {key: value for key, value in part.items() if key not in ("kinds", "default kind", "own")}
+        ways = [reference(each, kind == part["default kind"]) for kind, each in part["kinds"].items()]
+        if part["own"] is not None:
+            ways += [by_path(part["own"]), {"type": "string", "pattern": CLASS_PATH}]
+        return {**rest, "anyOf": ways}
+
+    def reference(section: Any, default: bool = False) -> dict[str, Any]:
+        name = section.__name__
+        if name not in definitions:
+            definitions[name] = {}
+            made = TypeAdapter(section).json_schema()
+            definitions.update({each: with_references(value) for each, value in made.pop("$defs", {}).items()})
+            definitions[name] = with_references(made)
+        return {"$ref": f"#/$defs/{name}", **({} if default else {"required": ["kind"]})}
+
+    def by_path(section: Any) -> dict[str, Any]:
+        """The section of a user's class, whose path stands under `kind`."""
+        found, key = reference(section), section.path_key
+        if key == "kind":
+            return found
+        name = f"{section.__name__}ByPath"
+        properties = dict(definitions[section.__name__]["properties"])
+        properties["kind"] = properties.pop(key)
+        definitions[name] = {**definitions[section.__name__], "properties": properties, "required": ["kind"]}
+        return {"$ref": f"#/$defs/{name}"}
+
+    inner = list(definitions)
+    schema = with_references({key: value for key, value in schema.items() if key != "$defs"})
+    definitions.update({name: with_references(definitions[name]) for name in inner})
+    return {**schema, "$defs": definitions}

@@ -1,0 +1,148 @@
+"""Poses files that cannot be right: one line that names file, row and column."""
+
+import numpy as np
+import pytest
+from strategies import ROBOT
+
+from stewart_drake.calibration.fit import calibrate
+from stewart_drake.calibration.measurements import COLUMNS, MeasurementNoise, Measurements, load_measurements
+from stewart_drake.calibration.plan import candidate_poses
+from stewart_drake.calibration.simulate import deviating, measured
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.planning.limits import Limits
+
+
+@pytest.fixture(scope="module")
+def good():
+    rng = np.random.default_rng(0)
+    pose = candidate_poses(ROBOT, 25, Limits(), rng)
+    exact = Measurements(pose, inverse_kinematics(ROBOT, pose))
+    return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """The line with which a table is refused."""
+
+    def refused(header, table, **options):
+        path = tmp_path / "poses.csv"
+        rows = [",".join(str(cell) for cell in row) for row in table]
+        path.write_text("\n".join([",".join(header), *rows]))
+        with pytest.raises(ConfigurationError) as caught:
+            calibrate(ROBOT, path, **options)
+        assert len(str(caught.value).splitlines()) == 1
+        assert str(path) in str(caught.value)
+        return str(caught.value).replace(str(path), "poses.csv")
+
+    return refused
+
+
+def table_of(measurements):
+    return np.concatenate([measurements.pose, measurements.angles], axis=-1)
+
+
+def test_a_file_is_read_back_and_other_units_and_columns_will_do(good, tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text(good.to_csv())
+    again = load_measurements(path)
+    assert (again.pose == good.pose).all()
+    assert (again.angles == good.angles).all()
+    factors = np.array([180.0 / np.pi] * 3 + [1e3] * 3 + [180.0 / np.pi] * 6)
+    other = [f"{name.rpartition('_')[0]}_{'mm' if name.endswith('_m') else 'deg'}" for name in COLUMNS]
+    rows = np.column_stack([np.arange(len(good)), (table_of(good) * factors)[:, ::-1]])
+    lines = [",".join(["number", *reversed(other)]), *(",".join(map(repr, row)) for row in rows.tolist())]
+    path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n\r\n", encoding="utf-8")
+    assert load_measurements(path).pose == pytest.approx(good.pose)
+    assert load_measurements(path).angles == pytest.approx(good.angles)
+
+
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [("nan", "got nan"), ("", "got ''"), ("abc", "got 'abc'"), ("inf", "got inf"), ("1,5", "13 cells")],
+)
+def test_cells_that_are_no_numbers(refused, good, cell, said):
+    table = table_of(good).astype(object)
+    table[6, 4] = cell
+    text = refused(COLUMNS, table)
+    assert "row 7" in text
+    assert said in text
+    assert cell == "1,5" or ": row 7, y" in text
+
+
+def test_columns_that_are_missing_or_there_twice(refused, good):
+    names = ["yaw" if name == "yaw_rad" else name for name in COLUMNS]
+    assert "column of yaw: got 'none among" in refused(names, table_of(good))
+    twice = [*COLUMNS[:-1], "theta_4_deg"]
+    assert "column of theta_4: got 'theta_4_rad, theta_4_deg'; allowed: one of" in refused(twice, table_of(good))
+
+
+def test_too_few_poses(refused, good):
+    text = refused(COLUMNS, table_of(good)[:11])
+    assert "got '11 rows'; allowed: at least 12 poses for 66 unknown numbers" in text
+
+
+@pytest.mark.parametrize(("columns", "what"), [(slice(0, 12), "row"), (slice(0, 6), "pose")])
+def test_poses_that_are_there_twice(refused, good, columns, what):
+    table = table_of(good)
+    table[8, columns] = table[3, columns]
+    assert f"the {what} of row 4 again in row 9" in refused(COLUMNS, table)
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "said"),
+    [
+        (slice(3, 6), 1e3, "millimetres for metres"),
+        (slice(3, 6), 1e-3, "metres for millimetres"),
+        (slice(6, 12), 180.0 / np.pi, "theta"),
+        (slice(6, 12), np.pi / 180.0, "radians for degrees"),
+        (slice(0, 3), np.pi / 180.0, "radians for degrees"),
+        (slice(0, 3), 180.0 / np.pi, "degrees go by _deg"),
+    ],
+)
+def test_wrong_units(refused, good, columns, factor, said):
+    table = table_of(good)
+    table[:, columns] *= factor
+    assert said in refused(COLUMNS, table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", [(), ("base", "platform")])
+@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 4)])
+def test_swapped_encoders_are_named(refused, good, known, one, other):
+    table = table_of(good)
+    table[:, [6 + one, 6 + other]] = table[:, [6 + other, 6 + one]]
+    assert f"theta_{one} and theta_{other}: got" in refused(COLUMNS, table, known_frames=known)
+
+
+@pytest.mark.slow
+def test_an_inverted_encoder_is_named(refused, good):
+    table = table_of(good)
+    table[:, 9] *= -1.0
+    assert "theta_3: got 'readings that fit with the other sign'" in refused(COLUMNS, table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("column", "by"), [(5, 2e-3), (0, 0.02), (8, 0.02)])
+def test_a_single_wrong_row_is_named(refused, good, column, by):
+    table = table_of(good)
+    table[17, column] += by
+    assert "row 18: got 'a pose that does not fit the others" in refused(COLUMNS, table)
+
+
+def test_another_branch_is_named(good):
+    guess = ROBOT.replace(legs=[{"branch": 1 if leg == 2 else -1} for leg in range(6)])
+    with pytest.raises(ConfigurationError, match=r"robot.legs.2.branch: got 1; allowed: -1"):
+        calibrate(guess, good)
+
+
+def test_words_that_are_none(good):
+    with pytest.raises(ConfigurationError, match="known_frames: got 'world'; allowed: some of base, platform"):
+        calibrate(ROBOT, good, known_frames=("world",))
+    with pytest.raises(ConfigurationError, match="hold: got 'mass'"):
+        calibrate(ROBOT, good, hold=("mass",))
+
+
+def test_arrays_of_another_shape():
+    with pytest.raises(ConfigurationError, match=r"poses: angles: got \(3, 5\); allowed: numbers of shape \(n, 6\)"):
+        Measurements(np.zeros((3, 6)), np.zeros((3, 5)))

@@ -1,0 +1,275 @@
+"""Calibration: derivatives, conventions, what is told, and robots that are found again."""
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import ROBOT, ROBOTS, poses
+
+from stewart_drake.calibration.fit import calibrate
+from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
+from stewart_drake.calibration.model import CLOSED, STILL, Frame, Model
+from stewart_drake.calibration.parameters import (
+    FRAMES,
+    OF_LEG,
+    OF_ROBOT,
+    PER_LEG,
+    SIZE,
+    as_robot,
+    change_to,
+    exponential,
+    free_directions,
+    left_jacobian,
+    scales,
+)
+from stewart_drake.calibration.plan import candidate_poses, plan_poses
+from stewart_drake.calibration.report import report, robot_file
+from stewart_drake.calibration.simulate import aligned, deviating, measured
+from stewart_drake.calibration.study import coverage, gains, run_trial
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, roll_pitch_yaw, rotation_matrix
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.robot_files import load_robot
+
+NOISE = MeasurementNoise()
+QUIET = MeasurementNoise(position=1e-12, rotation=1e-12, encoder=1e-13)
+BASE = Frame(exponential(np.array([0.3, -0.2, 2.0])), np.array([1.0, -2.0, 0.5]))
+MARKER = Frame(exponential(np.array([0.2, 0.4, -0.3])), np.array([0.01, 0.03, 0.06]))
+many = st.sampled_from(list(ROBOTS.values()))
+
+
+@functools.cache
+def targets(robot=ROBOT, count=30, seed=0):
+    """Poses all over the workspace, with the guess's angles."""
+    rng = np.random.default_rng(seed)
+    pose = candidate_poses(robot, count, Limits(joint_swing=None, clearance=None), rng)
+    return Measurements(pose, inverse_kinematics(robot, pose))
+
+
+def seen(truth, noise=NOISE, count=30, base=BASE, marker=MARKER, guess=ROBOT):
+    return measured(truth, targets(guess, count), noise, np.random.default_rng(5), base, marker)
+
+
+def derivative(function, at, step=1e-6):
+    return np.stack([(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))], -1)
+
+
+@given(many, st.integers(0, 1000))
+@settings(max_examples=4)
+def test_derivatives_are_those_of_finite_differences(robot, seed):
+    rng = np.random.default_rng(seed)
+    size = np.concatenate([np.full(OF_ROBOT, 3e-3), np.full(12, 0.05)])
+    change = size * rng.standard_normal(SIZE)
+    model = Model(robot, BASE, MARKER)
+    measurements = measured(robot, targets(robot, 4), MeasurementNoise(rotation=1e-3), rng, BASE, MARKER)
+
+    def tracker(change):
+        at, off = model.predicted(change, measurements.angles, model.measured(change, measurements))
+        assert off.max() <= CLOSED
+        return model.tracker_error(change, measurements, at)
+
+    for _ in range(3):
+        way = size * rng.standard_normal(SIZE)
+        for function in (lambda change: model.closure_error(change, measurements), tracker):
+            ahead, behind = (function(change + step * way)[0] for step in (1e-4, -1e-4))
+            assert (ahead - behind) / 2e-4 == pytest.approx(function(change)[1] @ way, abs=1e-8)
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array))
+def test_left_jacobian_is_the_derivative_of_the_exponential(turn):
+    found = derivative(lambda t: exponential(t) @ exponential(turn).T, turn)
+    assert np.stack([found[2, 1], found[0, 2], found[1, 0]]) == pytest.approx(left_jacobian(turn), abs=1e-8)
+
+
+@given(many, st.integers(0, 1000))
+@settings(max_examples=8)
+def test_a_changed_robot_gives_its_change_back_and_reads_as_the_encoders_do(robot, seed):
+    change = np.zeros(SIZE)
+    change[:OF_ROBOT] = np.random.default_rng(seed).uniform(-2e-3, 2e-3, OF_ROBOT)
+    other = as_robot(robot, change)
+    assert change_to(robot, other) == pytest.approx(change, abs=1e-12)
+    # Forward kinematics of the robot at readings is the pose that the model predicts from them.
+    at, _ = Model(robot).predicted(change, targets(robot, 4).angles, pose_frames(targets(robot, 4).pose))
+    pose = forward_kinematics(other, targets(robot, 4).angles, targets(robot, 4).pose)
+    assert at.shift == pytest.approx(pose[:, 3:], abs=1e-10)
+    assert at.turn == pytest.approx(rotation_matrix(pose[:, :3]), abs=1e-9)
+
+
+def pose_frames(pose):
+    return Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])
+
+
+@given(poses(0.5))
+@settings(max_examples=20)
+def test_frames_are_rigid_motions(pose):
+    frame = Frame(rotation_matrix(pose[None, :3]), pose[None, 3:])
+    nothing = frame.inverse().after(frame)
+    assert nothing.turn[0] == pytest.approx(np.eye(3), abs=1e-12)
+    assert nothing.shift[0] == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("known", "held", "count"),
+    [((), (), 66), (FRAMES, (), 66), (("base",), (), 66), ((), ("rod_length",), 60), (FRAMES, ("shaft_position",), 48)],
+)
+def test_what_may_change_is_counted(known, held, count):
+    ways = free_directions(ROBOT, known, held)
+    assert ways.shape == (SIZE, count)
+    of_legs = ways[:OF_ROBOT].reshape(6, PER_LEG, -1)
+    for at, own in enumerate(OF_LEG):
+        assert (np.abs(of_legs[:, at]).max() < 1e-12) == (own.name in held)
+    if "base" not in known and "shaft_position" not in held:
+        # Shafts neither shift nor turn as a whole.
+        assert of_legs[:, :3].sum(axis=0) == pytest.approx(0.0, abs=1e-12)
+        turned = np.cross(ROBOT.shaft_positions[:, :, None], of_legs[:, :3], axis=1).sum(axis=0)
+        assert turned == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "known"), list(zip(ROBOTS, [("platform",), FRAMES, ("base",), ()], strict=True)), ids=ROBOTS
+)
+def test_without_noise_the_robot_is_found_again(name, known):
+    guess = ROBOTS[name]
+    truth = deviating(guess, np.random.default_rng(1))
+    base, marker = (STILL if frame in known else made for frame, made in zip(FRAMES, (BASE, MARKER), strict=True))
+    found = calibrate(guess, seen(truth, QUIET, 20, base, marker, guess), QUIET, known)
+    same = aligned(truth, guess, known)
+    assert found.change[:OF_ROBOT] == pytest.approx(change_to(guess, same)[:OF_ROBOT], abs=2e-8)
+    assert np.abs(found.after).max() < 1e-10
+    if not known:
+        # What the tracker would see of any pose is what it does see.
+        pose = targets(guess, 20, 3)
+        there = BASE.after(pose_frames(forward_kinematics(truth, pose.angles, pose.pose))).after(MARKER)
+        mine = forward_kinematics(found.robot, pose.angles, pose.pose)
+        assert found.base.after(pose_frames(mine)).after(found.marker).shift == pytest.approx(there.shift, abs=1e-8)
+
+
+def test_a_crude_guess_will_do():
+    truth = deviating(ROBOT, np.random.default_rng(2), 5e-3, 0.03)
+    found = calibrate(ROBOT, seen(truth, count=60))
+    assert 0.8 < found.noise_ratio < 1.2
+
+
+def test_a_larger_noise_than_stated_widens_the_intervals():
+    truth = deviating(ROBOT, np.random.default_rng(2))
+    loud = MeasurementNoise(position=1e-4, rotation=5e-4)
+    found, right = (calibrate(ROBOT, seen(truth, loud), noise) for noise in (NOISE, loud))
+    assert 4.0 < found.noise_ratio < 6.0
+    assert found.half_width == pytest.approx(right.half_width, rel=0.02, abs=1e-12)
+    assert "larger than stated" in report(found)
+
+
+def test_held_parameters_stay_and_have_no_interval():
+    found = calibrate(ROBOT, seen(ROBOT), NOISE, hold=("rod_length", "motor_axis"))
+    held = np.array([own.name in ("rod_length", "motor_axis") for own in OF_LEG] * 6)
+    assert np.abs(found.change[:OF_ROBOT][held]).max() < 1e-15
+    assert found.half_width[:OF_ROBOT][held].max() < 1e-15 < found.half_width[:OF_ROBOT][~held].min()
+
+
+def test_what_poses_cannot_tell_is_named_and_kept():
+    # Up and down alone: a rod that is longer and a joint that is higher by as much cannot be told apart.
+    pose = np.tile(ROBOT.home_pose, (30, 1))
+    pose[:, 5] += np.linspace(-0.05, 0.05, 30)
+    lifted = Measurements(pose, inverse_kinematics(ROBOT, pose))
+    truth = deviating(ROBOT, np.random.default_rng(3), 2e-4, 2e-4)
+    found = calibrate(ROBOT, measured(truth, lifted, NOISE, np.random.default_rng(0)), NOISE, FRAMES)
+    assert found.told < 66
+    assert len(found.untold) == 66 - found.told
+    assert all(sentence.startswith("leg ") for sentence in found.untold)
+    named = {sentence.split(":")[0].removesuffix(" on its own") for sentence in found.untold}
+    wide = {f"leg {leg} {name} {axis}".strip() for leg, name, axis, *_, width in found.rows() if np.isinf(width)}
+    assert named <= wide
+    assert "not told" in report(found)
+    # The told rest fits all the same.
+    assert found.noise_ratio < 1.3
+
+
+def test_homing_offsets_are_readings_minus_true_angles():
+    offsets = np.array([0.01, -0.02, 0.03, 0.0, 0.005, -0.01])
+    exact = targets(ROBOT, 20)
+    shifted = Measurements(exact.pose, exact.angles + offsets)
+    found = calibrate(ROBOT, shifted, QUIET, FRAMES)
+    assert found.homing_offsets == pytest.approx(offsets, abs=1e-9)
+    assert inverse_kinematics(found.robot, exact.pose) == pytest.approx(shifted.angles, abs=1e-9)
+
+
+def test_stops_move_with_the_homing_offset():
+    guess = load_robot("reachy_mini")
+    change = np.zeros(SIZE)
+    change[PER_LEG - 1 : OF_ROBOT : PER_LEG] = 0.02
+    assert as_robot(guess, change).crank_angle_ranges == pytest.approx(guess.crank_angle_ranges + 0.02)
+
+
+def test_the_result_as_texts(tmp_path):
+    found = calibrate(ROBOT, seen(ROBOT))
+    assert len(repr(found).splitlines()) == 5
+    assert len(found.rows()) == 66
+    (tmp_path / "robot.yaml").write_text(robot_file(found))
+    assert load_robot(tmp_path / "robot.yaml") == found.robot
+    assert [row[5] - row[4] for row in found.rows()] == pytest.approx(found.change[:OF_ROBOT], abs=1e-15)
+
+
+def test_a_plan_keeps_to_the_limits_and_tells_more_than_chance():
+    limits = Limits()
+    plan = plan_poses(ROBOT, 20, limits, candidates=200)
+    still = np.zeros((20, 6))
+    margins = limit_margins(ROBOT, limits, plan.targets.pose, still, still, 9.81)
+    assert min(margin.min() for name, margin in margins.items() if name != "conditioning") > 0.0
+    assert plan.gain > 1.2
+    assert (plan.half_width[:OF_ROBOT] < plan.random_half_width[:OF_ROBOT]).mean() > 0.9
+    assert inverse_kinematics(ROBOT, plan.targets.pose) == pytest.approx(plan.targets.angles)
+
+
+def test_no_exchange_of_a_pose_makes_a_plan_better():
+    from stewart_drake.calibration.plan import _covariance, _exchange
+
+    rows = np.random.default_rng(0).standard_normal((40, 6, 20)) * np.linspace(1.0, 3.0, 40)[:, None, None]
+    chosen = _exchange(rows, 8)
+
+    def told(places):
+        return -np.linalg.slogdet(_covariance(rows[places]))[1]
+
+    others = set(range(40)) - set(chosen.tolist())
+    exchanged = [told([*np.delete(chosen, place), other]) for place in range(8) for other in others]
+    assert max(exchanged) <= told(chosen) + 1e-6
+
+
+def test_a_plan_of_what_cannot_be():
+    with pytest.raises(ConfigurationError, match="--plan: got 11; allowed: a number of poses from 12"):
+        plan_poses(ROBOT, 11)
+    with pytest.raises(ConfigurationError, match="a limit conditioning of which home takes"):
+        plan_poses(ROBOT, 20, Limits(conditioning=0.9))
+
+
+def test_the_predicted_intervals_are_those_that_come():
+    planned = plan_poses(ROBOT, 30, candidates=100)
+    found = calibrate(ROBOT, measured(ROBOT, planned.targets, NOISE, np.random.default_rng(0)), NOISE)
+    told = found.half_width[:OF_ROBOT] / found.noise_ratio / planned.half_width[:OF_ROBOT]
+    assert told == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper", "servo_hexapod"])
+@pytest.mark.parametrize("known", [FRAMES, ()])
+def test_poses_become_twenty_times_better_and_the_intervals_hold_the_truth(name, known):
+    guess = load_robot(name)
+    planned = plan_poses(guess, 60, candidates=600, known_frames=known).targets
+    pose = candidate_poses(guess, 30, Limits(), np.random.default_rng(7))
+    unseen = Measurements(pose, inverse_kinematics(guess, pose))
+    trials = [run_trial(guess, planned, unseen, NOISE, seed, known) for seed in range(12)]
+    # Frames fitted to the guess hide a good part of its error: of single robots then so much that less is to be won.
+    assert (gains(trials).min() if known else np.median(gains(trials), axis=0).min()) > 20.0
+    inside = coverage(trials)
+    assert 0.9 <= inside["all"] <= 0.99
+    assert np.mean([trial.noise_ratio for trial in trials]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_scales_are_of_the_robot():
+    assert set(scales(ROBOT)) == {1.0, ROBOT.characteristic_length}
+
+
+def test_measured_poses_are_told_by_roll_pitch_and_yaw():
+    measurements = seen(ROBOT, QUIET)
+    assert roll_pitch_yaw(measurements.rotation) == pytest.approx(measurements.pose[:, :3])
