@@ -120,9 +120,11 @@ class RunFailure(StewartDrakeError, RuntimeError):
     reason = "run_failure"
     traceback = ""
 
-    def __init__(self, message: str, leg: int | None = None) -> None:
+    def __init__(self, message: str, leg: int | None = None, reason: str | None = None) -> None:
         self.leg = leg
         self.time: float | None = None
+        if reason is not None:
+            self.reason = reason
         super().__init__(message)
 
 
@@ -139,7 +141,7 @@ class UnreachablePoseError(RunFailure):
     def __init__(self, pose: np.ndarray, leg: int, margin: float) -> None:
         self.pose, self.margin = pose, margin
         super().__init__(
-            f"pose {_format_pose(pose)} is out of reach of leg {leg} (margin {margin:.4g}; reachable: margin >= 0)",
+            f"pose {pose_text(pose)} is out of reach of leg {leg} (margin {margin:.4g}; reachable: margin >= 0)",
             leg,
         )
 
@@ -167,7 +169,7 @@ class SingularPoseError(RunFailure):
                 f"rod of leg {leg} turned by 90 deg in its joint on the crank: cos = {margin:.3g}",
             ),
         }[kind]
-        super().__init__(f"{what} at pose {_format_pose(pose)} (allowed: >= {limit:g})", leg)
+        super().__init__(f"{what} at pose {pose_text(pose)} (allowed: >= {limit:g})", leg)
 
 
 class ForwardKinematicsError(RunFailure):
@@ -188,20 +190,6 @@ class ForwardKinematicsError(RunFailure):
         )
 
 
-class EncoderError(RunFailure):
-    """Readings of the motor encoders that cannot be believed.
-
-    Attributes:
-        angles: (6,) [rad] the readings.
-    """
-
-    reason = "encoder"
-
-    def __init__(self, what: str, angles: np.ndarray) -> None:
-        self.angles = angles
-        super().__init__(f"encoder readings {_format_pose(angles)}: {what}")
-
-
 class AssemblyModeError(RunFailure):
     """Forward kinematics has found another assembly mode than the one that the robot stood in.
 
@@ -215,7 +203,7 @@ class AssemblyModeError(RunFailure):
     def __init__(self, pose: np.ndarray, last: np.ndarray) -> None:
         self.pose, self.last = pose, last
         super().__init__(
-            f"forward kinematics went from pose {_format_pose(last)} to {_format_pose(pose)} in one tick: "
+            f"forward kinematics went from pose {pose_text(last)} to {pose_text(pose)} in one tick: "
             "another assembly mode, or a jump"
         )
 
@@ -319,5 +307,6 @@ def _restore(kind: type[StewartDrakeError], args: tuple[Any, ...], state: dict[s
     return error
 
 
-def _format_pose(pose: np.ndarray) -> str:
+def pose_text(pose: np.ndarray) -> str:
+    """Six numbers in a few digits each."""
     return "[" + ", ".join(f"{x:.4g}" for x in np.ravel(pose)) + "]"

@@ -94,7 +94,7 @@ def _placed(robot: RobotParameters, limits: Limits, reference: Reference, durati
         size: Any = getattr(reference, name, ())
         if np.shape(size) == (6,):
             made: Any = reference
-            return dataclasses.replace(made, **{name: tuple((scale * np.array(size)).tolist())})  # type: ignore[no-any-return]
+            return dataclasses.replace(made, **{name: tuple((scale * np.array(size)).tolist())})
     if isinstance(reference, AdjustedReference):
         return dataclasses.replace(reference, scale=scale * reference.scale)
     return AdjustedReference(motion=reference, scale=scale)

@@ -77,7 +77,7 @@ def _draw(name: str, path: Path) -> str:
     """Draws a robot at home, and says where."""
     from stewart_drake.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file
-    from stewart_drake.runs.replay import render_png
+    from stewart_drake.runs.picture import render_png
 
     robot = load_robot(name)
     path.parent.mkdir(parents=True, exist_ok=True)

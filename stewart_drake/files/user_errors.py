@@ -28,12 +28,6 @@ class ControllerError(RunFailure):
         super().__init__(message)
 
 
-class ControllerStop(RunFailure):
-    """A controller of the user's own asked for the end of the run before its time."""
-
-    reason = "controller_stopped"
-
-
 class UserCode(AbstractContextManager[None]):
     """Turns what a user's controller raises in a run into `ControllerError`, which ends the run and keeps its log.
 

@@ -13,10 +13,10 @@ from pydantic import Field
 from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH, filled
 from stewart_drake.errors import (
     AssemblyModeError,
-    EncoderError,
     RunFailure,
     SingularPoseError,
     UnreachablePoseError,
+    pose_text,
 )
 from stewart_drake.hardware.seeded import tick_normal
 from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
@@ -131,18 +131,19 @@ def estimate(
         (27,) of this tick.
 
     Raises:
-        EncoderError: Readings that are not finite, or have jumped.
+        RunFailure: Readings that are not finite, or have jumped.
         ForwardKinematicsError: Newton's method does not converge.
         AssemblyModeError: The pose found is not near the last one (at first: the start), or in another assembly mode.
         SingularPoseError: A crank at its dead centre or beyond, or rods at a parallel singularity.
     """
     started = memory[_M.started] > 0.0
     if not np.isfinite(angles).all():
-        raise EncoderError("not finite", angles)
+        raise RunFailure(f"encoder readings {pose_text(angles)}: not finite", reason="encoder")
     if started and np.abs(angles - memory[_M.angles : _M.crank_rates]).max() > options.max_speed * period * (
         1.0 + memory[_M.held]
     ):
-        raise EncoderError(f"changed faster than {options.max_speed:g} rad/s", angles)
+        text = f"encoder readings {pose_text(angles)}: changed faster than {options.max_speed:g} rad/s"
+        raise RunFailure(text, reason="encoder")
     guess = memory[: _M.rate]
     pose = forward_kinematics(robot, angles, guess, TOLERANCE, ITERATIONS)
     try:

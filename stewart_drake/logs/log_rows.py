@@ -29,12 +29,6 @@ _WORKING = 300e6
 """[byte] that a run takes besides its rows."""
 
 
-class OutOfSpaceError(RunFailure):
-    """Rows of a run could not be written any more; those before it are kept."""
-
-    reason = "disk_full"
-
-
 class LogRows:
     """Takes the rows of a run as they come. This one keeps them all in memory."""
 
@@ -108,7 +102,7 @@ class RowsInFile(LogRows):
         """See `LogRows.add`.
 
         Raises:
-            OutOfSpaceError: The disk is full, or the like.
+            RunFailure: The disk is full, or the like.
         """
         super().add(signals)
         self._rows += len(signals["time"])
@@ -119,7 +113,7 @@ class RowsInFile(LogRows):
         """See `LogRows.end`; of more than `PICTURE_ROWS` rows only every so many come back, the file has all.
 
         Raises:
-            OutOfSpaceError: The disk is full, or the like.
+            RunFailure: The disk is full, or the like.
         """
         self._flush()
         parts = [self._part(index) for index in range(self._written)]
@@ -150,7 +144,7 @@ class RowsInFile(LogRows):
             unfinished.unlink(missing_ok=True)
             why = error.strerror or str(error)
             text = f"rows of the log cannot be written ({why}); those before are in {self.folder}"
-            raise OutOfSpaceError(text) from error
+            raise RunFailure(text, reason="disk_full") from error
 
     def _part(self, index: int) -> Path:
         return self._parts / f"{index:06d}.parquet"

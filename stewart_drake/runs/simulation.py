@@ -27,7 +27,7 @@ from stewart_drake.errors import (
     raised_at,
 )
 from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.user_errors import ControllerError, ControllerStop
+from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.log_rows import LogRows
@@ -49,18 +49,6 @@ CHUNK = 0.05
 """[s] simulated time between two calls of `progress`."""
 ROWS_AT_ONCE = 1000
 """Rows, one for each step of the plant, that gather before they are taken from the Diagram."""
-
-
-class OutOfMemoryError(RunFailure):
-    """The machine has no memory left; the rows so far are kept."""
-
-    reason = "out_of_memory"
-
-
-class SingularMatrixError(RunFailure):
-    """The mathematics of a tick came to a matrix that cannot be solved with."""
-
-    reason = "singular_matrix"
 
 
 def run(
@@ -85,8 +73,8 @@ def run(
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
             that cannot be used; a user's controller that cannot; not enough memory for the rows.
-        RunFailure: The start pose cannot be assembled; only with `check` off.
-        OutOfSpaceError: `rows` could not be written; what came before is where they go.
+        RunFailure: The start pose cannot be assembled, only with `check` off; `rows` could not be written any more
+            (`disk_full`), what came before is where they go.
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
@@ -148,9 +136,9 @@ def _run_loop(
     except (RunFailure, KeyboardInterrupt) as end:
         ended_by = end
     except MemoryError:
-        ended_by = OutOfMemoryError("there is no memory left to go on with")
+        ended_by = RunFailure("there is no memory left to go on with", reason="out_of_memory")
     except np.linalg.LinAlgError as error:
-        ended_by = SingularMatrixError(f"{error}{raised_at(error)}")
+        ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start
     recorder.drain()
     figures = recorder.tally.figures()
@@ -301,7 +289,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 def _refuse_early_end(status: SimulatorStatus) -> None:
     """A run that a user's system ended did not complete."""
     if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
-        raise ControllerStop(" ".join(status.FormatMessage().split()))
+        raise RunFailure(" ".join(status.FormatMessage().split()), reason="controller_stopped")
 
 
 def _nominal(time_on_grid: float, time_step: float) -> float:

@@ -8,6 +8,7 @@ import shutil
 import signal
 import socket
 import threading
+import warnings
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, suppress
@@ -473,11 +474,12 @@ def cluster():
     # Dask itself tries a task again that lost its worker, three times if left alone; once makes the tests shorter. And
     # on a busy machine a worker may take its time to come back.
     patient = {"distributed.scheduler.allowed-failures": 1, "distributed.deploy.lost-worker-timeout": "120s"}
-    with (
-        dask.config.set(patient),
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-    ):
-        yield cluster
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with dask.config.set(patient), warnings.catch_warnings():
+        # On a busy machine it complains of a slow disk.
+        warnings.simplefilter("ignore")
+        with distributed.LocalCluster(**options) as cluster:
+            yield cluster
 
 
 @pytest.mark.slow

@@ -10,10 +10,10 @@ import psutil
 import pytest
 from conftest import python
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs import log_rows
 from stewart_drake.logs.log import load_log
-from stewart_drake.logs.log_rows import OutOfSpaceError, RowsInFile
+from stewart_drake.logs.log_rows import RowsInFile
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
@@ -38,6 +38,7 @@ def in_small_parts(monkeypatch, rows=64):
     monkeypatch.setattr("stewart_drake.runs.simulation.ROWS_AT_ONCE", 1)
     monkeypatch.setattr("stewart_drake.runs.simulation.CHUNK", 0.02)
     monkeypatch.setattr(log_rows, "ROW_GROUP", rows)
+    monkeypatch.setattr(log_rows, "_FLUSH_TIME", float("inf"))
 
 
 def test_rows_that_went_to_a_file_are_those_that_stayed_in_memory(tmp_path, monkeypatch):
@@ -70,7 +71,7 @@ def test_a_full_disk_ends_the_run_and_what_was_written_is_readable(tmp_path, mon
         real(log, tables, stream)
 
     monkeypatch.setattr(log_rows, "write_log", full)
-    with pytest.raises(OutOfSpaceError, match=r"No space left on device.*those before are in"):
+    with pytest.raises(RunFailure, match=r"No space left on device.*those before are in"):
         run(scenario(), rows=RowsInFile(tmp_path))
     if when:
         log = load_log(tmp_path)

@@ -2,7 +2,6 @@ import base64
 import ctypes.util
 import dataclasses
 import re
-import runpy
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,10 +19,10 @@ from stewart_drake.errors import ConfigurationError, DrakeCheckError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.runs import replay
+from stewart_drake.runs.picture import render_png
 from stewart_drake.runs.replay import nearest_rows, write_replay
 from stewart_drake.scenario import Scenario
 
-render_png = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "draw_robot.py"))["render_png"]
 needs_egl = pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 
 

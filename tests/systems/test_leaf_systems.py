@@ -30,7 +30,7 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineBurstsReference, paper_reference
 from stewart_drake.safety import SafetyOptions
-from stewart_drake.systems.ann_tuner import AnnTuner
+from stewart_drake.systems.ann_tuner import NetworkTuner
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
@@ -57,7 +57,7 @@ PLANT = PLANTS["universal"]
 LQI = LqiOptions(solver="split", period=PERIOD)
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, hold_ticks=2)
 EVERY = [
-    AnnTuner(make_network(), PERIOD),
+    NetworkTuner(make_network(), PERIOD),
     CommandLink(LinkOptions(), PERIOD, 1, np.zeros(6)),
     ComputedTorque(ROBOT, ComputedTorqueOptions(), GRAVITY),
     DensityFeatures(49, PERIOD),
