@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo install test check lint bench picture calibration calibration-example plan reproduction format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -45,6 +45,14 @@ calibration: install
 
 calibration-example: install
 	$(BIN)/python docs/calibration_example.py
+
+# The robots that are shipped, and that of docs/your_robot.md.
+robots: install
+	$(BIN)/stewart-drake robots --out docs/images/robots
+	$(BIN)/stewart-drake robots from-table docs/your_robot.csv --unit mm --cranks towards --set crank_length=30 \
+	  --set rod_length=180 --out docs/your_robot.yaml
+	$(BIN)/stewart-drake robots show docs/your_robot.yaml --picture docs/images/robots/your_robot.png
+	rm docs/your_robot.yaml
 
 # The README's plan of the rooms.
 plan: install

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from stewart_drake.references import paper_reference as paper_reference
     from stewart_drake.robot import RobotParameters as RobotParameters
     from stewart_drake.robot_files import load_robot as load_robot
+    from stewart_drake.robot_files import save_robot as save_robot
     from stewart_drake.runs.simulation import run as run
     from stewart_drake.sampling import on_grid as on_grid
     from stewart_drake.scenario import AnnTuner as AnnTuner
@@ -94,6 +95,7 @@ _HOME = {
     "LegParameters": "leg",
     "RobotParameters": "robot",
     "load_robot": "robot_files",
+    "save_robot": "robot_files",
     "on_grid": "sampling",
     "AnnTuner": "scenario",
     "BlockTuner": "scenario",

@@ -38,7 +38,8 @@ def mjcf_text(
 
     MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, by which one Euler
     step of length h closes a gap altogether. Its impedance is 0.9999 at most: a ten-thousandth of what would open the
-    loops is left to the spring, which has it at a gap of order h^2.
+    loops is left to the spring, which has it at a gap of order h^2. Behind heavy rotors that is much in a single
+    acceleration, and little in the motion.
 
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide.

@@ -9,7 +9,8 @@ from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
 from stewart_drake.robot import RobotParameters
 from stewart_drake.wording import as_problem
 
@@ -32,6 +33,24 @@ def load_robot(name: str | Path) -> RobotParameters:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     return RobotParameters.from_dict(robot_section(name))
+
+
+def save_robot(robot: RobotParameters, path: str | Path, about: str = "") -> None:
+    """Writes a robot as a YAML file that `load_robot` and `robot:` in a scenario read; what is default is left out.
+
+    Args:
+        robot: What to write.
+        path: The file; its folder must exist.
+        about: One line on it.
+
+    Raises:
+        ConfigurationError: The folder is missing or not writable.
+    """
+    usual = RobotParameters().to_dict()
+    data = {key: value for key, value in robot.to_dict().items() if value != usual[key]}
+    if robot.legs is not None:
+        data["legs"] = [{key: each for key, each in leg.items() if each is not None} for leg in data["legs"]]
+    write_atomically(Path(path), to_yaml(({"about": about} if about else {}) | data).encode())
 
 
 def robot_section(name: str | Path) -> dict[str, Any]:

@@ -47,7 +47,10 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     own = {name: value * scale if name in _LENGTHS else value for name, value in parameters.items()}
     if "platform_center_of_mass" in own:
         own["platform_center_of_mass"] = tuple(scale * x for x in own["platform_center_of_mass"])
-    shafts, joints = (scale * np.stack([columns[f"{end}_{axis}"] for axis in "xyz"], -1) for end in ("shaft", "joint"))
+    # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
+    shafts, joints = (
+        np.round(scale * np.stack([columns[f"{end}_{axis}"] for axis in "xyz"], -1), 12) for end in ("shaft", "joint")
+    )
     lengths = {name: _lengths(name, columns, own, scale) for name in ("crank_length", "rod_length")}
     zero, up = _directions(columns, shafts, cranks)
     tips = shafts + lengths["crank_length"][:, None] * zero

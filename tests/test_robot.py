@@ -138,3 +138,106 @@ def test_robots_are_written_to_a_file_and_read_from_it():
         assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
     with pytest.raises(pydantic.ValidationError, match="finite"):
         adapter.validate_python({"rod_mass": math.inf})
+
+
+# --- tables, and what was meant --------------------------------------------------------------------------------------
+
+HEXAPOD = RobotParameters.symmetric(
+    shaft_circle_radius=0.08, shaft_height=0.02, shaft_half_angle=math.radians(28.0), crank_plane_angle=-math.pi / 2.0,
+    platform_joint_radius=0.065, platform_half_angle=math.radians(52.0), crank_length=0.025, rod_length=0.14,
+    home_height=0.151, characteristic_length=0.065,
+)  # fmt: skip
+POINTS = np.hstack([HEXAPOD.shaft_positions, HEXAPOD.platform_joints])
+LEG = {"crank_length": 0.025, "rod_length": 0.14, "cranks": "towards"}
+NAMES = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
+
+
+HEADER = ", ".join(NAMES)
+
+
+def table(path, rows, header=HEADER):
+    path.write_text("# measured\n" + "\n".join([header, *(", ".join(map(repr, map(float, row))) for row in rows)]))
+    return path
+
+
+def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
+    millimetres = {**LEG, "crank_length": 25.0, "rod_length": 140.0, "unit": "mm"}
+    for made in (
+        RobotParameters.from_table(POINTS, **LEG),
+        RobotParameters.from_table(table(tmp_path / "m.csv", POINTS), **LEG),
+        RobotParameters.from_table(1e3 * POINTS, **millimetres),
+    ):
+        for name in ("shaft_positions", "platform_joints", "crank_zero_directions", "rod_lengths", "branches"):
+            np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
+        np.testing.assert_allclose(inverse_kinematics(made, made.home_pose), 0.0, atol=1e-10)
+        assert made.characteristic_length == pytest.approx(0.065)
+
+
+def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
+    header = ", ".join([*NAMES, "crank_x", "crank_y", "crank_z", "rod_length", "branch", "low", "high"])
+    rods = 0.14 + 0.001 * np.arange(6)
+    rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions, rods, [-1] * 6, [-1.0] * 6, [1.0] * 6])
+    made = RobotParameters.from_table(table(tmp_path / "own.csv", rows, header), crank_length=0.025)
+    np.testing.assert_allclose(made.rod_lengths, rods)
+    np.testing.assert_array_equal(made.crank_angle_ranges, [[-1.0, 1.0]] * 6)
+
+
+def test_masses_without_inertias_are_uniform_bars_and_a_disc():
+    made = RobotParameters.from_table(
+        POINTS, **LEG, platform_mass=0.4, rod_mass=0.012, crank_mass=0.006, link_radius=0.003
+    )
+    assert made.platform_inertia == pytest.approx((0.1 * 0.065**2, 0.1 * 0.065**2, 0.2 * 0.065**2))
+    assert made.rod_inertia[0] == pytest.approx(0.012 * (0.14**2 / 12 + 0.003**2 / 4))
+    assert made.crank_inertia[0] == pytest.approx(0.006 * 0.003**2 / 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("a, b\n1, 2", r"header: got 'without shaft_x, .*joint_z'"),
+        (f"{', '.join(NAMES)}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
+        (f"{', '.join(NAMES)}\n1, 2\n", r"leg 0: got '2 numbers'; allowed: 6, one a column"),
+        (f"{', '.join(NAMES)}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: got 'five'; allowed: a number"),
+        (f"{', '.join(NAMES)}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: got '1 rows'; allowed: 6 rows, one a leg"),
+        ("", r"header: got 'without shaft_x"),
+    ],
+)
+def test_a_table_that_is_none_is_refused_in_a_line(tmp_path, text, wanted):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(ConfigurationError, match=wanted) as caught:
+        RobotParameters.from_table(tmp_path / "bad.csv", **LEG)
+    assert "\n" not in str(caught.value)
+
+
+def swapped(one, other):
+    rows = POINTS.copy()
+    rows[[one, other], 3:] = rows[[other, one], 3:]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("make", "wanted"),
+    [
+        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"got '5 rows'; allowed: 6 rows"),
+        (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
+        (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
+        (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
+        (lambda: RobotParameters.from_table(swapped(2, 3), **LEG), r"legs\.2\.platform_joint.* legs 2 and 3 swapped\?"),
+        (lambda: RobotParameters.from_table(swapped(4, 5), **LEG), r"legs\.4\.platform_joint.* legs 4 and 5 swapped\?"),
+        (lambda: RobotParameters(rod_length=404.0), r"robot\.rod_length: got 404\.0.*millimetres\?.*0\.404 m"),
+        (lambda: RobotParameters(home_height=300.0), r"leg 0 has margin.*is home_height in millimetres\?"),
+        (lambda: RobotParameters(legs=[{"platform_joint": (110.0, 20, 0)}, *[{}] * 5]), r"legs\.0.*millimetres\?"),
+        (lambda: RobotParameters(legs=[{"rod_length": 0.2}, *[{}] * 5]), r"leg 0 .* is 0\.3967 m from its shaft"),
+        (lambda: RobotParameters(legs=[{"crank_angle_range": (-40, 40)}, *[{}] * 5]), r"\[rad\].*degrees\?"),
+        (lambda: RobotParameters(platform_inertia=(1.0, 1.0, 3.0)), r"kg m\^2.*as 3 is"),
+    ],
+)  # fmt: skip
+def test_what_was_perhaps_meant_is_said_with_the_leg_and_the_number(make, wanted):
+    with pytest.raises(ConfigurationError, match=wanted) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_joints_that_meet_in_one_point_cross_nothing():
+    shared = [{"platform_joint": HEXAPOD.platform_joints[2 * ((leg + 1) // 2 % 3)].tolist()} for leg in range(6)]
+    assert HEXAPOD.replace(legs=shared).legs is not None

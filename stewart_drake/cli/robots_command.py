@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -52,6 +52,37 @@ def show(robot: str, picture: Path | None) -> None:
         click.echo(f"picture in {_draw(robot, picture)}")
 
 
+@robots.command("from-table")
+@click.argument("table", type=click.Path(path_type=Path))
+@click.option("--unit", default="m", show_default=True, help="Of all lengths, in the table and after --set: m or mm.")
+@click.option(
+    "--cranks",
+    default="outwards",
+    show_default=True,
+    help="Where level cranks point, if the table does not say: outwards, towards the partner, away from it.",
+)
+@overrides("crank_length=0.025")
+@click.option("--about", default="", help="One line on the robot.")
+@out_file("robot.yaml")
+def from_table(table: Path, unit: str, cranks: str, overrides: tuple[str, ...], about: str, out: Path) -> None:
+    """Make a robot's YAML file from TABLE, a CSV file with a row a leg: shaft_x, shaft_y, shaft_z, joint_x, ..."""
+    from stewart_drake.errors import ConfigurationError
+    from stewart_drake.files.yaml_files import parse_yaml
+    from stewart_drake.robot import RobotParameters
+    from stewart_drake.robot_files import save_robot
+
+    parameters = {}
+    for text in overrides:
+        key, separator, value = text.partition("=")
+        if not separator:
+            raise ConfigurationError("--set", text, "key=value, such as crank_length=0.025")
+        parameters[key.strip()] = parse_yaml(value, f"--set {key.strip()}")
+    choices: Any = {"unit": unit, "cranks": cranks}
+    robot = RobotParameters.from_table(table, **choices, **parameters)
+    save_robot(robot, out, about)
+    click.echo(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+
+
 @robots.command("table")
 @click.argument("names", nargs=-1)
 @out_file("robots.md")
@@ -82,7 +113,7 @@ def _draw(name: str, path: Path) -> str:
     robot = load_robot(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     prepare_file(path)
-    render_png(robot, robot.home_pose, path, passes=_PASSES)
+    render_png(robot, robot.home_pose, path, width=800, height=600, passes=_PASSES)
     return str(path)
 
 

@@ -152,6 +152,8 @@ def viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera should stand and look, both (3,) [m] in B, for the whole robot to be seen."""
     height = robot.home_height - robot.base_height
     size = robot.base_radius + float(robot.crank_lengths.max()) + height
+    # A robot that is slender for its platform needs room for the tool.
+    size = max(size, 2.0 * (0.46 * height + 1.3 * robot.characteristic_length))
     target = np.array([0.0, 0.0, robot.base_height + 0.54 * height])
     direction = np.array([1.05, -0.80, 0.52])
     return target + 1.9 * size * direction / np.linalg.norm(direction), target

@@ -1,0 +1,43 @@
+"""The page docs/your_robot.md, walked through in an empty folder; runs shortened, campaigns left to their own tests."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stewart_drake import load_robot, load_scenario
+from stewart_drake.robot import RobotParameters
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "your_robot.md").read_text()
+BLOCKS = dict(re.findall(r"```(csv|yaml)\n(.*?)```", PAGE, re.DOTALL))
+COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
+
+
+def test_the_pages_points_are_those_of_its_picture():
+    assert BLOCKS["csv"] == (DOCS / "your_robot.csv").read_text()
+    assert (DOCS / "images" / "robots" / "your_robot.png").is_file()
+
+
+@pytest.mark.slow
+def test_the_page_takes_a_reader_from_points_to_a_controlled_robot(call, tmp_path):
+    (tmp_path / "points.csv").write_text(BLOCKS["csv"])
+    done = set()
+    for command in COMMANDS:
+        name, *arguments = shlex.split(command)[1:]
+        if name in ("workspace", "faults", "compare") or arguments[:1] == ["table"]:
+            continue
+        short = ["--set", "duration=0.5"] if name == "run" else []
+        status, _, error = call(name, *arguments, *short)
+        assert status == 0, (command, error)
+        done.add(name)
+    assert done == {"robots", "check", "run", "write-sdf", "write-mjcf"}
+    assert {"desk.yaml", "desk.png", "desk.sdf", "desk.xml"} <= {path.name for path in tmp_path.iterdir()}
+    robot = load_robot("desk.yaml")
+    again = RobotParameters.from_table("points.csv", unit="mm", cranks="towards", crank_length=30, rod_length=180)
+    np.testing.assert_array_equal(robot.platform_joints, again.platform_joints)
+    (tmp_path / "own.yaml").write_text(BLOCKS["yaml"])
+    assert load_scenario("own.yaml").robot == robot
+    assert call("check", "own.yaml")[0] == 0
