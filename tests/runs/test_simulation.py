@@ -374,7 +374,7 @@ def test_a_run_leaves_no_diagram_behind():
 def test_what_a_run_raises_holds_no_view_of_its_contexts():
     # A notebook keeps the last traceback; pydrake hands a dead Context out again for a new one at its address.
     with pytest.raises(ZeroDivisionError) as caught:
-        run(Scenario(duration=0.05), progress=lambda time: 1 / 0)
+        run(Scenario(duration=0.05), progress=lambda _: 1 / 0)
     frames = [frame for frame, _ in traceback.walk_tb(caught.tb)]
     assert any(frame.f_code.co_name == "_run_loop" for frame in frames)
     assert not any("context" in frame.f_locals for frame in frames)
