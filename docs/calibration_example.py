@@ -15,7 +15,7 @@ from stewart_drake.calibration.parameters import exponential
 from stewart_drake.calibration.plan import plan_poses
 from stewart_drake.calibration.simulate import aligned, deviating, measured
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario
 
 FOLDER = Path(__file__).parents[1] / "diagrams" / "calibration"

@@ -14,7 +14,7 @@ from stewart_drake.calibration.parameters import FRAMES, OF_LEG, PER_LEG
 from stewart_drake.calibration.plan import candidate_poses, plan_poses
 from stewart_drake.calibration.study import coverage, gains, run_trial
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario
 
 OUT = Path(__file__).parent / "results" / "calibration.md"

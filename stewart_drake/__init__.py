@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from stewart_drake.control.network import load_network as load_network
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
-    from stewart_drake.leg import LegParameters as LegParameters
     from stewart_drake.logs.log import SimulationLog as SimulationLog
     from stewart_drake.logs.log import load_log as load_log
     from stewart_drake.logs.metric_table import Metric as Metric
@@ -45,8 +44,9 @@ if TYPE_CHECKING:
     from stewart_drake.references import SineReference as SineReference
     from stewart_drake.references import paper_reference as paper_reference
     from stewart_drake.robot import RobotParameters as RobotParameters
-    from stewart_drake.robot_files import load_robot as load_robot
-    from stewart_drake.robot_files import save_robot as save_robot
+    from stewart_drake.robot.leg import LegParameters as LegParameters
+    from stewart_drake.robot.robot_files import load_robot as load_robot
+    from stewart_drake.robot.robot_files import save_robot as save_robot
     from stewart_drake.runs.simulation import run as run
     from stewart_drake.sampling import on_grid as on_grid
     from stewart_drake.scenario import AnnTuner as AnnTuner
@@ -92,10 +92,10 @@ _HOME = {
     "paper_reference": "references",
     "forward_dynamics": "mechanics.dynamics",
     "inverse_dynamics": "mechanics.dynamics",
-    "LegParameters": "leg",
+    "LegParameters": "robot.leg",
     "RobotParameters": "robot",
-    "load_robot": "robot_files",
-    "save_robot": "robot_files",
+    "load_robot": "robot.robot_files",
+    "save_robot": "robot.robot_files",
     "on_grid": "sampling",
     "AnnTuner": "scenario",
     "BlockTuner": "scenario",

@@ -14,13 +14,13 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import write_atomically
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_elements import exact_text
 from stewart_drake.plant.sdf_model import HomeFrames, home_frames
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 if TYPE_CHECKING:
     from stewart_drake.plant.state_map import StateMap

@@ -26,7 +26,6 @@ from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
-from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
@@ -34,8 +33,9 @@ from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_files import AnyRobot, robot_section
-from stewart_drake.robot_scale import PAPER, fill, without_own
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_files import AnyRobot, robot_section
+from stewart_drake.robot.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
 from stewart_drake.section import (

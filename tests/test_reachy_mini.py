@@ -26,7 +26,7 @@ from stewart_drake.mechanics.kinematics_core import rod_errors
 from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.safety import (
     HOLD,
     MONITORS,

@@ -8,9 +8,9 @@ from conftest import field_of
 from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LegParameters
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LegParameters
 from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()

@@ -8,7 +8,7 @@ from conftest import field_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import conditioning, inverse_kinematics
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_files import load_robot, robot_about, robot_names
+from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 
 NAMES = ["paper", "reachy_mini", "servo_hexapod"]

@@ -14,7 +14,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import HoldReference, SineReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.scenario import Scenario
 

@@ -125,7 +125,16 @@ def test_no_field_takes_junk_unless_it_says_so():
     assert "nan" not in taken
     assert "infinite" not in taken
     assert taken["text"] == {"name", "motion_file", "weights_file"}
-    assert taken["list"] <= {"dwell", "dropped", "late", "faults", "disturbances", "premature_beats", "monitors"}
+    assert taken["list"] <= {
+        "dwell",
+        "dropped",
+        "late",
+        "faults",
+        "disturbances",
+        "premature_beats",
+        "monitors",
+        "metrics",
+    }
     booleans = {name for section, name in FIELDS if section.__pydantic_fields__[name].annotation is bool}
     assert taken["true"] == booleans
 

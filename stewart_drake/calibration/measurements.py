@@ -16,8 +16,8 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.robot.leg import LEGS
 from stewart_drake.section import Positive, Section
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000

@@ -25,11 +25,11 @@ from stewart_drake.calibration.parameters import (
     logarithm,
     skew,
 )
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics import kinematics_core as core
 from stewart_drake.mechanics.arrays import numpy_robot
 from stewart_drake.mechanics.kinematics import cross, roll_pitch_yaw, rotation_matrix
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 _NEWTON_STEPS = 40
 CLOSED = 1e-12

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import cross
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 FrameName = Literal["base", "platform"]
 FRAMES: tuple[FrameName, ...] = get_args(FrameName)

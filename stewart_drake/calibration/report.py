@@ -13,8 +13,8 @@ from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG
 from stewart_drake.calibration.plan import PosePlan
 from stewart_drake.calibration.result import COLUMNS, Calibration
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import roll_pitch_yaw
+from stewart_drake.robot.leg import LEGS
 
 NOISY = 2.0
 """[-] errors over the stated noise from which on the noise as stated, or the model, is doubtful."""

@@ -18,8 +18,8 @@ from stewart_drake.calibration.parameters import (
     Name,
 )
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LEGS
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 COLUMNS = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
 

@@ -11,9 +11,9 @@ import numpy as np
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
 from stewart_drake.calibration.model import STILL, Frame
 from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, SIZE, FrameName, as_robot, exponential
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import forward_kinematics, roll_pitch_yaw, rotation_matrix
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 
 def deviating(

@@ -21,9 +21,9 @@ from stewart_drake.calibration.parameters import (
     logarithm,
 )
 from stewart_drake.calibration.simulate import aligned, deviating, measured
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import forward_kinematics, rotation_matrix
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 
 @dataclass(frozen=True, eq=False)

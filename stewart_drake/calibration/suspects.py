@@ -12,7 +12,7 @@ from stewart_drake.calibration.measurements import Measurements
 from stewart_drake.calibration.model import Model
 from stewart_drake.calibration.parameters import OF_ROBOT, scales
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LEGS
+from stewart_drake.robot.leg import LEGS
 
 MISFIT = 5.0
 """[-] size of the closures over their noise beyond which a reason is looked for."""

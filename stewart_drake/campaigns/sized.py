@@ -12,7 +12,7 @@ import numpy as np
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_scale import LENGTH, PAPER
+from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.motion_fit import fit_amplitude
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import to_plain

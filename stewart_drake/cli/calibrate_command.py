@@ -98,7 +98,7 @@ def _calibrate(
     from stewart_drake.calibration.fit import calibrate as fit
     from stewart_drake.calibration.report import leg_table, robot_file, summary
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.robot_files import load_robot
+    from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import SPACE, prepare_file, prepare_folder
 
     found = fit(load_robot(robot), poses, noise, known_frames, hold)
@@ -137,7 +137,7 @@ def _plan(
     from stewart_drake.calibration.plan import plan_poses
     from stewart_drake.calibration.report import plan_table
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.robot_files import load_robot
+    from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import SPACE, prepare_file
     from stewart_drake.scenario import load_scenario
 

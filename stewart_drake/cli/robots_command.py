@@ -24,7 +24,7 @@ def robots(context: click.Context, out: Path | None) -> None:
     """List the robots that a scenario can name, `robot: NAME`; with --out a picture of each."""
     if context.invoked_subcommand is not None:
         return
-    from stewart_drake.robot_files import load_robot, robot_about, robot_names
+    from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names
 
     rows = []
     for name in robot_names():
@@ -43,7 +43,7 @@ def robots(context: click.Context, out: Path | None) -> None:
 def show(robot: str, picture: Path | None) -> None:
     """Print the numbers of ROBOT with their units: a name, or a YAML file; with what follows from them at home."""
     from stewart_drake.planning.robot_sheet import SHEETS
-    from stewart_drake.robot_files import load_robot
+    from stewart_drake.robot.robot_files import load_robot
 
     loaded = load_robot(robot)
     for title, header, rows in (make(loaded) for make in SHEETS):
@@ -69,7 +69,7 @@ def from_table(table: Path, unit: str, cranks: str, overrides: tuple[str, ...], 
     from stewart_drake.errors import ConfigurationError
     from stewart_drake.files.yaml_files import parse_yaml
     from stewart_drake.robot import RobotParameters
-    from stewart_drake.robot_files import save_robot
+    from stewart_drake.robot.robot_files import save_robot
 
     parameters = {}
     for text in overrides:
@@ -91,7 +91,7 @@ def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
     """Compare robots in a table: workspace, conditioning, tracking, torque; Markdown. NAMES or files [default: all]."""
     from stewart_drake.campaigns.robot_table import HEADER, robot_rows, robots_page
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.robot_files import load_robot, robot_names
+    from stewart_drake.robot.robot_files import load_robot, robot_names
     from stewart_drake.runs.outputs import SPACE, prepare_file
 
     chosen = {name: load_robot(name) for name in names or robot_names()}
@@ -106,7 +106,7 @@ def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
 
 def _draw(name: str, path: Path) -> str:
     """Draws a robot at home, and says where."""
-    from stewart_drake.robot_files import load_robot
+    from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.runs.picture import render_png
 

@@ -10,9 +10,9 @@ from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.force_map import ForceMapKind
-from stewart_drake.robot_scale import CHARACTERISTIC_LENGTH
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
 from stewart_drake.section import Flag, Natural, Positive, PositivePair
 
 Model = Literal["paper", "exact"]

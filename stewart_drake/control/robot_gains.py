@@ -9,7 +9,7 @@ import numpy as np
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_scale import times
+from stewart_drake.robot.robot_scale import times
 
 
 @lru_cache(maxsize=64)

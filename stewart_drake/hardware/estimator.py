@@ -20,10 +20,10 @@ from stewart_drake.errors import (
 )
 from stewart_drake.hardware.seeded import tick_normal
 from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
-from stewart_drake.leg import LARGEST
 from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_scale import LENGTH
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 _M = ESTIMATOR_MEMORY

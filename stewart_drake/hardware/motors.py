@@ -12,8 +12,8 @@ from pydantic import Field
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind, swap
-from stewart_drake.leg import LEGS, SMALLEST
 from stewart_drake.registry import MOTOR_FAULTS
+from stewart_drake.robot.leg import LEGS, SMALLEST
 from stewart_drake.section import LegNumber, Natural, NotNegative, Section, Text
 
 

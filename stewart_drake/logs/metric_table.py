@@ -280,10 +280,10 @@ def _source(function: Any) -> str:
         return repr(getattr(getattr(function, "__code__", None), "co_code", None))
 
 
-def flat(metrics: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
     """Metrics of a run by column, from `metrics.run_metrics`; and `not_finite`, named likewise."""
     row: dict[str, Any] = {}
-    known = metrics_of(scenario)
+    known = metrics_of(*scenarios)
     for metric in known:
         value = metrics[metric.name]
         row |= (

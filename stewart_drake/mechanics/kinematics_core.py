@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from array_api_compat import device
 
-from stewart_drake.leg import crank_equation
 from stewart_drake.mechanics.arrays import Array, Robot, cross, dot, first, fitted, last, namespace, stack, turned
+from stewart_drake.robot.leg import crank_equation
 
 
 class Cranks(NamedTuple):

@@ -13,7 +13,6 @@ from pydrake.systems.analysis import Simulator
 
 from stewart_drake.control.state_space import mass_diagonal
 from stewart_drake.errors import drake_guard
-from stewart_drake.leg import LEGS, SMALLEST
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque, task_bias, task_inertia
 from stewart_drake.mechanics.force_map import crank_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
@@ -21,6 +20,7 @@ from stewart_drake.paper.as_printed import rod_map_11
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS, SMALLEST
 
 SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the

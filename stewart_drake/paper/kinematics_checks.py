@@ -8,7 +8,6 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from stewart_drake.errors import ForwardKinematicsError, drake_guard
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
@@ -19,6 +18,7 @@ from stewart_drake.mechanics.kinematics import (
 from stewart_drake.paper import as_printed
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 BRANCHES = (-1, 1)
 SAME_ANGLE = 1e-6

@@ -19,7 +19,7 @@ from stewart_drake.planning.workspace import measure_poses
 from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineReference, paper_reference
-from stewart_drake.robot_scale import LENGTH
+from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six

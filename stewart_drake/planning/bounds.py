@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from stewart_drake.robot_scale import LENGTH
+from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.section import Positive, Section
 
 

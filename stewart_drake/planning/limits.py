@@ -14,7 +14,6 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import (
     LegGeometry,
@@ -27,7 +26,8 @@ from stewart_drake.mechanics.kinematics import (
     rotation_matrix,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_scale import LENGTH
+from stewart_drake.robot.leg import LEGS
+from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.section import Positive, Section
 
 _CLEARANCE_BLOCK = 2048  # samples at a time: 60 pairs of links each, some 30 MB of temporaries

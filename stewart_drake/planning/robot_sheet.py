@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry
 from stewart_drake.planning.limits import smallest_clearance
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 Sheet = tuple[str, Sequence[str], Sequence[tuple[str, ...]]]
 """Title, header and rows of texts."""

@@ -20,13 +20,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics import kinematics_core as core
 from stewart_drake.mechanics.arrays import Robot, cross, dot, fitted, namespace, numpy_robot
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_core import weight
 from stewart_drake.planning.limits import crank_strokes
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 _BLOCK = 1024  # poses at a time: 15 pairs of legs each, arrays of 120 kB, a dozen of them alive
 _REACH_BLOCK = 8192

@@ -16,8 +16,8 @@ from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import Context, DiagramBuilder, DiscreteValues, InputPort, LeafSystem
 from pydrake.systems.primitives import MatrixGain, Multiplexer
 
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.friction import Bristles, FrictionLaw, at_rest, level, moved
+from stewart_drake.robot.leg import LEGS
 
 
 class MotorFriction(LeafSystem):

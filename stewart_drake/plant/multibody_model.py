@@ -16,8 +16,8 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import Context
 
 from stewart_drake.errors import drake_guard
-from stewart_drake.leg import LEGS
 from stewart_drake.plant.multibody_plant import StewartPlant
+from stewart_drake.robot.leg import LEGS
 
 _KV = JacobianWrtVariable.kV
 

@@ -26,13 +26,13 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
 
 from stewart_drake.errors import ConfigurationError, drake_guard
-from stewart_drake.leg import LEGS
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.motor_friction import MotorFriction, add_friction_actuators, wire_friction
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 from stewart_drake.sampling import on_grid
 from stewart_drake.section import LegNumber, check_value, is_finite
 

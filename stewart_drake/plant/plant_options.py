@@ -8,10 +8,10 @@ from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, Size
 from stewart_drake.mechanics.friction import FrictionLaw, friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST, LEGS, Size
 from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section, check_value
 from stewart_drake.wording import as_problem
 

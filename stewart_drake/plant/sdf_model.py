@@ -16,7 +16,6 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
-from stewart_drake.leg import LARGEST, LEGS
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
 from stewart_drake.plant.sdf_elements import (
     add_axis,
@@ -36,6 +35,7 @@ from stewart_drake.plant.sdf_elements import (
     sphere,
 )
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST, LEGS
 from stewart_drake.section import check_value
 
 RodJoint = Literal["universal", "ball"]

@@ -8,8 +8,8 @@ import numpy as np
 
 from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG
 from stewart_drake.calibration.result import Calibration
-from stewart_drake.leg import LEGS
 from stewart_drake.plotting import panels as look
+from stewart_drake.robot.leg import LEGS
 
 
 def plot_calibration(found: Calibration, path: str | Path) -> None:

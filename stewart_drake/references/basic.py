@@ -10,7 +10,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, smoothstep
-from stewart_drake.robot_scale import HOME_POSE, LENGTH
+from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
 from stewart_drake.section import Positive, Section, Vector6
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, smoothstep
-from stewart_drake.robot_scale import HOME_POSE
+from stewart_drake.robot.robot_scale import HOME_POSE
 from stewart_drake.section import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
 
 _SLOW_BAND = (0.04, 0.15)

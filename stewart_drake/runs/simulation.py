@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -88,6 +89,11 @@ def run(
     loop = ClosedLoop(scenario, meshcat, scenario.plant.time_step)
     try:
         return _run_loop(loop, rows, files, progress)
+    except BaseException as error:
+        # A notebook keeps the traceback. Its frames hold views of Contexts that are gone, and pydrake would hand one of
+        # those out for the next Context at the same address: a crash.
+        traceback.clear_frames(error.__traceback__)
+        raise
     finally:
         _release(loop)
 

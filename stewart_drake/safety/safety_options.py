@@ -10,7 +10,7 @@ from pydantic import Field
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot_scale import LENGTH, TORQUE
+from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.memory import MONITORS
 from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 

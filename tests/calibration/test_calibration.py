@@ -31,7 +31,7 @@ from stewart_drake.calibration.study import coverage, gains, run_trial
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, roll_pitch_yaw, rotation_matrix
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 
 NOISE = MeasurementNoise()
 QUIET = MeasurementNoise(position=1e-12, rotation=1e-12, encoder=1e-13)

@@ -9,7 +9,7 @@ from strategies import ROBOT
 from stewart_drake.calibration.measurements import MeasurementNoise, load_measurements
 from stewart_drake.calibration.parameters import change_to
 from stewart_drake.calibration.simulate import aligned, deviating, measured
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 DURATION, STEP = 0.15, 5e-5

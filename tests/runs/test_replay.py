@@ -206,9 +206,6 @@ def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
     for rate in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ConfigurationError, match="frames_per_second"):
             written(log, tmp_path, frames_per_second=rate)
-    for name in ("width", "height", "passes"):
-        with pytest.raises(ConfigurationError, match=f"{name}: got 0"):
-            render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", **{name: 0})
     assert list(tmp_path.iterdir()) == []
 
 

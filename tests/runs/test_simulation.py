@@ -1,5 +1,6 @@
 import gc
 import itertools
+import traceback
 
 import numpy as np
 import pytest
@@ -368,3 +369,12 @@ def test_a_run_leaves_no_diagram_behind():
     log = run(Scenario.from_dict({"duration": 0.02, "tuner": {"kind": "fixed"}, "sensors": {"kind": "encoders"}}))
     assert log.status == "completed"
     assert alive() == before
+
+
+def test_what_a_run_raises_holds_no_view_of_its_contexts():
+    # A notebook keeps the last traceback; pydrake hands a dead Context out again for a new one at its address.
+    with pytest.raises(ZeroDivisionError) as caught:
+        run(Scenario(duration=0.05), progress=lambda _: 1 / 0)
+    frames = [frame for frame, _ in traceback.walk_tb(caught.tb)]
+    assert any(frame.f_code.co_name == "_run_loop" for frame in frames)
+    assert not any("context" in frame.f_locals for frame in frames)

@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_parameters import RobotParameters
 from stewart_drake.wording import as_problem
 
 _ABOUT = ("name", "about")

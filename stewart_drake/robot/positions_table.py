@@ -12,7 +12,7 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
-from stewart_drake.leg import LEGS, crank_equation
+from stewart_drake.robot.leg import LEGS, crank_equation
 
 Unit = Literal["m", "mm"]
 Cranks = Literal["outwards", "towards", "away"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stewart_drake.families import Family, given_again
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_parameters import RobotParameters
 from stewart_drake.section import Section, to_plain
 
 PAPER = RobotParameters()

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
-from stewart_drake.robot_checks import check_directions, check_home, check_order, check_sizes
-from stewart_drake.robot_table import Cranks, Unit, from_table
+from stewart_drake.robot.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
+from stewart_drake.robot.positions_table import Cranks, Unit, from_table
+from stewart_drake.robot.robot_checks import check_directions, check_home, check_order, check_sizes
 from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
@@ -126,7 +126,7 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; see `robot_table.from_table` for what is found by itself.
+        """A robot from measured positions, a row a leg; see `positions_table.from_table` for what is found by itself.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.

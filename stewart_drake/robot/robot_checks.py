@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.leg import LARGEST, LEGS, PARALLEL, crank_equation
+from stewart_drake.robot.leg import LARGEST, LEGS, PARALLEL, crank_equation
 
 if TYPE_CHECKING:
-    from stewart_drake.robot import RobotParameters
+    from stewart_drake.robot.robot_parameters import RobotParameters
 
 _HUGE = 30.0
 """[m] no leg is larger: such a number is in millimetres."""
