@@ -3,7 +3,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from stewart_drake.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot
 
 DOCS = Path(__file__).parents[2] / "docs"
 
