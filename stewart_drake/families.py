@@ -64,7 +64,8 @@ class Family:
         A section that was added before may be added again, as a cell of a notebook does.
 
         Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already.
+            ConfigurationError: The section has no such default, or a kind of that name is there already; nothing
+                builds it, where a part of the Diagram is to be built.
         """
         field = getattr(section, "__pydantic_fields__", {}).get("kind")
         kind = None if field is None else field.default
@@ -77,7 +78,9 @@ class Family:
             raise ConfigurationError(
                 f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
             )
-        self._lines[kind] = (section, system)
+        if system is None and any(len(line) > 1 for line in self._lines.values()):
+            raise ConfigurationError("system", None, f"what builds the part of the Diagram for {section.__name__}")
+        self._lines[kind] = (section,) if system is None else (section, system)
 
     def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""

@@ -354,6 +354,35 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
 
 
+@pytest.mark.parametrize(
+    ("of", "parts", "kind", "words"),
+    [
+        (lambda t: {"height": 1.0}, (), "number", r"\{'height': 1.0\}, not a value of kind number"),
+        (lambda t: "high", (), "number", "'high', not a value of kind number"),
+        (lambda t: [1.0, 2.0], ("a_x", "a_y", "a_z"), "number", "not 3 values of kind number"),
+        (lambda t: 1.5, (), "whole", "1.5, not a value of kind whole"),
+    ],
+)
+def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts, kind, words):
+    metric = Metric("mine", "1", "a number", of, "steps", parts=parts, kind=kind)
+    with pytest.raises(MetricError, match=f"^metric mine: `of` returned .*{words}"):
+        run(Scenario(**SHORT, metrics=[metric]))
+
+
+def test_a_metric_may_return_what_numpy_has():
+    numbers = Metric("mine", "m", "a point", lambda t: np.arange(2.0), "steps", parts=("mine_x", "mine_y"))
+    whole = Metric("count", "", "of steps", lambda t: np.int64(t.steps), "steps", kind="whole")
+    metrics = run_metrics(run(Scenario(**SHORT, metrics=[numbers, whole])))
+    assert (metrics["mine"], type(metrics["count"])) == ([0.0, 1.0], int)
+
+
+def test_a_kind_that_nothing_builds_is_refused_when_it_is_added():
+    for family in (SENSORS, CONTROLLERS):
+        with pytest.raises(ConfigurationError, match="^system: got None; allowed: what builds .*ToySensorOptions"):
+            family.add(ToySensorOptions)
+        assert "toy" not in family.kinds
+
+
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):

@@ -180,7 +180,7 @@ class UserClass:
 
 
 def _load_file(path: Path) -> ModuleType:
-    content = read_checked(path, f"controller file {path}", MAX_BYTES)
+    content = read_checked(path, f"code file {path}", MAX_BYTES)
     # By content: an edited file is another module, and two files of one name are two.
     name = f"{_FILES}.{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
     if name in sys.modules:
