@@ -83,7 +83,7 @@ def mjcf_text(
             solref=exact_text([-1.0 / step**2, -1.0 / step]),
             solimp="0.9999 0.9999 1 0.5 1",
         )
-        effort = exact_text([-robot.effort_limit, robot.effort_limit])
+        effort = exact_text([-robot.effort_limits[leg], robot.effort_limits[leg]])
         ET.SubElement(actuator, "motor", name=f"motor_{leg}", joint=f"motor_{leg}", forcerange=effort)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"

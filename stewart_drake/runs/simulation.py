@@ -319,7 +319,7 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
     values = {name: np.array(log.data().T[:rows]) for name, log in logs.items()}
     time_on_grid = logs["plant_state"].sample_times()[:rows]
     multiple = np.round(time_on_grid / scenario.plant.time_step)
-    limit = scenario.robot.effort_limit
+    limit = scenario.robot.effort_limits
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])
     signals = {
         "time": times_of(multiple, scenario.plant.time_step),

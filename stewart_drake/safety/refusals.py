@@ -57,7 +57,7 @@ def refuse_motion(
             _refuse(key, options.monitor_names[trip.monitor], np.full(1, -1.0), time[row : row + 1], allowed)
     if options.torque_limit is not None:
         step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
-        limit = options.torque_limit * robot.effort_limit
+        limit = options.torque_limit * robot.effort_limits
         _refuse_for_long("torque_limit", options, np.abs(torque), limit, time, step, "N m")
     if options.torque_rate is not None and len(time) > 1:
         step = np.diff(time)
@@ -66,7 +66,7 @@ def refuse_motion(
 
 
 def _refuse_for_long(
-    key: str, options: SafetyOptions, size: np.ndarray, limit: float, time: np.ndarray, step: np.ndarray, unit: str
+    key: str, options: SafetyOptions, size: np.ndarray, limit: Any, time: np.ndarray, step: np.ndarray, unit: str
 ) -> None:
     """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it.
 
@@ -112,7 +112,7 @@ def refuse_start(
     if options.torque_limit is not None:
         needed = np.abs(static_torque(robot, pose, gravity)[None])
         allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; it is broken"
-        margin = options.torque_limit * robot.effort_limit - needed
+        margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
 
