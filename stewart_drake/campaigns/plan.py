@@ -25,6 +25,7 @@ from stewart_drake.files.named_files import anchor_files, file_digests
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.metric_table import Column, added_code, columns
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.registry import REGISTERED
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import NAME, NAME_WORDS, Section, Text
 
@@ -287,6 +288,7 @@ def identity(
         "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
+        "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
 

@@ -179,6 +179,14 @@ class UserClass:
             raise ConfigurationError(self.key, self.path, f"{allowed} ({what})") from error
 
 
+def source_of(made: Any) -> str:
+    """Source of a function or class, by which it is known again; of what was typed in, its compiled code if it has."""
+    try:
+        return inspect.getsource(made)
+    except (OSError, TypeError):
+        return repr(getattr(getattr(made, "__code__", None), "co_code", None))
+
+
 def _load_file(path: Path) -> ModuleType:
     content = read_checked(path, f"code file {path}", MAX_BYTES)
     # By content: an edited file is another module, and two files of one name are two.
