@@ -1,4 +1,4 @@
-"""What a family of kinds is, and what a user's own class is among them; the kinds stand in `registry`."""
+"""Families of kinds, and how a user's own class becomes one of them; the kinds themselves are in `registry`."""
 
 from __future__ import annotations
 
@@ -276,16 +276,16 @@ class UserMade(Section):
         """An answer of the object as an array.
 
         Raises:
-            ConfigurationError: It is none.
+            ConfigurationError: It is not one.
         """
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
-            raise self.refusal(f"a {type(answer).__name__} that is no array of numbers") from None
+            raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
 
 
 def given_again(section: Any) -> Any:
-    """A section in plain values, but for what was given in Python and has no other form."""
+    """A section in plain values, except for classes and objects that were given in Python."""
     if isinstance(section, (list, tuple)):
         return [given_again(each) for each in section]
     if not isinstance(section, Section):

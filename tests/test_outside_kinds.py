@@ -366,7 +366,7 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"])
     with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 6\)"):
         run(scenario)
-    with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric, not of a int"):
+    with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric\(.*\), not of a int"):
         run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"]))
     mine = Metric("mine", "1", "a number", lambda t: float(t.steps), "steps")
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10

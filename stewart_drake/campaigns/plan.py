@@ -222,7 +222,7 @@ def run_plan(
     versions, indices = collect_versions(), list(plan.indices)
 
     def crashed(index: int) -> Row:
-        text = "its worker process dies in it, alone too: killed, out of memory, or a crash in code below Python"
+        text = "its worker process died, also with this run alone in it: killed, out of memory, or a crash below Python"
         return empty_row(plan.task(index), "crashed", "worker_died", text)
 
     with RowStore(folder, _identity_of(plan, versions), restart, plan.products) as store:
