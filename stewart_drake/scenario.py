@@ -98,8 +98,8 @@ class Scenario(Section):
     """What the controller sees of the robot."""
     compiled: Flag = False
     """A wish: ticks compiled by numba where they can be, of the LQI with `controller.solver: split`, the pose
-    estimator, the tuner, the safety layer and friction; seventy times faster. What cannot be compiled runs as it is. The first
-    run on a machine compiles for half a minute."""
+    estimator, the tuner, the safety layer and friction; ticks are seventy times faster. What cannot be compiled runs as
+    it is. The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())
