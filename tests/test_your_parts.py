@@ -12,7 +12,9 @@ from stewart_drake.registry import ENCODER_FAULTS, SENSORS, TUNERS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "your_parts.md").read_text()
 PARTS, GIVEN, ADDED = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-FILES = dict(zip(("mine.yaml", "sweep.yaml", "compare.yaml"), re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL), strict=True))
+FILES = dict(
+    zip(("mine.yaml", "sweep.yaml", "compare.yaml"), re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL), strict=True)
+)
 (COMMANDS,) = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
 
 

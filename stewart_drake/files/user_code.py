@@ -109,7 +109,7 @@ class UserClass:
         distribution = distribution_of(self._module)
         if distribution is None:
             own = f"{self._module.rpartition('.')[2]}.py:{self.path.rpartition(':')[2]}"
-            allowed = f"a class of an installed package, or for a file of your own {own}"
+            allowed = f"a class of an installed package; for a file of your own write {own}"
             raise ConfigurationError(self.key, self.path, allowed)
         return f"{self._module} (installed with {distribution})"
 
@@ -177,6 +177,14 @@ class UserClass:
         except BaseException as error:
             what, _ = describe(error, error.__traceback__, self.own_module)
             raise ConfigurationError(self.key, self.path, f"{allowed} ({what})") from error
+
+
+def source_of(made: Any) -> str:
+    """Source of a function, class or module, to tell whether it has changed; else a function's compiled code."""
+    try:
+        return inspect.getsource(made)
+    except (OSError, TypeError):
+        return repr(getattr(getattr(made, "__code__", None), "co_code", None))
 
 
 def _load_file(path: Path) -> ModuleType:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import inspect
 import reprlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.files.user_code import source_of
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.wording import keys_of
 
@@ -295,15 +295,7 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
 
 def added_code() -> dict[str, str]:
     """Name -> source of what each metric from outside is computed by: with another body it is another metric."""
-    return {each.name: f"{_source(each.of)}{_source(each.gather)}" for each in METRICS[_SHIPPED:]}
-
-
-def _source(function: Any) -> str:
-    try:
-        return inspect.getsource(function)
-    except (OSError, TypeError):
-        # Of what was typed in or is no plain function there is none.
-        return repr(getattr(getattr(function, "__code__", None), "co_code", None))
+    return {each.name: f"{source_of(each.of)}{source_of(each.gather)}" for each in METRICS[_SHIPPED:]}
 
 
 def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
