@@ -253,12 +253,12 @@ def test_joints_that_meet_in_one_point_cross_nothing():
     assert HEXAPOD.replace(legs=shared).legs is not None
 
 
-WEAK = RobotParameters(legs=[{}, {"effort_limit": 0.4}, {}, {"effort_limit": 8.0}, {}, {}])
+WEAK = RobotParameters(legs=[{}, {"effort_limit": 0.95}, {}, {"effort_limit": 8.0}, {}, {}])
 
 
 def test_each_motor_has_its_own_effort_limit_everywhere():
-    ask = np.full(6, 100.0)
-    assert WEAK.effort_limits.tolist() == [5.0, 0.4, 5.0, 8.0, 5.0, 5.0]
+    ask = np.full(6, 9.0)
+    assert WEAK.effort_limits.tolist() == [5.0, 0.95, 5.0, 8.0, 5.0, 5.0]
     efforts = [float(effort.text) for effort in ET.fromstring(sdf_text(WEAK)).iterfind(".//axis/limit/effort")]
     assert [effort for effort in efforts if effort > 0.0] == WEAK.effort_limits.tolist()
     forces = [motor.get("forcerange").split() for motor in ET.fromstring(mjcf_text(WEAK)).iter("motor")]
