@@ -142,7 +142,7 @@ def _run_loop(
     except (RunFailure, KeyboardInterrupt) as end:
         ended_by = end
     except MemoryError:
-        ended_by = RunFailure("there is no memory left to go on with", reason="out_of_memory")
+        ended_by = RunFailure("no memory is left to continue", reason="out_of_memory")
     except np.linalg.LinAlgError as error:
         ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start

@@ -77,7 +77,7 @@ def _refuse_for_long(
     total = np.cumsum(np.where(any_beyond, step, -step))
     total -= np.minimum(np.minimum.accumulate(total), 0.0)
     too_long = beyond & (total > getattr(options, f"{key}_time") + 1e-9)[:, None]
-    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; it is broken for too long"
+    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
     _refuse(key, getattr(options, key), np.where(too_long, limit - size, 0.0), time, allowed)
 
 
@@ -111,7 +111,7 @@ def refuse_start(
         raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
     if options.torque_limit is not None:
         needed = np.abs(static_torque(robot, pose, gravity)[None])
-        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; it is broken"
+        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limit - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
@@ -126,7 +126,7 @@ def _refuse(
     given: Any,
     margin: np.ndarray,
     time: np.ndarray,
-    allowed: str = "a limit that the reference keeps to; it is broken",
+    allowed: str = "a limit that the reference keeps to; the limit is exceeded",
 ) -> None:
     """Raises for the first sample whose margin (n,), or (n, 6) of any leg, is negative."""
     margin = margin.reshape(len(time), -1)
