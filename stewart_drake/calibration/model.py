@@ -240,8 +240,3 @@ def _spread(by_own: np.ndarray) -> np.ndarray:
 def _diagonal(values: np.ndarray) -> np.ndarray:
     """Matrices (n, 6, 6) with values (n, 6) on their diagonals."""
     return values[..., None] * np.eye(LEGS)
-
-
-def no_change() -> np.ndarray:
-    """The guess itself."""
-    return np.zeros(SIZE)
