@@ -97,9 +97,9 @@ class Scenario(Section):
     sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
     """What the controller sees of the robot."""
     compiled: Flag = False
-    """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner and
-    the safety layer: they are then seventy times faster. Other parts are not affected. The first run on a machine
-    compiles for half a minute."""
+    """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner, the
+    safety layer and friction: they are then seventy times faster. Other parts are not affected. The first run on a
+    machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())

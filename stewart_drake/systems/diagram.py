@@ -129,7 +129,12 @@ class _Wiring:
         self.options, self.period = scenario.controller, scenario.controller.period
         self.builder = DiagramBuilder()
         self.plant: StewartPlant = add_plant(
-            self.builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
+            self.builder,
+            scenario.robot,
+            scenario.plant,
+            scenario.gravity,
+            visuals=meshcat is not None,
+            compiled=scenario.compiled,
         )
         if meshcat is not None:
             # Half a second to import; only a live view pays it.
