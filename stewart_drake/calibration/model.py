@@ -17,7 +17,6 @@ from stewart_drake.calibration.measurements import MeasurementNoise, Measurement
 from stewart_drake.calibration.parameters import (
     OF_ROBOT,
     PER_LEG,
-    SIZE,
     Geometry,
     changed,
     exponential,
