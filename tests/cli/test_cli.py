@@ -294,7 +294,7 @@ def test_a_reader_that_leaves_early_changes_no_exit_status(start, tmp_path):
 def test_a_run_without_figures_is_told_all_the_same(call):
     status, out, err = call("run", "exact_fig7", *QUICK, "--set", "link.faults=[{kind: nan, time: 0.02}]")
     assert status == 3
-    assert "failed: not_finite" in out
+    assert "failed, not_finite" in out
     assert err.splitlines()[-1].startswith("stewart-drake: failed, not_finite at t = 0.020 s: ")
 
 
