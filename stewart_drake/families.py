@@ -24,7 +24,7 @@ from stewart_drake.files.user_code import (
     source_of,
 )
 from stewart_drake.section import Section, Text, check_plain, to_plain
-from stewart_drake.wording import as_problem, chosen, either
+from stewart_drake.wording import OWN, as_problem, chosen, either
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -65,7 +65,7 @@ class Family:
     @property
     def words(self) -> list[str]:
         """The kinds, and how a user's own is written."""
-        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
+        return self.kinds if self._own is None else [*self.kinds, OWN]
 
     def add(self, section: type[Section], system: Any = None) -> None:
         """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.

@@ -118,15 +118,7 @@ class Scenario(Section):
     @classmethod
     def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
         """See `Section.from_older`."""
-        controller = data.get("controller")
-        if isinstance(controller, Mapping) and "compiled" in controller:
-            warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
-            older = controller["compiled"]
-            if data.get("compiled", older) != older:
-                allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
-                raise ConfigurationError("controller.compiled", older, allowed)
-            data = {**data, "compiled": older}
-            data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+        data = _compiled_moved(data)
         try:
             robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
         except (ValidationError, ConfigurationError):
@@ -266,6 +258,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
+    # Before the overrides: they count, whichever of the two names they use.
+    data = _compiled_moved(data)
     components: dict[str, Any] = {}
     for text in overrides:
         key, separator, value = text.partition("=")
@@ -279,6 +273,20 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
             _assign(data, key.strip(), change[key.strip()])
     made = Scenario.from_dict(data)
     return made.replace(components) if components else made
+
+
+def _compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
+    """`controller.compiled` of older files as the scenario's own key."""
+    controller = data.get("controller")
+    if isinstance(controller, Mapping) and "compiled" in controller:
+        warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
+        older = controller["compiled"]
+        if data.get("compiled", older) != older:
+            allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
+            raise ConfigurationError("controller.compiled", older, allowed)
+        data = {**data, "compiled": older}
+        data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+    return data
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -323,7 +331,10 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key == "controller.compiled":
+    if key == "controller" and isinstance(value, Mapping) and "compiled" in value:
+        moved = _compiled_moved({key: value})
+        data["compiled"], value = moved["compiled"], moved[key]
+    elif key == "controller.compiled":
         warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
         key = "compiled"
     *parents, last = key.split(".")
