@@ -201,7 +201,10 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: got 'five'; allowed: a number"),
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: got '1 rows'; allowed: 6 rows, one a leg"),
         ("", r"header: got 'without shaft_x"),
-        (f"leg, {', '.join(NAMES)}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6", r"leg: got '3, 1'; .*first row is leg 0"),
+        (
+            f"leg, {', '.join(NAMES)}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
+            r"leg: got '3, 1'; .*first row is leg 0",
+        ),
     ],
 )
 def test_a_table_that_is_none_is_refused_in_a_line(tmp_path, text, wanted):
