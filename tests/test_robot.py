@@ -159,6 +159,7 @@ HEXAPOD = RobotParameters.symmetric(
 )  # fmt: skip
 POINTS = np.hstack([HEXAPOD.shaft_positions, HEXAPOD.platform_joints])
 LEG = {"crank_length": 0.025, "rod_length": 0.14, "cranks": "towards"}
+TOWARDS = LEG | {"rod_length": 0.11, "crank_length": 0.015}
 NAMES = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 
 
@@ -210,6 +211,10 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: got 'five'; allowed: a number"),
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: got '1 rows'; allowed: 6 rows, one a leg"),
         ("", r"header: got 'without shaft_x"),
+        (
+            f"leg, {', '.join(NAMES)}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
+            r"leg: got '3, 1'; .*first row is leg 0",
+        ),
     ],
 )
 def test_a_table_that_is_none_is_refused_in_a_line(tmp_path, text, wanted):
@@ -232,6 +237,8 @@ def swapped(one, other):
         (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
+        # Told before the rods are: towards joints on the other side they seem too short.
+        (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, -1, 1, 1], **TOWARDS), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(swapped(2, 3), **LEG), r"legs\.2\.platform_joint.* legs 2 and 3 swapped\?"),
         (lambda: RobotParameters.from_table(swapped(4, 5), **LEG), r"legs\.4\.platform_joint.* legs 4 and 5 swapped\?"),
         (lambda: RobotParameters(rod_length=404.0), r"robot\.rod_length: got 404\.0.*millimetres\?.*0\.404 m"),

@@ -13,6 +13,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
 from stewart_drake.robot.leg import LEGS, crank_equation
+from stewart_drake.robot.robot_checks import check_order
 
 Unit = Literal["m", "mm"]
 Cranks = Literal["outwards", "towards", "away"]
@@ -51,6 +52,8 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     shafts, joints = (
         np.round(scale * np.stack([columns[f"{end}_{axis}"] for axis in "xyz"], -1), 12) for end in ("shaft", "joint")
     )
+    # A mirrored axis would else be told as a rod that is too short.
+    check_order(shafts, joints)
     lengths = {name: _lengths(name, columns, own, scale) for name in ("crank_length", "rod_length")}
     zero, up = _directions(columns, shafts, cranks)
     tips = shafts + lengths["crank_length"][:, None] * zero
@@ -125,7 +128,17 @@ def _read(path: Path) -> list[dict[str, float]]:
             raise ConfigurationError(f"{what}: leg {leg}", f"{len(row)} numbers", f"{len(names)}, one a column")
         cells = zip(names, row, strict=True)
         found.append({name: _number(f"{what}: {name} of leg {leg}", text) for name, text in cells if name != "leg"})
+    if "leg" in names:
+        _check_numbering(what, [row[names.index("leg")] for row in rows[1:]])
     return found
+
+
+def _check_numbering(what: str, labels: list[str]) -> None:
+    """Refuses legs that are numbered otherwise than their rows stand; other labels are remarks."""
+    numbers = [int(label) for label in labels if label.isdecimal()]
+    if len(numbers) == len(labels) and numbers not in (list(range(len(labels))), list(range(1, len(labels) + 1))):
+        allowed = f"rows in the order of the legs, 0 to {LEGS - 1} or 1 to {LEGS}: the first row is leg 0"
+        raise ConfigurationError(f"{what}: leg", ", ".join(labels), allowed)
 
 
 def _number(key: str, text: str) -> float:
@@ -138,7 +151,7 @@ def _number(key: str, text: str) -> float:
 def _lengths(name: str, columns: Mapping[str, np.ndarray], own: Mapping[str, Any], scale: float) -> np.ndarray:
     """(6,) [m] of a column, or one length for all legs."""
     if name in columns:
-        return scale * columns[name]
+        return np.round(scale * columns[name], 12)
     if name not in own:
         raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
     return np.full(LEGS, float(own[name]))

@@ -33,10 +33,10 @@ def check_directions(robot: RobotParameters) -> None:
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
 
 
-def check_order(robot: RobotParameters) -> None:
-    """Refuses platform joints that do not follow each other around the platform as the shafts do around the base."""
+def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
+    """Refuses platform joints (6, 3) that do not follow each other around the platform as the shafts (6, 3) do."""
     around = []
-    for points in (robot.shaft_positions, robot.platform_joints):
+    for points in (shafts, joints):
         x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
         around.append(np.arctan2(y, x))
     order = np.argsort(around[0], kind="stable")
@@ -45,11 +45,11 @@ def check_order(robot: RobotParameters) -> None:
     wrong = (steps[0] > _SLACK) & (steps[1] < -_SLACK)
     if wrong.sum() >= LEGS - 1:
         allowed = "joints that go round as the shafts do: these go round the other way; is an axis of P mirrored?"
-        raise ConfigurationError("robot.legs.0.platform_joint", robot.platform_joints[0].tolist(), allowed)
+        raise ConfigurationError("robot.legs.0.platform_joint", joints[0].tolist(), allowed)
     if wrong.any():
         one, other = sorted((int(order[wrong][0]), int(following[wrong][0])))
         allowed = f"a joint [m] on its own side of leg {other}'s: are the joints of legs {one} and {other} swapped?"
-        raise ConfigurationError(f"robot.legs.{one}.platform_joint", robot.platform_joints[one].tolist(), allowed)
+        raise ConfigurationError(f"robot.legs.{one}.platform_joint", joints[one].tolist(), allowed)
 
 
 def check_sizes(robot: RobotParameters) -> None:

@@ -104,7 +104,7 @@ class RobotParameters(Section, key="robot"):
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")
         check_directions(self)
         check_sizes(self)
-        check_order(self)
+        check_order(self.shaft_positions, self.platform_joints)
         # A robot that cannot stand at home has no SDF.
         check_home(self)
 

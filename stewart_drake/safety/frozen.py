@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.mechanics import kinematics_core as core
+from stewart_drake.mechanics.arrays import arrays_of
+from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.safety_options import SafetyOptions
 
 FROZEN_SIZE = 42
@@ -11,6 +14,7 @@ FROZEN_SIZE = 42
 
 
 def frozen_tick(
+    robot: RobotParameters,
     options: SafetyOptions,
     quantum: float,
     angles: np.ndarray | None,
@@ -21,9 +25,11 @@ def frozen_tick(
     """Looks for a sensor that repeats itself while things move.
 
     In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never
-    contradict each other.
+    contradict each other. Nor is a crank frozen that friction holds where it turns back: it stands about where it is
+    wanted.
 
     Args:
+        robot: As believed.
         options: Limits.
         quantum: [rad] of an encoder's count.
         angles: (6,) [rad] readings of encoders; None where there are none.
@@ -50,5 +56,15 @@ def frozen_tick(
         return None, after
     # Two others: one that jumps would make all that stand still look frozen.
     travel = np.sort(moved, axis=1)[:, -2]
-    leg = int(travel.argmax())
-    return (leg if travel[leg] > options.frozen_encoder + 50.0 * quantum else None), after
+    limit = options.frozen_encoder + 50.0 * quantum
+    suspect = travel > limit
+    if suspect.any():
+        suspect &= ~(_apart(robot, angles, reference) <= 0.25 * limit)
+    return (int(np.where(suspect, travel, 0.0).argmax()) if suspect.any() else None), after
+
+
+def _apart(robot: RobotParameters, angles: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """(6,) [rad] between cranks and where a pose wants them; NaN where it is out of reach."""
+    with np.errstate(invalid="ignore"):
+        wanted = core.crank_angles(core.cranks_at(arrays_of(robot, reference), reference))
+    return np.abs(np.remainder(angles - wanted + np.pi, 2.0 * np.pi) - np.pi)

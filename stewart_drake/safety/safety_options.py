@@ -31,7 +31,7 @@ class SafetyOptions(Section, key="safety"):
     """Ticks for which no newer command may have arrived; a constant `command_delay` does not count."""
     frozen_encoder: Positive | None = 0.04
     """[rad] by which two other cranks may turn, and 50 counts more, while an encoder repeats one reading to the last
-    bit."""
+    bit and is a quarter as far from where its crank is wanted: one that friction holds stands nearer."""
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""

@@ -62,7 +62,7 @@ class SafetyLayer(TickedSystem):
         quantum: float = 0.0,
     ) -> None:
         super().__init__(period, np.concatenate([initial_memory(initial).flat(), np.full(FROZEN_SIZE, np.nan)]))
-        self._options, self._quantum = options, quantum
+        self._robot, self._options, self._quantum = robot, options, quantum
         self._tick, self._nominal = flat_tick(robot, options, gravity, period, compiled), period
         self.command = self.DeclareVectorInputPort("command", 6)
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
@@ -86,7 +86,7 @@ class SafetyLayer(TickedSystem):
         reference = self.reference.Eval(context)[:6]
         angles = self.angles.Eval(context) if self.angles.HasValue(context) else None
         frozen, seen = frozen_tick(
-            self._options, self._quantum, angles, measured[:6], reference, previous[MEMORY_SIZE:]
+            self._robot, self._options, self._quantum, angles, measured[:6], reference, previous[MEMORY_SIZE:]
         )
         if frozen is not None:
             sensor = np.array([failure_code("frozen"), frozen])

@@ -10,7 +10,13 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import FAILURES, ConfigurationError, SafetyStop, failure_code
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, twist_jacobian
+from stewart_drake.mechanics.kinematics import (
+    forward_kinematics,
+    inverse_kinematics,
+    leg_geometry,
+    pose_rate_to_twist,
+    twist_jacobian,
+)
 from stewart_drake.safety import (
     FROZEN_SIZE,
     HOLD,
@@ -409,28 +415,50 @@ def test_compiled_ticks_are_the_reference(ticks):
 # --- frozen sensors -------------------------------------------------------------------------------------------------
 
 
-def frozen(readings, reference=None, options=OPTIONS, quantum=0.0):
-    """What is said in the end of a sequence of readings; with a reference they are poses."""
+def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
+    """What is said in the end of a sequence of readings; with a reference they are poses, else `wanted` are poses."""
     memory, said = np.full(FROZEN_SIZE, np.nan), None
     for k, reading in enumerate(readings):
         angles = reading if reference is None else None
-        wanted = reading if reference is None else reference[k]
-        said, memory = frozen_tick(options, quantum, angles, reading, wanted, memory)
+        pose = reference[k] if wanted is None else wanted[k]
+        said, memory = frozen_tick(ROBOT, options, quantum, angles, reading, pose, memory)
     return said
 
 
 def test_an_encoder_that_stands_while_others_turn_is_named():
-    turning, jump = np.arange(100)[:, None] * 0.001 * np.ones(6), np.zeros((100, 6))
-    jump[50:, 2] = 0.3
-    for well in (turning, np.zeros((100, 6)), jump):
-        assert frozen(well) is None
+    wanted = HOME + np.arange(100)[:, None] * 2e-4 * np.eye(6)[5]
+    turning = inverse_kinematics(ROBOT, wanted)
+    jump = np.tile(turning[0], (100, 1))
+    jump[50:, 2] += 0.3
+    for well, where in ((turning, wanted), (np.tile(turning[0], (100, 1)), wanted), (jump, 0.0 * wanted + HOME)):
+        assert frozen(well, wanted=where) is None
     stuck = turning.copy()
     stuck[20:, 4] = stuck[20, 4]
-    assert frozen(stuck[:55]) is None
-    assert frozen(stuck[:65]) == 4
-    assert frozen(stuck, options=SafetyOptions(frozen_encoder=None)) is None
+    # The others have turned by 0.04 rad after this many ticks.
+    late = int(np.searchsorted(turning[:, 0], turning[20, 0] + OPTIONS.frozen_encoder))
+    assert late < 90
+    assert frozen(stuck[: late - 1], wanted=wanted) is None
+    assert frozen(stuck[: late + 2], wanted=wanted) == 4
+    assert frozen(stuck, wanted=wanted, options=SafetyOptions(frozen_encoder=None)) is None
     # Coarse encoders stand still for longer.
-    assert frozen(stuck[:65], quantum=0.001) is None
+    assert frozen(stuck[: late + 2], wanted=wanted, quantum=0.001) is None
+    # Nobody can say where a crank is wanted for a pose that is out of reach.
+    assert frozen(stuck, wanted=wanted + 1.0) == 4
+
+
+def test_a_crank_that_friction_holds_where_it_turns_back_is_not_frozen():
+    # Crank 4 goes up and down by 0.008 rad while the others turn by 0.1 rad, and sticks all the while.
+    time = np.linspace(0.0, np.pi, 200)[:, None]
+    angles = inverse_kinematics(ROBOT, HOME) + np.where(np.arange(6) == 4, 0.008 * np.sin(time), 0.1 * time / np.pi)
+    wanted, pose = [], HOME
+    for each in angles:
+        pose = forward_kinematics(ROBOT, each, guess=pose)
+        wanted.append(pose)
+    angles[:, 4] = angles[0, 4]
+    assert frozen(angles, wanted=wanted) is None
+    # Wanted elsewhere, the same readings are those of a frozen encoder.
+    away = inverse_kinematics(ROBOT, HOME) + np.array([0.0, 0, 0, 0, 0.05, 0])
+    assert frozen(angles, wanted=np.tile(forward_kinematics(ROBOT, away, guess=HOME), (200, 1))) == 4
 
 
 def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
