@@ -5,6 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# A worker a core: more threads in each would only wait for one another.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction format clean
 
@@ -20,11 +22,11 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@
 
 test: install
-	$(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
+	$(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
 
 # All but those marked slow: no campaign, no long run, no other process.
 check: install
-	$(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
+	$(ONE_THREAD) $(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
 
 lint: install
 	$(BIN)/ruff check .

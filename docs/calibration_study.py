@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stewart_drake.calibration.calibration_study import coverage, gains, run_trial
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
 from stewart_drake.calibration.parameters import FRAMES, OF_LEG, PER_LEG
-from stewart_drake.calibration.plan import candidate_poses, plan_poses
-from stewart_drake.calibration.study import coverage, gains, run_trial
+from stewart_drake.calibration.pose_plan import candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stewart_drake.calibration.fit import calibrate as calibrate
     from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
-    from stewart_drake.calibration.plan import plan_poses as plan_poses
+    from stewart_drake.calibration.pose_plan import plan_poses as plan_poses
     from stewart_drake.calibration.result import Calibration as Calibration
     from stewart_drake.control.control_law import ControlLaw as ControlLaw
     from stewart_drake.control.inputs import Measurement as Measurement
@@ -63,7 +63,7 @@ _HOME = {
     "Calibration": "calibration.result",
     "MeasurementNoise": "calibration.measurements",
     "calibrate": "calibration.fit",
-    "plan_poses": "calibration.plan",
+    "plan_poses": "calibration.pose_plan",
     "ControlLaw": "control.control_law",
     "LqiOptions": "control.lqi_options",
     "Measurement": "control.inputs",

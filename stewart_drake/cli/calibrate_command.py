@@ -95,8 +95,8 @@ def _calibrate(
     hold: tuple[Name, ...],
     quiet: bool,
 ) -> None:
+    from stewart_drake.calibration.calibration_report import leg_table, robot_file, summary
     from stewart_drake.calibration.fit import calibrate as fit
-    from stewart_drake.calibration.report import leg_table, robot_file, summary
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import SPACE, prepare_file, prepare_folder
@@ -114,7 +114,7 @@ def _calibrate(
 
 
 def _report(found: Calibration, folder: Path) -> None:
-    from stewart_drake.calibration.report import parameter_table, report, residual_table
+    from stewart_drake.calibration.calibration_report import parameter_table, report, residual_table
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.plotting.calibration_plots import plot_calibration
 
@@ -134,8 +134,8 @@ def _plan(
     overrides: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    from stewart_drake.calibration.plan import plan_poses
-    from stewart_drake.calibration.report import plan_table
+    from stewart_drake.calibration.calibration_report import plan_table
+    from stewart_drake.calibration.pose_plan import plan_poses
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import SPACE, prepare_file

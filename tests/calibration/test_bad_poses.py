@@ -6,7 +6,7 @@ from strategies import ROBOT
 
 from stewart_drake.calibration.fit import calibrate
 from stewart_drake.calibration.measurements import COLUMNS, MeasurementNoise, Measurements, load_measurements
-from stewart_drake.calibration.plan import candidate_poses
+from stewart_drake.calibration.pose_plan import candidate_poses
 from stewart_drake.calibration.simulate import deviating, measured
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -107,8 +107,7 @@ def test_wrong_units(refused, good, columns, factor, said):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", [(), ("base", "platform")])
-@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 4)])
+@pytest.mark.parametrize(("one", "other", "known"), [(0, 1, ()), (1, 4, ("base", "platform"))])
 def test_swapped_encoders_are_named(refused, good, known, one, other):
     table = table_of(good)
     table[:, [6 + one, 6 + other]] = table[:, [6 + other, 6 + one]]
@@ -123,7 +122,7 @@ def test_an_inverted_encoder_is_named(refused, good):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("column", "by"), [(5, 2e-3), (0, 0.02), (8, 0.02)])
+@pytest.mark.parametrize(("column", "by"), [(5, 2e-3), (8, 0.02)])
 def test_a_single_wrong_row_is_named(refused, good, column, by):
     table = table_of(good)
     table[17, column] += by

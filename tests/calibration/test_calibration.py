@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, ROBOTS, poses
 
+from stewart_drake.calibration.calibration_report import report, robot_file
+from stewart_drake.calibration.calibration_study import coverage, gains, run_trial
 from stewart_drake.calibration.fit import calibrate
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
 from stewart_drake.calibration.model import CLOSED, STILL, Frame, Model
@@ -24,10 +26,8 @@ from stewart_drake.calibration.parameters import (
     left_jacobian,
     scales,
 )
-from stewart_drake.calibration.plan import candidate_poses, plan_poses
-from stewart_drake.calibration.report import report, robot_file
+from stewart_drake.calibration.pose_plan import candidate_poses, plan_poses
 from stewart_drake.calibration.simulate import aligned, deviating, measured
-from stewart_drake.calibration.study import coverage, gains, run_trial
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics, roll_pitch_yaw, rotation_matrix
 from stewart_drake.planning.limits import Limits, limit_margins
@@ -223,7 +223,7 @@ def test_a_plan_keeps_to_the_limits_and_tells_more_than_chance():
 
 
 def test_no_exchange_of_a_pose_makes_a_plan_better():
-    from stewart_drake.calibration.plan import _covariance, _exchange
+    from stewart_drake.calibration.pose_plan import _covariance, _exchange
 
     rows = np.random.default_rng(0).standard_normal((40, 6, 20)) * np.linspace(1.0, 3.0, 40)[:, None, None]
     chosen = _exchange(rows, 8)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.calibration.model import Frame
 from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG
-from stewart_drake.calibration.plan import PosePlan
+from stewart_drake.calibration.pose_plan import PosePlan
 from stewart_drake.calibration.result import COLUMNS, Calibration
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.mechanics.kinematics import roll_pitch_yaw
