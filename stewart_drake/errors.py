@@ -68,8 +68,9 @@ class ConfigurationError(StewartDrakeError):
         super().__init__(f"{key}: got {shown}; allowed: {allowed}")
 
     def __str__(self) -> str:
+        own = " ".join(super().__str__().split())
         rest = [f"and {self._left_out} more problems"] if self._left_out > 0 else []
-        return "\n".join([super().__str__(), *map(str, self.others), *rest])
+        return "\n".join([own, *map(str, self.others), *rest])
 
     def with_others(self, others: Sequence[ConfigurationError], most: int = 20) -> ConfigurationError:
         """The same error with further problems, of which so many are shown."""

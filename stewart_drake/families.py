@@ -1,7 +1,8 @@
-"""What a family of kinds is, and what a user's own class is among them; the kinds stand in `registry`."""
+"""Families of kinds, and how a user's own class becomes one of them; the kinds themselves are in `registry`."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
@@ -13,9 +14,17 @@ from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass, given_path, path_of
+from stewart_drake.files.user_code import (
+    CLASS_PATH,
+    CLASS_WORDS,
+    KEEP_GIVEN,
+    UserClass,
+    given_path,
+    path_of,
+    source_of,
+)
 from stewart_drake.section import Section, Text, check_plain, to_plain
-from stewart_drake.wording import as_problem, chosen, either
+from stewart_drake.wording import OWN, as_problem, chosen, either
 
 _PACKAGE = __name__.partition(".")[0]
 
@@ -56,7 +65,7 @@ class Family:
     @property
     def words(self) -> list[str]:
         """The kinds, and how a user's own is written."""
-        return self.kinds if self._own is None else [*self.kinds, "module:Class"]
+        return self.kinds if self._own is None else [*self.kinds, OWN]
 
     def add(self, section: type[Section], system: Any = None) -> None:
         """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.
@@ -64,7 +73,8 @@ class Family:
         A section that was added before may be added again, as a cell of a notebook does.
 
         Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already.
+            ConfigurationError: The section has no such default, or a kind of that name is there already; nothing
+                builds it, where a part of the Diagram is to be built.
         """
         field = getattr(section, "__pydantic_fields__", {}).get("kind")
         kind = None if field is None else field.default
@@ -77,7 +87,13 @@ class Family:
             raise ConfigurationError(
                 f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
             )
-        self._lines[kind] = (section, system)
+        if system is None and any(len(line) > 1 for line in self._lines.values()):
+            raise ConfigurationError("system", None, f"what builds the part of the Diagram for {section.__name__}")
+        self._lines[kind] = (section,) if system is None else (section, system)
+
+    def added_code(self) -> dict[str, str]:
+        """See `added_code`."""
+        return added_code(self._lines)
 
     def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""
@@ -175,6 +191,10 @@ class Table:
             raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
         self._lines[name] = made
 
+    def added_code(self) -> dict[str, str]:
+        """See `added_code`."""
+        return added_code({name: made if isinstance(made, tuple) else (made,) for name, made in self._lines.items()})
+
     def _validate(self, value: Any) -> Any:
         if isinstance(value, str) and value in self._lines:
             return value
@@ -185,6 +205,20 @@ class Table:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"enum": self.names, "type": "string"}
+
+
+def added_code(lines: Mapping[str, tuple[Any, ...]]) -> dict[str, str]:
+    """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+
+    Results are kept under it: a kind with other code is another kind.
+    """
+    found: dict[str, str] = {}
+    for kind, line in lines.items():
+        for part in line:
+            module = getattr(part, "__module__", None)
+            if module is not None and module.partition(".")[0] != _PACKAGE:
+                found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
+    return found
 
 
 class UserMade(Section):
@@ -242,16 +276,16 @@ class UserMade(Section):
         """An answer of the object as an array.
 
         Raises:
-            ConfigurationError: It is none.
+            ConfigurationError: It is not one.
         """
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
-            raise self.refusal(f"a {type(answer).__name__} that is no array of numbers") from None
+            raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
 
 
 def given_again(section: Any) -> Any:
-    """A section in plain values, but for what was given in Python and has no other form."""
+    """A section in plain values, except for classes and objects that were given in Python."""
     if isinstance(section, (list, tuple)):
         return [given_again(each) for each in section]
     if not isinstance(section, Section):

@@ -1,4 +1,4 @@
-"""Keys of a scenario as texts, such as `robot.rod_length` or `disturbances[0].wrench[3]`: taken apart, read, set."""
+"""Keys of a scenario as texts, such as `robot.rod_length`: taken apart, read, set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def split_key(key: str) -> tuple[str | int, ...]:
     """Parts of a key: names and indices.
 
     Raises:
-        ConfigurationError: It is none.
+        ConfigurationError: It is not such a key.
     """
     if _KEY.fullmatch(key) is None:
         raise ConfigurationError(shown(key), key, "a key such as robot.rod_length or initial_offset[0]")
@@ -36,12 +36,12 @@ def value_at(data: Mapping[str, Any], key: str) -> Any:
         inside = ".".join(where) or "the scenario"
         if isinstance(part, int):
             if not isinstance(here, list):
-                raise ConfigurationError(key, here, f"a key without [{part}]: {inside} is no list")
+                raise ConfigurationError(key, here, f"a key without [{part}]: {inside} is not a list")
             if part >= len(here):
                 raise ConfigurationError(key, part, f"a component from 0 to {len(here) - 1}")
         elif not isinstance(here, dict):
             hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
-            raise ConfigurationError(key, here, f"a key in a section: {inside} is none{hint}")
+            raise ConfigurationError(key, here, f"a key in a section: {inside} is not a section{hint}")
         elif part not in here:
             close = difflib.get_close_matches(part, here, n=1)
             guess = f"did you mean {close[0]}? " if close else ""

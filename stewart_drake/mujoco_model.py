@@ -6,6 +6,7 @@ The text needs this package alone, `MujocoRobot` the extra `mujoco`.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -47,8 +48,8 @@ def mjcf_text(
     Args:
         robot: Geometry, masses, stops, effort limit.
         gravity: [m/s^2] along -z.
-        options: Of them count `time_step`, `motor_damping`, `motor_friction`, `universal_damping`; None takes the
-            defaults.
+        options: Of them count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no
+            break-away level; None takes the defaults.
         integrator: MuJoCo's.
 
     Returns:
@@ -59,7 +60,7 @@ def mjcf_text(
     root = ET.Element("mujoco", model="stewart")
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     # Equalities alone are a linear problem: Newton's first step solves it, the second mends the rounding.
-    linear = options.motor_friction == 0.0 and not np.isfinite(frames.stops).any()
+    linear = not any(_friction(options)[0]) and not np.isfinite(frames.stops).any()
     solver: dict[str, Any] = {
         "solver": "Newton",
         "iterations": "2" if linear else "20",
@@ -82,7 +83,7 @@ def mjcf_text(
             solref=exact_text([-1.0 / step**2, -1.0 / step]),
             solimp="0.9999 0.9999 1 0.5 1",
         )
-        effort = exact_text([-robot.effort_limit, robot.effort_limit])
+        effort = exact_text([-robot.effort_limits[leg], robot.effort_limits[leg]])
         ET.SubElement(actuator, "motor", name=f"motor_{leg}", joint=f"motor_{leg}", forcerange=effort)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -191,11 +192,19 @@ def _platform(world: ET.Element, robot: RobotParameters) -> None:
         ET.SubElement(platform, "site", name=f"seat_{leg}", pos=exact_text(robot.platform_joints[leg]))
 
 
+def _friction(options: PlantOptions) -> tuple[Sequence[float], Sequence[float]]:
+    """Coulomb [N m] and viscous [N m s/rad] friction of the six motors."""
+    if options.friction is not None:
+        return options.friction.coulomb, options.friction.viscous
+    return [options.motor_friction] * LEGS, [options.motor_damping] * LEGS
+
+
 def _leg(world: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int, options: PlantOptions) -> None:
     a, length, radius = float(robot.crank_lengths[leg]), float(robot.rod_lengths[leg]), robot.link_radius
     crank = _body(world, f"crank_{leg}", robot.shaft_positions[leg], frames.crank_rotation[leg])
     _inertial(crank, robot.crank_mass, [0.5 * a, 0.0, 0.0], robot.crank_inertia)
-    motor = {"armature": robot.rotor_inertia, "damping": options.motor_damping, "frictionloss": options.motor_friction}
+    coulomb, viscous = (each[leg] for each in _friction(options))
+    motor = {"armature": robot.rotor_inertia, "damping": viscous, "frictionloss": coulomb}
     own: dict[str, Any] = {name: exact_text([value]) for name, value in motor.items() if value > 0.0}
     low, high = frames.stops[leg]
     if np.isfinite([low, high]).any():

@@ -111,3 +111,6 @@ COMMAND_FAULTS = Table(
     }
 )
 MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})
+
+REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
+"""All of them."""

@@ -57,7 +57,7 @@ __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "
 MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
 MAX_STEPS = 10**9
-"""Of the plant in a run: beyond it sample times, which are stretched by a hair, would lose their step."""
+"""Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
 _MOVED = "controller.compiled is the scenario's own key `compiled` now"
 
 
@@ -83,7 +83,7 @@ class Scenario(Section):
     plant: PlantOptions = by_default(PlantOptions())
     """The simulated robot."""
     motors: MotorOptions = by_default(MotorOptions())
-    """What its motors make of a torque."""
+    """How its motors differ from ideal ones."""
     disturbances: tuple[AnyDisturbance, ...] = ()
     """Wrenches from outside on the platform; they add up."""
     reference: AnyReference = by_default(SineReference())
@@ -91,42 +91,34 @@ class Scenario(Section):
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's; the start velocity is the reference's."""
     controller: Annotated[ControllerOptions, CONTROLLERS] = by_default(LqiOptions())
-    """What answers to errors with torques; without `kind`, the LQI."""
+    """What computes the torques; without `kind`, the LQI."""
     tuner: Annotated[Tuner, TUNERS] = by_default(AnnTuner())
     """Where the weights come from; without effect for controllers that take none."""
     sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
     """What the controller sees of the robot."""
     compiled: Flag = False
-    """A wish: ticks compiled by numba where they can be, of the LQI with `controller.solver: split`, the pose
-    estimator, the tuner and the safety layer; seventy times faster. What cannot be compiled runs as it is. The first
-    run on a machine compiles for half a minute."""
+    """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner and
+    the safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected. The
+    first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())
-    """The way of the commands: what is dropped, late or spoilt. It comes after the delay."""
+    """The link that carries the commands to the motors: what it drops, delays or corrupts. It comes after the delay."""
     safety: SafetyOptions | None = None
     """What stands between the commands and the motors; null for nothing."""
     bounds: Bounds = by_default(Bounds())
-    """What the run itself must keep to for its motion to count as followed; it decides on the outcome."""
+    """Bounds that the run must stay within for its motion to count as followed; they decide the outcome."""
     limits: Limits = by_default(Limits())
-    """What the reference must keep to; checked before the run."""
+    """Limits that the reference must stay within; checked before the run."""
     metrics: tuple[Annotated[Any, OWN_METRICS], ...] = ()
-    """Further figures of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
+    """Further metrics of the run, each a `Metric` by its import path: module:name or path/to/file.py:name."""
     log_period: Positive | None = None
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
     @classmethod
     def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
         """See `Section.from_older`."""
-        controller = data.get("controller")
-        if isinstance(controller, Mapping) and "compiled" in controller:
-            warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
-            older = controller["compiled"]
-            if data.get("compiled", older) != older:
-                allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
-                raise ConfigurationError("controller.compiled", older, allowed)
-            data = {**data, "compiled": older}
-            data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+        data = _compiled_moved(data)
         try:
             robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
         except (ValidationError, ConfigurationError):
@@ -266,6 +258,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
+    # Before the overrides: they count, whichever of the two names they use.
+    data = _compiled_moved(data)
     components: dict[str, Any] = {}
     for text in overrides:
         key, separator, value = text.partition("=")
@@ -279,6 +273,20 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
             _assign(data, key.strip(), change[key.strip()])
     made = Scenario.from_dict(data)
     return made.replace(components) if components else made
+
+
+def _compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
+    """`controller.compiled` of older files as the scenario's own key."""
+    controller = data.get("controller")
+    if isinstance(controller, Mapping) and "compiled" in controller:
+        warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
+        older = controller["compiled"]
+        if data.get("compiled", older) != older:
+            allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
+            raise ConfigurationError("controller.compiled", older, allowed)
+        data = {**data, "compiled": older}
+        data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+    return data
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -323,7 +331,10 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key == "controller.compiled":
+    if key == "controller" and isinstance(value, Mapping) and "compiled" in value:
+        moved = _compiled_moved({key: value})
+        data["compiled"], value = moved["compiled"], moved[key]
+    elif key == "controller.compiled":
         warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
         key = "compiled"
     *parents, last = key.split(".")

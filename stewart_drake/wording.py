@@ -22,6 +22,8 @@ _UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
 _MISSING = {"missing", "missing_keyword_only_argument"}
 _NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text", bool: "truth value"}
 _SHOWN_KEY = 60
+OWN = "module:Class"
+"""How a kind of a user's own is written, among the `words` of a family."""
 
 
 class _Family(Protocol):
@@ -205,7 +207,8 @@ def describe(annotation: Any, unit: str = "") -> str:
     """A type in words, with its bounds, the unit of its field, and whether null will do."""
     one, suffix, family = _one(annotation), _or_null(annotation), _family(annotation)
     if family is not None:
-        return f"a section, with kind: {either(family.words)}{suffix}"
+        own = f", or {OWN} by itself" if OWN in family.words else ""
+        return f"a section, with kind: {either(family.words)}{own}{suffix}"
     if get_origin(one) is Literal:
         return either([str(option) for option in get_args(one)]) + suffix
     if one is bool:

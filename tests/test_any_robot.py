@@ -173,7 +173,7 @@ def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
-    plan = FaultPlan.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], True, name)
+    plan = FaultPlan.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
         index = next(i for i, (fault, _) in enumerate(plan.pairs) if fault.name == wanted)
         function, arguments = plan.work_item(index)

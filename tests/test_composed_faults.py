@@ -195,7 +195,7 @@ def motors_undone(options, torque, time):
     for fault in reversed(options.faults):
         rows = time >= fault.time - 1e-9
         wrong = given[rows].T.copy()
-        fault.spoil(wrong)
+        fault.spoil(fault.time, wrong)
         given[rows] = wrong.T
     return given
 

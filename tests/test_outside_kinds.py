@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
 from stewart_drake.campaigns.distributions import Uniform
+from stewart_drake.campaigns.plan import identity
 from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.cli.app import cli
@@ -252,6 +253,23 @@ def added_fault(monkeypatch):
     ENCODER_FAULTS.add("doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 2.0)))
 
 
+@pytest.mark.usefixtures("added")
+def test_results_are_kept_under_the_code_of_added_kinds(added_fault, monkeypatch):  # noqa: ARG001
+    def named(family, name, made):
+        with monkeypatch.context() as patched:
+            patched.setattr(family, "_lines", dict(family._lines))
+            family._lines[name] = made
+            return identity({}, [Scenario(**SHORT)])["kinds"]
+
+    before = identity({}, [Scenario(**SHORT)])["kinds"]
+    assert named(SENSORS, "toy", (ToySensorOptions, add_toy_sensor)) == before
+    others = [
+        named(SENSORS, "toy", (ToySensorOptions, lambda wiring, options: add_toy_sensor(wiring, options))),
+        named(ENCODER_FAULTS, "doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 3.0))),
+    ]
+    assert len({before, *others}) == 3
+
+
 @pytest.mark.usefixtures("added_fault")
 def test_a_kind_of_fault():
     sensors = {"kind": "encoders", "faults": [{"kind": "doubled", "leg": 2, "time": 0.05}]}
@@ -348,10 +366,39 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"])
     with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 6\)"):
         run(scenario)
-    with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric, not of a int"):
+    with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric\(.*\), not of a int"):
         run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"]))
     mine = Metric("mine", "1", "a number", lambda t: float(t.steps), "steps")
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
+
+
+@pytest.mark.parametrize(
+    ("of", "parts", "kind", "words"),
+    [
+        (lambda _: {"height": 1.0}, (), "number", r"\{'height': 1.0\}, not a value of kind number"),
+        (lambda _: "high", (), "number", "'high', not a value of kind number"),
+        (lambda _: [1.0, 2.0], ("a_x", "a_y", "a_z"), "number", "not 3 values of kind number"),
+        (lambda _: 1.5, (), "whole", "1.5, not a value of kind whole"),
+    ],
+)
+def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts, kind, words):
+    metric = Metric("mine", "1", "a number", of, "steps", parts=parts, kind=kind)
+    with pytest.raises(MetricError, match=f"^metric mine: `of` returned .*{words}"):
+        run(Scenario(**SHORT, metrics=[metric]))
+
+
+def test_a_metric_may_return_what_numpy_has():
+    numbers = Metric("mine", "m", "a point", lambda _: np.arange(2.0), "steps", parts=("mine_x", "mine_y"))
+    whole = Metric("count", "", "of steps", lambda t: np.int64(t.steps), "steps", kind="whole")
+    metrics = run_metrics(run(Scenario(**SHORT, metrics=[numbers, whole])))
+    assert (metrics["mine"], type(metrics["count"])) == ([0.0, 1.0], int)
+
+
+def test_a_kind_that_nothing_builds_is_refused_when_it_is_added():
+    for family in (SENSORS, CONTROLLERS):
+        with pytest.raises(ConfigurationError, match=r"^system: got None; allowed: what builds .*ToySensorOptions"):
+            family.add(ToySensorOptions)
+        assert "toy" not in family.kinds
 
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():

@@ -1,5 +1,6 @@
 import dataclasses
 import math
+import xml.etree.ElementTree as ET
 
 import numpy as np
 import pydantic
@@ -7,10 +8,19 @@ import pytest
 from conftest import field_of
 from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
+from stewart_drake.control.lqi import flat_tick as lqi_flat_tick
+from stewart_drake.control.lqi import initial_memory as lqi_memory
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mujoco_model import mjcf_text
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.planning.workspace import measure_poses
+from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
+from stewart_drake.safety import SafetyInputs, SafetyMemory, SafetyOptions, flat_tick, initial_memory
 from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()
@@ -248,3 +258,39 @@ def test_what_was_perhaps_meant_is_said_with_the_leg_and_the_number(make, wanted
 def test_joints_that_meet_in_one_point_cross_nothing():
     shared = [{"platform_joint": HEXAPOD.platform_joints[2 * ((leg + 1) // 2 % 3)].tolist()} for leg in range(6)]
     assert HEXAPOD.replace(legs=shared).legs is not None
+
+
+WEAK = RobotParameters(legs=[{}, {"effort_limit": 0.95}, {}, {"effort_limit": 8.0}, {}, {}])
+
+
+def test_each_motor_has_its_own_effort_limit_everywhere():
+    ask = np.full(6, 9.0)
+    assert WEAK.effort_limits.tolist() == [5.0, 0.95, 5.0, 8.0, 5.0, 5.0]
+    efforts = [float(effort.text) for effort in ET.fromstring(sdf_text(WEAK)).iterfind(".//axis/limit/effort")]
+    assert [effort for effort in efforts if effort > 0.0] == WEAK.effort_limits.tolist()
+    forces = [motor.get("forcerange").split() for motor in ET.fromstring(mjcf_text(WEAK)).iter("motor")]
+    assert [float(most) for _, most in forces] == WEAK.effort_limits.tolist()
+    still = np.zeros((1, 6))
+    margins = limit_margins(WEAK, Limits(), WEAK.home_pose[None], still, still, 9.81)["torque"][0]
+    held = static_torque(WEAK, WEAK.home_pose)
+    np.testing.assert_allclose(margins, WEAK.effort_limits - np.abs(held), rtol=1e-12)
+    measures = measure_poses(WEAK, WEAK.home_pose[None])
+    assert measures.holding_torque[0] == pytest.approx(5.0 * np.max(np.abs(held) / WEAK.effort_limits), rel=1e-9)
+    assert measures.force[0] < measure_poses(ROBOT, ROBOT.home_pose[None]).force[0]
+    memory = initial_memory(held)
+    inputs = SafetyInputs(ask, WEAK.home_pose, np.zeros(6), WEAK.home_pose)
+    for compiled in (False, True):
+        tick = flat_tick(WEAK, SafetyOptions(torque_rate=None), 9.81, 0.001, compiled)
+        after = SafetyMemory.from_flat(tick(inputs, memory.flat()))
+        assert after.torque.tolist() == WEAK.effort_limits.tolist()
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_the_regulator_cuts_each_motor_at_its_own_limit(compiled):
+    options = LqiOptions(model="exact", solver="split", saturation="clamp")
+    tick = lqi_flat_tick(WEAK, options, 9.81, compiled)
+    far = np.concatenate([WEAK.home_pose + [0.3, -0.2, 0.3, 0.02, 0.02, 0.02], np.zeros(6)])
+    wanted = np.concatenate([WEAK.home_pose, np.zeros(12)])
+    torque = np.abs(tick(far, wanted, np.array([1e6, 1.0, 1.0, 1e-3]), lqi_memory().flat())[:6])
+    assert (torque <= WEAK.effort_limits).all()
+    assert (torque == WEAK.effort_limits).sum() >= 4

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.network import default_network_path, load_network
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.references import HoldReference, SineReference
@@ -563,3 +563,20 @@ def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, val
         load_scenario(path, [text])
     except ConfigurationError as error:
         one_line(error)
+
+
+@pytest.mark.parametrize("key", ["compiled", "controller.compiled"])
+@pytest.mark.parametrize("older", [True, False])
+def test_an_override_counts_over_the_older_key_of_a_file_by_either_name(tmp_path, key, older):
+    path = tmp_path / "older.yaml"
+    path.write_text(f"duration: 0.1\ncontroller: {{solver: split, compiled: {str(older).lower()}}}\n")
+    with pytest.warns(OlderFileWarning, match="the scenario's own key `compiled`"):
+        made = load_scenario(path, [f"{key}={str(not older).lower()}"])
+    assert made.compiled is not older
+
+
+def test_a_controller_of_an_older_comparison_brings_its_compiled_along():
+    controller = {"kind": "lqi", "solver": "split", "compiled": True}
+    with pytest.warns(OlderFileWarning, match="the scenario's own key `compiled`"):
+        made = Scenario(duration=0.1).replace({"controller": controller})
+    assert (made.compiled, made.controller.solver) == (True, "split")

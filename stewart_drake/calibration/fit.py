@@ -134,7 +134,7 @@ def fitted(start: Start, noise: MeasurementNoise) -> Fit:
         if (off > CLOSED).any():
             key = f"{measurements.source}: row {int(off.argmax()) + 1}, theta"
             got = f"readings at which no calibrated legs close: a rod is off by {off.max():.3g} m"
-            raise ConfigurationError(key, got, "a pose that is no singularity, and a guess near to the robot")
+            raise ConfigurationError(key, got, "a pose that is not singular, and a guess close to the robot")
         return at
 
     def error(step: np.ndarray) -> np.ndarray:

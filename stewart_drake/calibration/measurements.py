@@ -79,7 +79,7 @@ class Measurements:
             for row, values in enumerate(table[:, columns]):
                 first = seen.setdefault(values.tobytes(), row)
                 if first != row:
-                    allowed = "each measured anew: a tracker never says the same twice"
+                    allowed = "poses that were each measured: a tracker never gives the same numbers twice"
                     raise ConfigurationError(
                         self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed
                     )

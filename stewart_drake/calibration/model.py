@@ -17,7 +17,6 @@ from stewart_drake.calibration.measurements import MeasurementNoise, Measurement
 from stewart_drake.calibration.parameters import (
     OF_ROBOT,
     PER_LEG,
-    SIZE,
     Geometry,
     changed,
     exponential,
@@ -240,8 +239,3 @@ def _spread(by_own: np.ndarray) -> np.ndarray:
 def _diagonal(values: np.ndarray) -> np.ndarray:
     """Matrices (n, 6, 6) with values (n, 6) on their diagonals."""
     return values[..., None] * np.eye(LEGS)
-
-
-def no_change() -> np.ndarray:
-    """The guess itself."""
-    return np.zeros(SIZE)

@@ -152,7 +152,7 @@ def _ends(robot: RobotParameters, limits: Limits, home: np.ndarray, way: np.ndar
         use, limit = governing_limit(utilisation(robot, limits, pose, measures))
         if step == 0.0 and use[0] > margin:
             got = f"a limit {LIMIT_NAMES[limit[0]]} of which home takes {use[0]:.3g}"
-            raise ConfigurationError("limits", got, f"limits of which home takes at most {margin:g}")
+            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {margin:g}")
         going = going[use <= margin]
         last[going] = step
         if going.size == 0:

@@ -42,7 +42,7 @@ Names = Annotated[tuple[Text, ...], Field(min_length=1)]
 
 
 class BestOf(Section):
-    """A row for the best of some controllers, picked anew for each reference and condition."""
+    """A row for the best of some controllers, picked again for each reference and condition."""
 
     of: Names
     """Names of controllers; the one with the smallest pose RMSE is taken. They have no row of their own."""

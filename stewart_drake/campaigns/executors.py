@@ -37,7 +37,7 @@ class Workplace(ABC):
 
     Attributes:
         workers: Pieces of work at a time; known after the first `open`.
-        worn: So many for each worker, and `open` is called anew; None for any number.
+        worn: So many for each worker, and `open` is called again; None for any number.
     """
 
     workers: int = 1
@@ -75,7 +75,7 @@ class Workplace(ABC):
 class LocalProcesses(Workplace):
     """A pool of fresh processes on this machine.
 
-    They import the calling script anew: there the call must stand under `if __name__ == "__main__":`.
+    They import the calling script again: there the call must stand under `if __name__ == "__main__":`.
 
     Args:
         workers: Processes; None for one per core, at most 8.

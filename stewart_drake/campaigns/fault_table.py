@@ -212,8 +212,11 @@ def _holdable(log: SimulationLog) -> Row:
     row = min(int(np.searchsorted(log.time, dead.time - 1e-9)), len(log.time) - 1)
     pose, robot = log["pose"][row], scenario.robot
     try:
-        weight = static_torque(robot, pose, scenario.gravity)
-        load = holdable_load(weight, twist_jacobian(robot, pose), robot.effort_limit, dead.leg)
+        weight, jacobian = static_torque(robot, pose, scenario.gravity), twist_jacobian(robot, pose)
+        # Each motor in parts of what it can, times one number for all.
+        load = holdable_load(
+            weight / robot.effort_shares, robot.effort_shares[:, None] * jacobian, robot.effort_limit, dead.leg
+        )
     except (UnreachablePoseError, np.linalg.LinAlgError):
         return {}
     return dict(zip((column.name for column in OWN[-4:]), vars(load).values(), strict=True))

@@ -25,6 +25,7 @@ from stewart_drake.files.named_files import anchor_files, file_digests
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.metric_table import Column, added_code, columns
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.registry import REGISTERED
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import NAME, NAME_WORDS, Section, Text
 
@@ -221,7 +222,7 @@ def run_plan(
     versions, indices = collect_versions(), list(plan.indices)
 
     def crashed(index: int) -> Row:
-        text = "its worker process dies in it, alone too: killed, out of memory, or a crash in code below Python"
+        text = "its worker process died, also with this run alone in it: killed, out of memory, or a crash below Python"
         return empty_row(plan.task(index), "crashed", "worker_died", text)
 
     with RowStore(folder, _identity_of(plan, versions), restart, plan.products) as store:
@@ -287,6 +288,7 @@ def identity(
         "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
+        "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
 

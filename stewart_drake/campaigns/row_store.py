@@ -1,4 +1,4 @@
-"""Rows on disk as they come, so that an interrupted sweep goes on where it was; what is not whole is not believed."""
+"""Rows on disk as they come, so that an interrupted sweep goes on where it was; what is not whole is rejected."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RowStore:
     """The folder of one sweep: `sweep.json` says which, `rows.jsonl` gets a line a run.
 
     Both carry checksums. A row that is torn, changed or another sweep's is run again; a header that is not whole is
-    written anew where no row is another sweep's. A context manager: within it, the folder is this process's alone.
+    written again where no row is another sweep's. A context manager: within it, the folder is this process's alone.
 
     Args:
         folder: Where.

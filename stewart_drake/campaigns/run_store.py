@@ -39,7 +39,7 @@ def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None
 class RunStore:
     """Runs scenarios and keeps their logs (without the plant's state); an interrupted experiment goes on where it was.
 
-    Several workers are processes that import the calling script anew: there the call must stand under
+    Several workers are processes that import the calling script again: there the call must stand under
     `if __name__ == "__main__":`. One worker runs in the calling process.
 
     Attributes:

@@ -65,6 +65,8 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
         ("plant", "payload_mass"): lambda: robot.platform_mass / PAPER.platform_mass,
         ("plant", "payload_position"): lambda: length,
         ("plant", "motor_friction"): lambda: torque,
+        ("plant", "coulomb"): lambda: torque,
+        ("plant", "break_away"): lambda: torque,
         ("motors", "ripple"): lambda: torque,
         ("motors", "resolution"): lambda: torque,
         ("link", "size"): lambda: torque,

@@ -97,7 +97,7 @@ class Sweep(Plan):
             if over is not None:
                 raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
             if key in fixed:
-                allowed = "a key that is no column of the table already"
+                allowed = "a key that is not already a column of the table"
                 raise ConfigurationError(f"distributions.{key}", key, allowed)
             self._check(key, current)
 

@@ -298,7 +298,7 @@ def _expected() -> int:
     except click.ClickException as error:
         return _tell(error.format_message(), EXIT_BAD_INPUT)
     except ConfigurationError as error:
-        return _tell(str(error), EXIT_BAD_INPUT)
+        return [_tell(line, EXIT_BAD_INPUT) for line in str(error).splitlines()][-1]
     except StewartDrakeError as error:
         return _tell(f"{error.reason}: {error}", EXIT_RUN_FAILED)
     except OSError as error:

@@ -40,10 +40,10 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     if out is not None and scale == retime:
         raise click.UsageError("--out needs one of --scale and --retime")
     loaded = load_scenario(scenario, overrides)
-    for source in user_sources(loaded):
-        click.echo(f"runs code: {source.code}")
-        if source.file is not None:
-            read_checked(source.file, f"controller file {source.file}", MAX_BYTES)
+    for code, file in dict.fromkeys((source.code, source.file) for source in user_sources(loaded)):
+        click.echo(f"runs code: {code}")
+        if file is not None:
+            read_checked(file, f"code file {file}", MAX_BYTES)
     if user_sources((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"

@@ -52,7 +52,7 @@ SAFETY_MEMORY = _fields(
 SAFETY_NUMBERS = _fields(
     "SafetyNumbers",
     horizon=1, workspace_angle=1, workspace_position=1, transmission=1, conditioning=1, crank_speed=1,
-    following_angle=1, following_position=1, torque_limit=1, torque_change=1, gravity=1, home=3, refill=1,
+    following_angle=1, following_position=1, torque_limit=6, torque_change=1, gravity=1, home=3, refill=1,
     usable_transmission=1, usable_conditioning=1,
 )  # fmt: skip
 """[s], [rad], [m], [-], [-], [rad/s], [rad], [m], [N m], [N m] in a tick, [m/s^2], [m], ticks given back, [-], [-]."""

@@ -231,9 +231,9 @@ def lqi_tick(
             for i in range(6):
                 force[i] += column[i, 0]
 
-    limit, saturated = scalar(robot, EFFORT), False
+    saturated = False
     for i in range(6):
-        value = force[i]
+        value, limit = force[i], scalar(robot, EFFORT + i)
         for k in range(6):
             value -= gain[i, 2 * k] * (measurement[k] - reference[k])
             value -= gain[i, 2 * k + 1] * (measurement[6 + k] - reference[6 + k])

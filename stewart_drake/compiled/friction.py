@@ -31,6 +31,28 @@ def moved(law: np.ndarray, bristles: np.ndarray, angles: np.ndarray, step: float
 
 
 @njit(cache=True, error_model="numpy")
+def pull(
+    law: np.ndarray, before: np.ndarray, state: np.ndarray, cranks: np.ndarray, step: float, out: np.ndarray
+) -> None:
+    """Reference `friction.moved` and `friction.relief`.
+
+    Args:
+        law: (6, 6).
+        before: (12,) bristles in a row, at the step's beginning.
+        state: With angles [rad], at its end.
+        cranks: (6,) where they are in `state`.
+        step: [s].
+        out: (18,) bristles in a row, relief.
+    """
+    out[:12] = before
+    bristles = out[:12].reshape((2, 6))
+    moved(law, bristles, state[cranks], step)
+    for i in range(6):
+        slip = bristles[SLIP, i]
+        out[12 + i] = np.sign(slip) * (law[BREAK_AWAY, i] - level(law, i, slip))
+
+
+@njit(cache=True, error_model="numpy")
 def implicit_torque(
     law: np.ndarray,
     bristles: np.ndarray,

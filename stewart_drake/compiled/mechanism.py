@@ -28,7 +28,7 @@ CRANK_LENGTH, ROD_LENGTH, BRANCH, CRANK_AXIS_INERTIA = 12, 13, 14, 15
     EFFORT,
 ) = (*range(4), 4, 7, 16, 19, 20)
 """Of the scalars of the whole robot. PLATFORM_INERTIA begins the moments about the centre of mass, PLATFORM_TENSOR
-the nine entries of the tensor about P, PLATFORM_MOMENT mass times centre of mass."""
+the nine entries of the tensor about P, PLATFORM_MOMENT mass times centre of mass, EFFORT the six motors' limits."""
 
 
 def pack(robot: RobotParameters) -> np.ndarray:
@@ -49,7 +49,7 @@ def pack(robot: RobotParameters) -> np.ndarray:
         *robot.platform_inertia_about_origin.ravel(),
         *robot.platform_moment,
         robot.characteristic_length,
-        robot.effort_limit,
+        *robot.effort_limits,
     ]
     rows = np.zeros(32)
     rows[: len(scalars)] = scalars

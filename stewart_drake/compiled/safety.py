@@ -55,7 +55,7 @@ def quiet_tick(
     turn, wanted = np.empty((3, 3)), np.empty((3, 3))
     for k in range(6):
         if not (
-            np.isfinite(measured[k]) and np.isfinite(measured[6 + k]) and abs(command[k]) < numbers[_N.torque_limit]
+            np.isfinite(measured[k]) and np.isfinite(measured[6 + k]) and abs(command[k]) < numbers[_N.torque_limit + k]
         ):
             return False
         change = max(abs(command[k] - memory[_M.torque + k]), abs(command[k] - memory[_M.command + k]))

@@ -86,7 +86,7 @@ def computed_torque_tick(
         raise NotFiniteError("torque", wanted)
     torque, growth = wanted, options.period * error
     if options.saturation == "clamp":
-        torque = np.clip(wanted, -robot.effort_limit, robot.effort_limit)
+        torque = np.clip(wanted, -robot.effort_limits, robot.effort_limits)
         if np.any(torque != wanted):
             growth = np.zeros(6)
     return ComputedTorqueMemory(torque, error, memory.integral + growth)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from stewart_drake.control.inputs import SingularityLimits
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
@@ -58,9 +60,9 @@ class ControllerOptions(Section, key="controller"):
         """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
         return None
 
-    def limit(self, robot: RobotParameters) -> float:
-        """[N m] of a motor's torque."""
-        return robot.effort_limit
+    def limit(self, robot: RobotParameters) -> np.ndarray:
+        """(6,) [N m] of the motors' torques."""
+        return robot.effort_limits
 
     @property
     def compiles(self) -> bool:

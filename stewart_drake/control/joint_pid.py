@@ -50,9 +50,11 @@ class PidOptions(OwnControllerOptions):
         """See `ControllerOptions`."""
         return (6,)
 
-    def limit(self, robot: RobotParameters) -> float:
-        """[N m] of a motor's torque."""
-        return robot.effort_limit if self.torque_limit is None else min(self.torque_limit, robot.effort_limit)
+    def limit(self, robot: RobotParameters) -> np.ndarray:
+        """(6,) [N m] of the motors' torques."""
+        own = np.inf if self.torque_limit is None else self.torque_limit
+        limits: np.ndarray = np.minimum(own, robot.effort_limits)
+        return limits
 
 
 class PidMemory(NamedTuple):

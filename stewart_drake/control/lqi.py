@@ -194,7 +194,7 @@ def lqi_tick(
         raise NotFiniteError("torque", wanted)
     torque, grown = wanted, integral + options.period * error
     if options.saturation != "none":
-        torque = np.clip(wanted, -robot.effort_limit, robot.effort_limit)
+        torque = np.clip(wanted, -robot.effort_limits, robot.effort_limits)
         cut = wanted - torque
         if options.saturation == "back_calculation" and cut.any():
             grown = grown + min(1.0, options.period / options.reset_time) * _integral_for(gain, cut)
@@ -238,7 +238,7 @@ def held_tick(
     if not np.isfinite(torque).all():
         return held
     if options.saturation != "none":
-        torque = np.clip(torque, -robot.effort_limit, robot.effort_limit)
+        torque = np.clip(torque, -robot.effort_limits, robot.effort_limits)
     return held._replace(torque=torque, error=error)
 
 

@@ -25,7 +25,7 @@ class LqiOptions(OwnControllerOptions):
     """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
 
     kind: Literal["lqi"] = "lqi"
-    """Taken where the key is absent."""
+    """The default kind."""
     period: Positive = 0.005
     model: Model = "paper"
     """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole

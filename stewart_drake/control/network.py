@@ -182,7 +182,7 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
     if document.get("version") != VERSION:
-        allowed = f"{VERSION}; `stewart-drake train` makes the file anew"
+        allowed = f"{VERSION}; `stewart-drake train` makes a new one"
         raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
     try:
         document = unseal(document)

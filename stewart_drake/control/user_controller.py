@@ -67,20 +67,11 @@ class _SystemClass(UserClass):
         return found
 
 
-def load_class(options: PythonOptions) -> type:
-    """The class that `options` name; it is not called.
-
-    Raises:
-        ConfigurationError: See `UserClass.load`; it is no System of pydrake.
-    """
-    return options.source.load()
-
-
 def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
     """An object of the class, made with `options.arguments` and with those of `offered` that the constructor names.
 
     Raises:
-        ConfigurationError: See `load_class`; the constructor raises.
+        ConfigurationError: See `UserClass.load`; it is not a System of pydrake; the constructor raises.
     """
     return options.source.construct(options.arguments, offered)
 

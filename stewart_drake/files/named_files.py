@@ -72,7 +72,7 @@ def take_code_along(scenario: Mapping[str, Any], folder: str = "") -> tuple[dict
             # Of two files of one name the second gets a number.
             tries = (path.name, *(f"{path.stem}_{count}.py" for count in range(2, len(names) + 2)))
             names[path] = str(Path(folder) / next(name for name in tries if str(Path(folder) / name) not in files))
-            files[names[path]] = read_checked(path, f"controller file {path}", MAX_BYTES)
+            files[names[path]] = read_checked(path, f"code file {path}", MAX_BYTES)
         section[key] = f"{names[path]}{kind}"
     return data, files
 

@@ -109,7 +109,7 @@ class UserClass:
         distribution = distribution_of(self._module)
         if distribution is None:
             own = f"{self._module.rpartition('.')[2]}.py:{self.path.rpartition(':')[2]}"
-            allowed = f"a class of an installed package, or for a file of your own {own}"
+            allowed = f"a class of an installed package; for a file of your own write {own}"
             raise ConfigurationError(self.key, self.path, allowed)
         return f"{self._module} (installed with {distribution})"
 
@@ -179,8 +179,16 @@ class UserClass:
             raise ConfigurationError(self.key, self.path, f"{allowed} ({what})") from error
 
 
+def source_of(made: Any) -> str:
+    """Source of a function, class or module, to tell whether it has changed; else a function's compiled code."""
+    try:
+        return inspect.getsource(made)
+    except (OSError, TypeError):
+        return repr(getattr(getattr(made, "__code__", None), "co_code", None))
+
+
 def _load_file(path: Path) -> ModuleType:
-    content = read_checked(path, f"controller file {path}", MAX_BYTES)
+    content = read_checked(path, f"code file {path}", MAX_BYTES)
     # By content: an edited file is another module, and two files of one name are two.
     name = f"{_FILES}.{path.stem}_{hashlib.sha256(bytes(path.absolute()) + content).hexdigest()[:12]}"
     if name in sys.modules:

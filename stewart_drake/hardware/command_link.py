@@ -1,4 +1,4 @@
-"""The way of a command from the controller to the motors: ticks that are dropped or late, commands spoilt; pure."""
+"""The link from the controller to the motors: ticks that are dropped or late, commands that are corrupted; pure."""
 
 from __future__ import annotations
 
@@ -52,11 +52,12 @@ class CommandFault(Fault, key="link.faults"):
 
     kinds: ClassVar[Table] = COMMAND_FAULTS
     kind: Annotated[Text, COMMAND_FAULTS]
-    """nan and inf in place of the torque; offset: `size` more; chatter: `size` more and less in turn, tick by tick."""
+    """nan and inf in place of the torque; offset: `size` is added; chatter: `size` is added in one tick and
+    subtracted in the next."""
     leg: LegNumber | None = None
     """0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] after which commands are well again; null for never."""
+    """[s] after which commands are correct again; null for never."""
     size: Real = 0.0
     """[N m] of offset and chatter."""
 
@@ -69,21 +70,21 @@ class LinkOptions(Section, key="link"):
     """
 
     drop_probability: Share = 0.0
-    """[-] of each tick, 0 to 1."""
+    """[-] that a tick is dropped, 0 to 1."""
     dropped: tuple[Natural, ...] = ()
-    """Ticks that are dropped whatever the chance; tick k is at k controller.period."""
+    """Ticks that are dropped in any case, whatever `drop_probability` is; tick k is at k controller.period."""
     stop_time: NotNegative | None = None
     """[s] from which on every tick is dropped: the controller hangs; null for never."""
     late_probability: Share = 0.0
-    """[-] of each tick, 0 to 1."""
+    """[-] that a tick is dropped, 0 to 1."""
     late: tuple[Natural, ...] = ()
-    """Ticks that are late whatever the chance."""
+    """Ticks that are late in any case."""
     late_steps: Annotated[Natural, Field(ge=1, le=100_000)] = 1
     """Steps of the plant by which a late tick is late, at most one control period."""
     seed: Seed = 0
     """Of what is dropped and late; each tick has its own number, whatever came before."""
     faults: tuple[CommandFault, ...] = ()
-    """Commands spoilt before they are sent."""
+    """Commands that are corrupted before they are sent."""
 
     @cached_property
     def perfect(self) -> bool:

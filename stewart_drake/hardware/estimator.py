@@ -56,9 +56,9 @@ class EncoderOptions(SensorOptions):
     rate_cutoff: Positive | None = None
     """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
     max_speed: Positive = 60.0
-    """[rad/s] a reading that has moved faster than this is not believed."""
+    """[rad/s] a reading that has moved faster than this is rejected."""
     max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
-    """[rad, m] a pose further than this from the last one, at first from the start, is not believed: Newton has found
+    """[rad, m] a pose further than this from the last one, at first from the start, is rejected: Newton has found
     another assembly mode."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
     """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
@@ -149,7 +149,7 @@ def estimate(
     try:
         legs = leg_geometry(robot, pose)
     except UnreachablePoseError as error:
-        # A crank carried across its dead centre, by a hair.
+        # A crank carried across its dead centre, slightly.
         raise SingularPoseError("serial", pose, error.margin, 0.0, error.leg) from None
     beyond = np.cos(legs.crank_angles - angles) < SAME_BRANCH
     if beyond.any():

@@ -78,7 +78,7 @@ class EncoderFault(Fault, key="sensors.faults"):
     leg: LegNumber | None
     """0 to 5; null for all."""
     duration: Positive | None = None
-    """[s] after which the encoder is well again; null for never."""
+    """[s] after which the encoder works again; null for never."""
     size: Real = 0.0
     """[rad] of a jump, [rad/s] of a drift."""
     delay: Delay | None = None
@@ -94,7 +94,7 @@ class PoseFault(Fault, key="sensors.faults"):
     kind: Annotated[Text, POSE_FAULTS]
     """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
     duration: Positive | None = None
-    """[s] after which the sensor is well again; null for never."""
+    """[s] after which the sensor works again; null for never."""
     delay: Delay | None = None
     """[s] of a late reading, up to 1; rounded up to whole ticks."""
 

@@ -1,1 +1,1 @@
-"""What a run leaves behind as data: its log, its figures, how it ended."""
+"""What a run leaves behind as data: its log, its metrics, how it ended."""

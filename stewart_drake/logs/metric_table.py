@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import inspect
+import reprlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.files.user_code import source_of
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.wording import keys_of
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 ValueKind = Literal["number", "whole", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+_TYPES: dict[ValueKind, tuple[type, ...]] = {
+    "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class Metric:
         name: Key of metrics.json, and column of tables; it means the same everywhere.
         unit: Of its numbers, separated by commas where they differ.
         text: What it says; which part of the run it is of follows from `over`.
-        of: Computes it, in plain values; called only where there is something to compute it from.
+        of: Computes it from the sums over a run, a `Tally`; called only where there is something to compute it from.
         over: Which rows it is of, a count of the tally; without any it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
@@ -78,9 +82,29 @@ class Metric:
     gather: Callable[[Any, Mapping[str, np.ndarray]], Any] | None = None
 
     def value(self, tally: Tally) -> Any:
-        """The metric of a run, None where there is nothing to compute it from."""
+        """The metric of a run in plain values, None where there is nothing to compute it from.
+
+        Raises:
+            MetricError: `of` raises, or returns something else than `kind` and `parts` say.
+        """
         with self._named():
-            return self.of(tally) if getattr(tally, self.over) else None
+            return self._plain(self.of(tally)) if getattr(tally, self.over) else None
+
+    def _plain(self, found: Any) -> Any:
+        if isinstance(found, (np.ndarray, np.generic)):
+            found = found.tolist()
+        if found is None:
+            return None
+        allowed = _TYPES[self.kind]
+        if self.parts:
+            fits = isinstance(found, (list, tuple)) and len(found) == len(self.parts)
+            fits = fits and all(each is None or type(each) in allowed for each in found)
+        else:
+            fits = type(found) in allowed
+        if not fits:
+            count = f"{len(self.parts)} values of kind " if self.parts else "a value of kind "
+            raise MetricError(f"metric {self.name}: `of` returned {reprlib.repr(found)}, not {count}{self.kind}")
+        return found
 
     def gathered(self, before: Any, signals: Mapping[str, np.ndarray]) -> Any:
         """What `gather` makes of the next rows; None without one."""
@@ -92,6 +116,8 @@ class Metric:
         """Says of what is raised whose it is."""
         try:
             yield
+        except MetricError:
+            raise
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
 
@@ -269,15 +295,7 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
 
 def added_code() -> dict[str, str]:
     """Name -> source of what each metric from outside is computed by: with another body it is another metric."""
-    return {each.name: f"{_source(each.of)}{_source(each.gather)}" for each in METRICS[_SHIPPED:]}
-
-
-def _source(function: Any) -> str:
-    try:
-        return inspect.getsource(function)
-    except (OSError, TypeError):
-        # Of what was typed in or is no plain function there is none.
-        return repr(getattr(getattr(function, "__code__", None), "co_code", None))
+    return {each.name: f"{source_of(each.of)}{source_of(each.gather)}" for each in METRICS[_SHIPPED:]}
 
 
 def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:

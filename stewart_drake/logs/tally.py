@@ -199,7 +199,7 @@ class Tally:
 
     def _add_torque_change(self, torque: np.ndarray, number: np.ndarray) -> None:
         """Of ticks whose `number` follows that of the one before: a log may have but every tenth."""
-        limit = self.scenario.robot.effort_limit
+        limit = self.scenario.robot.effort_limits
         torque = np.clip(torque, -limit, limit)
         if self._last_late is not None:
             number, torque = np.append(self._last_late[0], number), np.vstack([self._last_late[1], torque])

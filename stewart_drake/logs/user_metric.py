@@ -17,11 +17,11 @@ class _MetricSource(UserClass):
         """The metric.
 
         Raises:
-            ConfigurationError: See `UserClass.named`; it is none.
+            ConfigurationError: See `UserClass.named`; it is not a `Metric`.
         """
         found = self.named() if self.given is None else self.given
         if not isinstance(found, Metric):
-            allowed = f"the path of a stewart_drake.Metric, not of a {type(found).__name__}"
+            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
             raise ConfigurationError(self.key, self.path, allowed)
         return found
 
@@ -47,7 +47,7 @@ class UserMetric(UserMade, key="metrics"):
         """The metric.
 
         Raises:
-            ConfigurationError: See `UserClass.named`; it is none.
+            ConfigurationError: See `UserClass.named`; it is not a `Metric`.
         """
         found: Any = self.source.load()
         return found

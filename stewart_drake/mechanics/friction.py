@@ -96,6 +96,11 @@ def level(law: FrictionLaw, slip: Array) -> Array:
     return law.coulomb + (law.break_away - law.coulomb) * xp.exp(-ratio * ratio)
 
 
+def relief(law: FrictionLaw, slip: Array) -> Array:
+    """Torques (..., 6) [N m] that take friction's from break-away to its level, along the slips (..., 6) [rad/s]."""
+    return namespace(slip).sign(slip) * (law.break_away - level(law, slip))
+
+
 def moved(law: FrictionLaw, bristles: Bristles, angles: Array, step: float, width: float = 0.0) -> Bristles:
     """The bristles once the cranks have come to angles (..., 6) [rad] within a step [s]; `width` see above."""
     stretch = bristles.anchor - angles

@@ -143,7 +143,9 @@ def check_motion(
     def at(limit: str, sample: int) -> LimitMargin:
         column = int(np.nanargmin(margins[limit][sample]))
         leg, where = PLACES[limit][column]
-        return LimitMargin(limit, bounds[limit], float(margins[limit][sample, column]), float(time[sample]), leg, where)
+        share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
+        margin = float(margins[limit][sample, column])
+        return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
 
     smallest = {
         limit: at(limit, int(np.nanargmin(values)) // values.shape[1])

@@ -208,7 +208,7 @@ def _leg_margins(
     if "torque" in bounds:
         torque = inverse_dynamics(robot, pose[regular], pose_rate[regular], pose_acceleration[regular], gravity)
         margins["torque"] = np.full((len(pose), LEGS), -np.inf)
-        margins["torque"][regular] = bounds["torque"] - np.abs(torque)
+        margins["torque"][regular] = bounds["torque"] * robot.effort_shares - np.abs(torque)
     return {limit: margins[limit] for limit in RULES if limit in margins}
 
 

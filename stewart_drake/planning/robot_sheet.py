@@ -75,7 +75,7 @@ def figures(robot: RobotParameters) -> Sheet:
 
 
 def _share_at_rest(robot: RobotParameters) -> float:
-    return float(100.0 * np.abs(static_torque(robot, robot.home_pose)).max() / robot.effort_limit)
+    return float(100.0 * np.max(np.abs(static_torque(robot, robot.home_pose)) / robot.effort_limits))
 
 
 def _short(value: float) -> str:

@@ -85,7 +85,7 @@ def measure_poses(
         robot: Geometry, masses, effort limit.
         pose: (n, 6) [rad, m].
         gravity: [m/s^2] along -z of B.
-        torque_limit: [N m] T_max; None takes the robot's own.
+        torque_limit: [N m] T_max in place of the robot's `effort_limit`; each motor keeps its share of it.
         workers: Threads; None takes one for each processor.
         progress: Called with the share done, 0 to 1.
 
@@ -159,6 +159,7 @@ def _measure(
     own = fitted(numpy_robot(robot), 1)
     legs = core.legs_at(own, pose)
     conditioning, inverse = _invert(robot, home, core.rod_lines(legs))
+    shares = robot.effort_shares[:, None]
     return np.stack(
         [
             np.abs(legs.transmission).min(axis=0),
@@ -167,7 +168,7 @@ def _measure(
             _largest_swing(_in_crank(own, legs), home.in_crank[:, :, None]),
             _largest_stroke(robot, legs.cranks),
             _smallest_distance(own, legs) - 2.0 * robot.link_radius,
-            *_strength(core.levers(own, legs), weight(own, legs, gravity), inverse, torque_limit),
+            *_strength(core.levers(own, legs), weight(own, legs, gravity), inverse, torque_limit, shares),
         ]
     )
 
@@ -196,7 +197,11 @@ def _invert(robot: RobotParameters, home: _HomeRods, lines: np.ndarray) -> tuple
 
 
 def _strength(
-    lever: np.ndarray, weight: tuple[np.ndarray, np.ndarray], inverse: np.ndarray, torque_limit: float
+    lever: np.ndarray,
+    weight: tuple[np.ndarray, np.ndarray],
+    inverse: np.ndarray,
+    torque_limit: float,
+    shares: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Holding torque, force and moment, each (n,).
 
@@ -205,6 +210,7 @@ def _strength(
         weight: What gravity takes to hold, of `dynamics_core.weight`: no force but along z, no moment about it.
         inverse: (6, 6, n) of the rods' lines.
         torque_limit: [N m].
+        shares: (6, 1) [-] `RobotParameters.effort_shares`.
     """
     wrench, own = weight
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -212,13 +218,13 @@ def _strength(
         torque = np.abs(lever * rod_force + own)
         # At a parallel singularity infinities of both signs meet in the sum: no torque holds.
         torque[np.isnan(torque)] = np.inf
-        spare = torque_limit - torque
+        spare = torque_limit * shares - torque
         size = np.abs(lever)
         moment, force = (
             np.where(spare > 0.0, spare / (size * np.sqrt(dot(part, part))), 0.0).min(axis=0)
             for part in (inverse[:3], inverse[3:])
         )
-    return torque.max(axis=0), force, moment
+    return (torque / shares).max(axis=0), force, moment
 
 
 def _largest_swing(now: np.ndarray | tuple[np.ndarray, ...], then: np.ndarray) -> np.ndarray:

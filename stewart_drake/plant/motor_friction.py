@@ -8,64 +8,64 @@ direction of the slip the two together pull as the bristle does, down to the lev
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import PdControllerGains
-from pydrake.systems.framework import Context, DiagramBuilder, DiscreteValues, InputPort, LeafSystem
-from pydrake.systems.primitives import MatrixGain, Multiplexer
+from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem
+from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
-from stewart_drake.mechanics.friction import Bristles, FrictionLaw, at_rest, level, moved
+from stewart_drake.mechanics.friction import Bristles, FrictionLaw, at_rest, moved, relief
 from stewart_drake.robot.leg import LEGS
+
+Relax = Callable[[Context, np.ndarray], None]
+"""Takes the tension off in a Context of the whole Diagram, at a state (nq + nv,) of the plant."""
 
 
 class MotorFriction(LeafSystem):
-    """Anchors of the motors' bristles, see `mechanics.friction`; the the state lives in the Context.
+    """What friction asks of the servos, see `mechanics.friction`; what it remembers comes in from outside.
 
     Ports:
         plant_state: in (nq + nv,), state of the MultibodyPlant.
-        pull: out (18,), anchors [rad], their speeds [rad/s] and relief [N m], until the plant's next step; the state.
+        bristles: in (12,), anchors [rad] and their speeds [rad/s] at the beginning of the plant's last step.
+        pull: out (18,), anchors [rad], their speeds [rad/s] and relief [N m], until the plant's next step.
 
     Args:
         plant: Finalised, with the actuators that `add_friction_actuators` adds.
         law: Of the motors.
+        compiled: See `Scenario.compiled`.
     """
 
-    def __init__(self, plant: MultibodyPlant, law: FrictionLaw) -> None:
+    def __init__(self, plant: MultibodyPlant, law: FrictionLaw, compiled: bool = False) -> None:
         super().__init__()
         self._law, self._step = law, plant.time_step()
         joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
-        self._angles = np.array([joint.position_start() for joint in joints])
-        state = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-        self.DeclareDiscreteState(self._relaxed(state))
+        self.cranks = np.array([joint.position_start() for joint in joints])
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
-        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, self._calc)
-        self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, self._store)
-
-    def relax(self, context: Context, state: np.ndarray) -> None:
-        """Takes the tension off at a state (nq + nv,) of the plant.
-
-        Args:
-            context: Of the whole Diagram.
-            state: Where the plant is put.
-        """
-        mine = self.GetMyMutableContextFromRoot(context)
-        mine.SetDiscreteState(self._relaxed(state))
-
-    def _relaxed(self, state: np.ndarray) -> np.ndarray:
-        return np.concatenate([*at_rest(state[self._angles]), np.zeros(LEGS)])
+        self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEGS)
+        calc = self._compiled_calc() if compiled else self._calc
+        inputs = {self.all_input_ports_ticket()}
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, calc, prerequisites_of_calc=inputs)
 
     def _calc(self, context: Context, output: Any) -> None:
-        # Between two events the memory is that of the step's beginning and the angles those of its end.
-        memory = context.get_discrete_state(0).value()
-        angles = self.plant_state.Eval(context)[self._angles]
-        now = moved(self._law, Bristles(memory[:LEGS], memory[LEGS : 2 * LEGS]), angles, self._step)
-        relief = np.sign(now.slip) * (self._law.break_away - level(self._law, now.slip))
-        output.SetFromVector(np.concatenate([*now, relief]))
+        angles = self.plant_state.Eval(context)[self.cranks]
+        before = Bristles(*self.bristles.Eval(context).reshape(2, LEGS))
+        now = moved(self._law, before, angles, self._step)
+        output.SetFromVector(np.concatenate([*now, relief(self._law, now.slip)]))
 
-    def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
-        discrete_state.set_value(0, self.pull.Eval(context))
+    def _compiled_calc(self) -> Callable[[Context, Any], None]:
+        # numba takes half a second to import, and compiles on first use.
+        from stewart_drake.compiled.friction import pull
+
+        law, cranks, step = np.stack(self._law), self.cranks, self._step
+
+        def calc(context: Context, output: Any) -> None:
+            state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
+            pull(law, before, state, cranks, step, output.get_mutable_value())
+
+        return calc
 
 
 def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
@@ -78,14 +78,26 @@ def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
         actuator.set_controller_gains(PdControllerGains(p=law.stiffness[leg], d=law.damping[leg]))
 
 
-def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionLaw) -> tuple[InputPort, MotorFriction]:
+def wire_friction(
+    builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionLaw, compiled: bool = False
+) -> tuple[InputPort, Relax]:
     """Feeds motors and servos of a finalised plant.
 
     Returns:
-        Port for the motors' torques (6,), and what pulls at the cranks.
+        Port for the motors' torques (6,), and what takes the tension off.
     """
-    friction = builder.AddNamedSystem("friction", MotorFriction(plant, law))
+    # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
+    held, pulled = 2 * LEGS, 3 * LEGS
+    store = LinearSystem(
+        A=np.zeros((held, held)), B=np.eye(held, pulled), C=np.eye(held), D=[], time_period=plant.time_step()
+    )
+    memory = builder.AddNamedSystem("friction_memory", store)
+    friction = builder.AddNamedSystem("friction", MotorFriction(plant, law, compiled))
     builder.Connect(plant.get_state_output_port(), friction.plant_state)
+    builder.Connect(memory.get_output_port(), friction.bristles)
+    builder.Connect(friction.pull, memory.get_input_port())
+    home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
+    memory.configure_default_state(np.concatenate(at_rest(home[friction.cranks])))
     actuators = plant.num_actuators()
     torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
     force = np.zeros((plant.num_velocities(), 3 * LEGS))
@@ -107,8 +119,12 @@ def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionL
         gain = builder.AddNamedSystem(name, MatrixGain(matrix))
         builder.Connect(source, gain.get_input_port())
         builder.Connect(gain.get_output_port(), target)
+
+    def relax(context: Context, state: np.ndarray) -> None:
+        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.concatenate(at_rest(state[friction.cranks])))
+
     port: InputPort = both.get_input_port(0)
-    return port, friction
+    return port, relax
 
 
 def _with_friction(law: FrictionLaw) -> list[int]:

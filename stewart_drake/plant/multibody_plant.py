@@ -27,7 +27,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.plant.motor_friction import MotorFriction, add_friction_actuators, wire_friction
+from stewart_drake.plant.motor_friction import Relax, add_friction_actuators, wire_friction
 from stewart_drake.plant.plant_options import PlantOptions, platform_damping_limit
 from stewart_drake.plant.sdf_model import RodJoint, home_frames, sdf_text
 from stewart_drake.plant.state_map import StateIndices, StateMap
@@ -62,12 +62,12 @@ class StewartPlant(StateMap):
         plant: MultibodyPlant,
         scene_graph: SceneGraph | None,
         torque_input_port: InputPort,
-        friction: MotorFriction | None = None,
+        relax: Relax | None = None,
     ) -> None:
         super().__init__(robot, options.rod_joint, _state_indices(plant, options.rod_joint))
         self.options, self.gravity = options, gravity
         self.plant, self.scene_graph = plant, scene_graph
-        self.torque_input_port, self._friction = torque_input_port, friction
+        self.torque_input_port, self._relax = torque_input_port, relax
         # The SDF has them leg by leg, and no other constraints.
         self._closures = tuple(plant.GetConstraintIds())
         self.state_output_port: OutputPort = plant.get_state_output_port()
@@ -104,8 +104,8 @@ class StewartPlant(StateMap):
         state = self.assemble(pose, pose_rate)
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
-            if self._friction is not None:
-                self._friction.relax(context, state)
+            if self._relax is not None:
+                self._relax(context, state)
 
 
 def add_plant(
@@ -115,6 +115,7 @@ def add_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
+    compiled: bool = False,
 ) -> StewartPlant:
     """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
 
@@ -127,6 +128,7 @@ def add_plant(
         options: What else is modelled; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
+        compiled: See `Scenario.compiled`.
 
     Returns:
         The plant and its ports. The torque port must be connected or fixed.
@@ -168,10 +170,10 @@ def add_plant(
         if options.payload_mass > 0.0:
             _add_payload(plant, options)
         plant.Finalize()
-        torque_input_port, friction = plant.get_actuation_input_port(), None
+        torque_input_port, relax = plant.get_actuation_input_port(), None
         if law.break_away.any():
-            torque_input_port, friction = wire_friction(builder, plant, law)
-    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, friction)
+            torque_input_port, relax = wire_friction(builder, plant, law, compiled)
+    return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, relax)
 
 
 def build_plant(
@@ -180,6 +182,7 @@ def build_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
+    compiled: bool = False,
 ) -> tuple[Diagram, StewartPlant]:
     """A Diagram that holds the plant and nothing else, with its ports exported as `torque` and `state`.
 
@@ -188,12 +191,13 @@ def build_plant(
         options: As in `add_plant`.
         gravity: As in `add_plant`.
         visuals: As in `add_plant`.
+        compiled: As in `add_plant`.
 
     Raises:
         ConfigurationError, DrakeCheckError: As in `add_plant`.
     """
     builder = DiagramBuilder()
-    stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
+    stewart = add_plant(builder, robot, options, gravity, visuals=visuals, compiled=compiled)
     with drake_guard("building the plant"):
         builder.ExportInput(stewart.torque_input_port, "torque")
         builder.ExportOutput(stewart.state_output_port, "state")

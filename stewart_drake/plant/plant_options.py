@@ -113,7 +113,7 @@ class PlantOptions(Section, key="plant"):
         """See `Section.rules`."""
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) > 0.0:
-                raise ConfigurationError(name, getattr(self, name), "0 beside `friction`, which says it")
+                raise ConfigurationError(name, getattr(self, name), "0 where `friction` is given, which has this value")
 
     def friction_law(self, robot: RobotParameters) -> FrictionLaw:
         """Friction of the motors of a robot, with the bristles that the time step carries."""

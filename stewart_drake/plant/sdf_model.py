@@ -286,9 +286,9 @@ def _platform(model: ET.Element, robot: RobotParameters, collision: bool) -> Non
 
 def _motor(model: ET.Element, robot: RobotParameters, frames: HomeFrames, leg: int) -> None:
     if leg == 0:
-        note(model, "Motors: the only actuated joints; the effort limit is RobotParameters.effort_limit.")
+        note(model, "Motors: the only actuated joints; the effort limits are RobotParameters.effort_limits.")
     joint = add_joint(model, f"motor_{leg}", "revolute", "base", f"crank_{leg}")
-    add_axis(joint, "axis", (0.0, -1.0, 0.0), robot.effort_limit, frames.stops[leg])
+    add_axis(joint, "axis", (0.0, -1.0, 0.0), float(robot.effort_limits[leg]), frames.stops[leg])
     if robot.rotor_inertia > 0.0:
         add_element(joint, "drake:rotor_inertia", exact_text((robot.rotor_inertia,)))
 

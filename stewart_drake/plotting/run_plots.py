@@ -91,9 +91,10 @@ def plot_torques(log: SimulationLog) -> Figure:
     figure, axes = _figure(log, "motor torques", rows=3, height=8.0, sharey=True)
     log = _drawable(log)
     time, applied, commanded = log.time, log["torque_applied"], log["torque"]
-    limit, peak = log.scenario.robot.effort_limit, np.abs(applied).max(axis=0)
-    near = peak.max() >= _NEAR_LIMIT * limit
+    limits, peak = log.scenario.robot.effort_limits, np.abs(applied).max(axis=0)
+    near = bool((peak >= _NEAR_LIMIT * limits).any())
     for leg, panel in enumerate(axes.flat):
+        limit = float(limits[leg])
         rms = np.sqrt(np.mean(applied[:, leg] ** 2))
         _title(panel, f"Motor {leg}", f"RMS {rms:#.3g} N m, peak {peak[leg]:#.3g} N m")
         panel.axhline(0.0, color=look.QUIET, linewidth=0.8)

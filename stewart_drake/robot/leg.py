@@ -50,6 +50,8 @@ class LegParameters(Section, key="robot.legs"):
     """[m] shaft to crank tip."""
     rod_length: Size | None = None
     """[m] crank tip to platform joint."""
+    effort_limit: Size | None = None
+    """[N m] largest torque of its motor."""
     branch: Branch | None = None
     """Sign of the acos in the inverse kinematics: -1 or +1."""
     crank_angle_range: tuple[Signed, Signed] | None = None

@@ -40,7 +40,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     links are as slender as the paper's; inertias are those of uniform bars and of a disc.
 
     Raises:
-        ConfigurationError: Too few rows, columns or numbers; a choice that is none; a leg that cannot be level.
+        ConfigurationError: Too few rows, columns or numbers; an unknown choice; a leg that cannot be level.
     """
     for name, given, choices in (("unit", unit, ("m", "mm")), ("cranks", cranks, ("outwards", "towards", "away"))):
         if given not in choices:
@@ -124,7 +124,7 @@ def _read(path: Path) -> list[dict[str, float]]:
     unknown = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg")]
     if missing or unknown or len(set(names)) < len(names):
         wrong = f"without {', '.join(missing)}" if missing else ", ".join(unknown or names)
-        allowed = f"each once: {', '.join(_POSITIONS)}, and if need be {', '.join(_OTHERS)}, leg"
+        allowed = f"each once: {', '.join(_POSITIONS)}, and optionally {', '.join(_OTHERS)}, leg"
         raise ConfigurationError(f"{what}: header", wrong, allowed)
     for group in _GROUPS:
         if len({name in names for name in group}) > 1:

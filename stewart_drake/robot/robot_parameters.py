@@ -208,6 +208,16 @@ class RobotParameters(Section, key="robot"):
         return self._of_legs("crank_angle_range", np.tile([-np.inf, np.inf], (LEGS, 1)))
 
     @cached_property
+    def effort_limits(self) -> np.ndarray:
+        """(6,) [N m] largest torque of each motor."""
+        return self._of_legs("effort_limit", np.full(LEGS, self.effort_limit))
+
+    @cached_property
+    def effort_shares(self) -> np.ndarray:
+        """(6,) [-] `effort_limits` over `effort_limit`."""
+        return _frozen(self.effort_limits / self.effort_limit)
+
+    @cached_property
     def crank_axis_inertias(self) -> np.ndarray:
         """(6,) [kg m^2] inertia of each crank about its motor axis, rotor included."""
         own = self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_lengths) ** 2

@@ -121,7 +121,7 @@ class ResultsFolder:
         # Where links lead: what a link points to is replaced, not the link.
         self.place, self._scenario, self._force = Path(os.path.realpath(place)), scenario, force
         if not self.place.name:
-            raise ConfigurationError("--out", str(place), "a folder of its own: it is made anew as a whole")
+            raise ConfigurationError("--out", str(place), "a folder of its own: the whole folder is replaced")
         self.folder = self.place.with_name(f".{self.place.name}.unfinished")
         self._before = self.place.with_name(f".{self.place.name}.before")
         self._named = str(place)
@@ -202,7 +202,7 @@ class ResultsFolder:
             self.folder.rmdir()
         for path, own in ((self.folder, (self.folder / _MARK).is_file()), (self._before, _is_run(self._before))):
             if os.path.lexists(path) and not own:
-                allowed = f"a folder beside which no {path.name} of your own stands"
+                allowed = f"a folder that has no {path.name} of your own beside it"
                 raise ConfigurationError("--out", self._named, allowed)
         self.folder.mkdir(exist_ok=True)
         # Another process may finish there meanwhile: the mark that it deletes is no lock.
@@ -218,14 +218,14 @@ class ResultsFolder:
             if not place.is_dir():
                 raise ConfigurationError("--out", self._named, "a folder that can be written to (this is a file)")
             if place == here or place in here.parents or place.is_mount():
-                raise ConfigurationError("--out", self._named, "a folder of its own: it is made anew as a whole")
+                raise ConfigurationError("--out", self._named, "a folder of its own: the whole folder is replaced")
             names = {path.name for path in place.iterdir()}
         except OSError as error:
             why = error.strerror or str(error)
             raise ConfigurationError("--out", self._named, f"a folder that can be written to ({why})") from None
         others = sorted((names - _FILES) | _strange_code(place) if _is_run(place) else names)
         if others:
-            allowed = f"a folder with nothing but results in it, for it is made anew; {others[0]} would be lost"
+            allowed = f"a folder with nothing but results: it is replaced as a whole, and {others[0]} would be lost"
             raise ConfigurationError("--out", self._named, allowed)
         if names and not self._force and not self._same():
             allowed = "a folder without the results of another scenario, or --force to replace them"

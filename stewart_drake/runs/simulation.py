@@ -142,7 +142,7 @@ def _run_loop(
     except (RunFailure, KeyboardInterrupt) as end:
         ended_by = end
     except MemoryError:
-        ended_by = RunFailure("there is no memory left to go on with", reason="out_of_memory")
+        ended_by = RunFailure("no memory is left to continue", reason="out_of_memory")
     except np.linalg.LinAlgError as error:
         ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start
@@ -319,7 +319,7 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
     values = {name: np.array(log.data().T[:rows]) for name, log in logs.items()}
     time_on_grid = logs["plant_state"].sample_times()[:rows]
     multiple = np.round(time_on_grid / scenario.plant.time_step)
-    limit = scenario.robot.effort_limit
+    limit = scenario.robot.effort_limits
     pose, pose_rate = plant.pose_and_rate(values["plant_state"])
     signals = {
         "time": times_of(multiple, scenario.plant.time_step),

@@ -111,7 +111,7 @@ class Monitor(NamedTuple):
     key: str = ""
     margin: Callable[[Any, Seen], np.ndarray] | None = None
     rank: int = 1
-    trips: Callable[[SafetyOptions, SafetyInputs, float], tuple[int, int] | None] | None = None
+    trips: Callable[[SafetyOptions, SafetyInputs, np.ndarray], tuple[int, int] | None] | None = None
 
 
 def _nearer(limit: tuple[float, float], apart: np.ndarray) -> np.ndarray:
@@ -159,21 +159,21 @@ def _failure(options: SafetyOptions, health: tuple[float, float]) -> tuple[int, 
     return (leg, cause) if failed(options, health) else None
 
 
-def _unmeasured(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+def _unmeasured(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
     return (-1, 0) if options.finite and not measured(options, inputs) else None
 
 
-def _no_number(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+def _no_number(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
     finite = np.isfinite(inputs.command)
     return (int(finite.argmin()), 0) if options.finite and not finite.all() else None
 
 
-def _absurd(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
-    size = np.abs(inputs.command)
-    return (int(size.argmax()), 0) if size.max() > _ABSURD * limit else None
+def _absurd(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
+    share = np.abs(inputs.command) / limit
+    return (int(share.argmax()), 0) if share.max() > _ABSURD else None
 
 
-def _late(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> tuple[int, int] | None:  # noqa: ARG001
+def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
     return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
 
 
@@ -187,7 +187,7 @@ TORQUE_LIMIT = Monitor(trips=_absurd)
 TORQUE_RATE = Monitor()
 
 
-def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: float) -> Trip | None:
+def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> Trip | None:
     """What is wrong with this tick's messages, apart from what they say."""
     for name in BUILT_IN_MONITORS.names:
         monitor = BUILT_IN_MONITORS[name]

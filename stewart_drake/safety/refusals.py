@@ -57,7 +57,7 @@ def refuse_motion(
             _refuse(key, options.monitor_names[trip.monitor], np.full(1, -1.0), time[row : row + 1], allowed)
     if options.torque_limit is not None:
         step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
-        limit = options.torque_limit * robot.effort_limit
+        limit = options.torque_limit * robot.effort_limits
         _refuse_for_long("torque_limit", options, np.abs(torque), limit, time, step, "N m")
     if options.torque_rate is not None and len(time) > 1:
         step = np.diff(time)
@@ -66,7 +66,7 @@ def refuse_motion(
 
 
 def _refuse_for_long(
-    key: str, options: SafetyOptions, size: np.ndarray, limit: float, time: np.ndarray, step: np.ndarray, unit: str
+    key: str, options: SafetyOptions, size: np.ndarray, limit: Any, time: np.ndarray, step: np.ndarray, unit: str
 ) -> None:
     """Refuses a limit above which sizes (n, 6) are for longer than is allowed, counted as the layer does it.
 
@@ -77,7 +77,7 @@ def _refuse_for_long(
     total = np.cumsum(np.where(any_beyond, step, -step))
     total -= np.minimum(np.minimum.accumulate(total), 0.0)
     too_long = beyond & (total > getattr(options, f"{key}_time") + 1e-9)[:, None]
-    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; it is broken for too long"
+    allowed = f"enough for the motion, which needs up to {size.max():.3g} {unit}; the limit is exceeded for too long"
     _refuse(key, getattr(options, key), np.where(too_long, limit - size, 0.0), time, allowed)
 
 
@@ -111,8 +111,8 @@ def refuse_start(
         raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
     if options.torque_limit is not None:
         needed = np.abs(static_torque(robot, pose, gravity)[None])
-        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; it is broken"
-        margin = options.torque_limit * robot.effort_limit - needed
+        allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
+        margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
 
 
@@ -126,7 +126,7 @@ def _refuse(
     given: Any,
     margin: np.ndarray,
     time: np.ndarray,
-    allowed: str = "a limit that the reference keeps to; it is broken",
+    allowed: str = "a limit that the reference keeps to; the limit is exceeded",
 ) -> None:
     """Raises for the first sample whose margin (n,), or (n, 6) of any leg, is negative."""
     margin = margin.reshape(len(time), -1)

@@ -45,10 +45,10 @@ class _Layer(NamedTuple):
     gravity: float
     period: float
 
-    def limit(self, otherwise: float) -> float:
-        """[N m] of a motor."""
+    def limit(self, otherwise: float) -> np.ndarray:
+        """(6,) [N m] of the motors; `otherwise` times what they can where the limit is off."""
         limit = self.options.torque_limit
-        return otherwise if limit is None else limit * self.robot.effort_limit
+        return (otherwise if limit is None else limit) * self.robot.effort_limits
 
     def led(self, torque: np.ndarray, memory: SafetyMemory) -> np.ndarray:
         """Torques (6,) [N m] towards those wanted; to the last bit those, where nothing limits the change."""
@@ -103,7 +103,7 @@ class _Layer(NamedTuple):
         largest = options.largest_damping(self.robot, period)
         damping = 0.7 * largest if options.damping is None else options.damping
         torque = (1.0 - share) * memory.good + share * memory.weight - damping * speed
-        limit = self.limit(self.robot.effort_limit)
+        limit = self.limit(1.0)
         return memory._replace(
             torque=self.led(np.clip(torque, -limit, limit), memory),
             level=float(level),
@@ -176,7 +176,7 @@ def safety_tick(
         too_fast=max(0.0, memory.too_fast + (1.0 if steep.any() else -1.0)),
     )
     if memory.at_limit * period > options.torque_limit_time + 1e-9:
-        trip = Trip(MONITORS.index("torque_limit"), RAMP, int(np.abs(command).argmax()))
+        trip = Trip(MONITORS.index("torque_limit"), RAMP, int((np.abs(command) / limit).argmax()))
     elif memory.too_fast * period > options.torque_rate_time + 1e-9:
         trip = Trip(MONITORS.index("torque_rate"), RAMP, int(np.abs(change).argmax()))
     if trip is not None:
@@ -220,7 +220,7 @@ def flat_tick(
         crank_speed=bound(options.crank_speed, math.inf),
         following_angle=pairs[1][0],
         following_position=pairs[1][1],
-        torque_limit=bound(options.torque_limit, math.inf) * robot.effort_limit * (1.0 - 1e-9),
+        torque_limit=bound(options.torque_limit, math.inf) * robot.effort_limits * (1.0 - 1e-9),
         torque_change=bound(options.torque_rate, math.inf) * period,
         gravity=gravity,
         home=robot.home_pose[3:],

@@ -129,7 +129,12 @@ class _Wiring:
         self.options, self.period = scenario.controller, scenario.controller.period
         self.builder = DiagramBuilder()
         self.plant: StewartPlant = add_plant(
-            self.builder, scenario.robot, scenario.plant, scenario.gravity, visuals=meshcat is not None
+            self.builder,
+            scenario.robot,
+            scenario.plant,
+            scenario.gravity,
+            visuals=meshcat is not None,
+            compiled=scenario.compiled,
         )
         if meshcat is not None:
             # Half a second to import; only a live view pays it.
@@ -256,16 +261,16 @@ class _Wiring:
         self.command, self.signals["safety"] = self.parts("guarded", layer, 6, 3)
 
     def add_motors(self) -> None:
-        """The last of the way: imperfect motors, where the scenario has them, and the plant."""
+        """The end of the loop: imperfect motors, where the scenario has them, and the plant."""
         if not self.scenario.motors.perfect:
             drive = MotorDrive(self.plant, self.scenario.motors)
             self.add("drive", drive, torque=self.command, plant_state=self.plant.state_output_port)
             self.command = drive.torque_applied
         if self.command is not self.signals["torque"]:
             self.signals["torque_applied"] = self.command
-        spoilt = self.options.code is not None or self.scenario.link.faults
-        if self.scenario.safety is None and spoilt:
-            # The plant would cut an infinite torque to one that looks sound; our own controllers see to theirs.
+        unchecked = self.options.code is not None or self.scenario.link.faults
+        if self.scenario.safety is None and unchecked:
+            # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
             self.command = self.add("finite", FiniteCheck(), torque=self.command).checked
         self.builder.Connect(self.command, self.plant.torque_input_port)
 

@@ -31,5 +31,5 @@ class MotorDrive(LeafSystem):
 
     def _calc(self, context: Context, output: Any) -> None:
         angles = self.plant_state.Eval(context)[self._index] + self._zero
-        # Times of steps are stretched by a hair, see `sampling.on_grid`.
+        # Times of steps are stretched slightly, see `sampling.on_grid`.
         output.SetFromVector(self._options.torque(self.torque.Eval(context), angles, context.get_time()))

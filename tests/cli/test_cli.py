@@ -214,6 +214,13 @@ def test_bad_input_ends_in_one_line_and_status_2_and_writes_nothing(call, bad_fi
     assert contents(tmp_path) == bad_files
 
 
+def test_of_several_problems_each_has_a_line_of_its_own(call, tmp_path):
+    (tmp_path / "wrong.yaml").write_text("duration: -1\ngravty: 9\ntuner: {kind: fixd}\n")
+    status, out, err = call("run", "wrong.yaml")
+    keys = [line.split(":")[1].strip() for line in err.splitlines()]
+    assert (status, out, sorted(keys)) == (2, "", ["duration", "gravty", "tuner.kind"])
+
+
 @pytest.mark.slow
 def test_bad_input_from_a_shell_too(shell, bad_files, tmp_path):
     assert_refused(*shell("run", "typo.yaml"), ["plant.time_stp", "did you mean time_step?"])
@@ -287,7 +294,7 @@ def test_a_reader_that_leaves_early_changes_no_exit_status(start, tmp_path):
 def test_a_run_without_figures_is_told_all_the_same(call):
     status, out, err = call("run", "exact_fig7", *QUICK, "--set", "link.faults=[{kind: nan, time: 0.02}]")
     assert status == 3
-    assert "failed: not_finite" in out
+    assert "failed, not_finite" in out
     assert err.splitlines()[-1].startswith("stewart-drake: failed, not_finite at t = 0.020 s: ")
 
 

@@ -47,6 +47,8 @@ def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes
     (folder / "mine.yaml").write_text(text)
     status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
     assert f"runs code: {folder / 'mine.py'}\n" in out
+    _, twice, _ = check("given/mine.yaml", "--set", "disturbances=[{kind: 'given/mine.py:Push'}]")
+    assert twice.count("runs code: ") == 1
     assert load_scenario("fit.yaml").controller.file == tmp_path / "mine.py"
     assert (tmp_path / "mine.py").read_bytes() == (folder / "mine.py").read_bytes()
     (tmp_path / "mine.py").write_text("own = 1\n")

@@ -25,8 +25,12 @@ def test_compiled_friction_is_that_of_the_arrays(robot, offset, tension, slips, 
     compiled.implicit_torque(packed, memory, angles, rates, mobility, step, friction.SWEEPS, found)
     expected = friction.implicit_torque(law, bristles, angles, rates, mobility, step)
     np.testing.assert_allclose(found, expected, atol=1e-12)
+    pulled, cranks, moved = np.empty(18), np.array([1, 0, 2, 5, 4, 3]), friction.moved(law, bristles, angles, step)
+    compiled.pull(packed, memory.ravel(), angles[cranks], cranks, step, pulled)
     compiled.moved(packed, memory, angles, step)
-    np.testing.assert_allclose(memory, np.stack(friction.moved(law, bristles, angles, step)), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(memory, np.stack(moved), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(pulled[:12], memory.ravel(), rtol=1e-15)
+    np.testing.assert_allclose(pulled[12:], friction.relief(law, moved.slip), rtol=1e-12, atol=1e-15)
 
 
 # --- hunting --------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from strategies import ROBOT
 from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import load_network
-from stewart_drake.control.user_controller import PythonOptions, construct, load_class, user_code
+from stewart_drake.control.user_controller import PythonOptions, construct, user_code
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.yaml_files import shipped_folder
@@ -91,7 +91,7 @@ def test_an_import_path_works_as_a_file_does_and_context_is_handed_over():
     assert made.period == pytest.approx(0.25)
     made = construct(PythonOptions(system=path, arguments={"period": 0.5}), {"period": 0.25})
     assert made.period == pytest.approx(0.5)
-    assert load_class(PythonOptions(system="stewart_drake.systems.joint_pid:JointPid")).__name__ == "JointPid"
+    assert PythonOptions(system="stewart_drake.systems.joint_pid:JointPid").source.load().__name__ == "JointPid"
 
 
 def test_a_file_is_found_beside_the_scenario(tmp_path):
@@ -153,7 +153,7 @@ def test_bad_options_name_the_key(changes):
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="No such file"):
-        load_class(PythonOptions(system=f"{tmp_path / 'none.py'}:Mine"))
+        PythonOptions(system=f"{tmp_path / 'none.py'}:Mine").source.load()
 
 
 SET = "        output.Set"
@@ -190,7 +190,7 @@ def test_its_traceback_begins_with_its_own_first_frame_and_is_no_longer_than_a_p
     options = scenario(
         written(GOOD + "\ndef ping(n):\n    pong(n)\n\ndef pong(n):\n    n[0]\n    ping(n)\n")
     ).controller
-    functions = vars(sys.modules[load_class(options).__module__])
+    functions = vars(sys.modules[options.source.load().__module__])
     lines = guarded(options, lambda: functions["ping"]({})).traceback.splitlines()
     error = guarded(options, lambda: functions["ping"]({}))
     assert pickle.loads(pickle.dumps(error)).traceback == error.traceback
@@ -250,7 +250,7 @@ def test_a_file_that_hides_an_installed_package_is_not_taken_for_it(tmp_path, mo
     (tmp_path / "ruff.py").write_text("raise AssertionError('it was run')\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigurationError, match="installed package"):
-        load_class(PythonOptions(system="ruff:Mine"))
+        PythonOptions(system="ruff:Mine").source.load()
 
 
 def test_an_installed_module_is_named_with_its_package():

@@ -89,7 +89,7 @@ def test_the_motions_can_be_run_and_the_first_is_the_base(tmp_path):
     assert first == study.base.replace({"duration": min(2.0, first.duration)})
     for scenario in motions.values():
         check_scenario(scenario)
-    others = study.base.replace({"reference.center": [0.0, 0.0, 0.0, 0.0, 0.0, 0.31]})
+    others = study.base.replace({"reference.amplitude": [0.2, 0.0, 0.0, 0.0, 0.0, 0.02]})
     assert next(iter(controlled_motions(replace(study, base=others)))) == "the scenario's motion"
 
 
@@ -130,7 +130,6 @@ def test_command_writes_the_report_and_its_numbers(tmp_path, report, monkeypatch
     [
         (["--pose", "0", "0", "0", "0", "0", "0.7"], "a pose that all rods can reach"),
         (["--pose", "0", "0", "0", "nan", "0", "0.3"], "finite"),
-        (["--set", "reference.amplitude=[2, 0, 0, 0, 0, 0]"], "reference"),
         (["--scenario", "no_such_scenario"], "no_such_scenario"),
     ],
 )

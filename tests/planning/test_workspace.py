@@ -132,7 +132,7 @@ def test_exactly_at_a_parallel_singularity_no_torque_holds():
     ratio, inverse = _invert(ROBOT, Home, lines)
     assert ratio[1] == 0.0 < ratio[0]
     wrench = np.outer([0.1, -0.1, 0.0, 0.0, 0.0, 12.0], np.ones(2))
-    torque, force, moment = _strength(np.full((6, 2), 0.1), (wrench, np.full((6, 2), 0.1)), inverse, 5.0)
+    torque, force, moment = _strength(np.full((6, 2), 0.1), (wrench, np.full((6, 2), 0.1)), inverse, 5.0, np.ones((6, 1)))
     assert np.isfinite([torque[0], force[0], moment[0]]).all()
     assert torque[1] == np.inf
     assert force[1] == moment[1] == 0.0

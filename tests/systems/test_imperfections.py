@@ -183,3 +183,36 @@ def test_a_rod_breaks_at_its_time_and_alone_and_not_after_the_end(time):
     assert log["loop_gap"][: first + 1, 3].max() < 1e-6
     assert log["loop_gap"][first + 5 :, 3].min() > 1e-6
     assert log["loop_gap"][-1, 3] > 1e-4
+
+
+# --- friction -------------------------------------------------------------------------------------------------------
+
+
+def held(break_away, **changes):
+    """A platform let go beside its target, under the LQI with an integral; Coulomb's level is 0.1 N m."""
+    friction = {"coulomb": 0.1, "break_away": break_away, "stribeck_velocity": 0.05}
+    tuner = {"kind": "block", "q_pose": 4e3, "q_rate": 3.0, "q_integral": 4e4}
+    offset = [0.01, -0.005, 0.008, 0.001, 0.0005, 0.002]
+    options = {"reference": {"kind": "hold"}, "tuner": tuner, "plant": {"friction": friction}}
+    return run(scenario(**options, initial_offset=offset, **changes))
+
+
+@pytest.mark.slow
+def test_integral_action_hunts_on_the_plant_where_break_away_is_above_coulomb_and_only_there():
+    """The platform jumps from rest to rest and does not settle; the sources stand with the six uncoupled motors."""
+    logs = [held(level, duration=12.0, compiled=True) for level in (0.1, 0.2)]
+    assert [log.status for log in logs] == ["completed"] * 2
+    off = [np.linalg.norm((log["pose"] - log["reference"])[:, 3:], axis=1) for log in logs]
+    worst = [[part.max() for part in np.array_split(each, 6)[2:]] for each in off]
+    assert max(worst[0]) < 1e-4
+    assert min(worst[1]) > 4e-4
+    pose = logs[1]["pose"][len(off[1]) // 3 :]
+    assert np.mean(np.abs(np.diff(pose, axis=0)).max(axis=1) < 1e-8) > 0.5
+
+
+@pytest.mark.slow
+def test_friction_compiled_and_of_arrays_does_the_same_run():
+    one, other = (held(0.2, duration=0.5, compiled=compiled) for compiled in (False, True))
+    assert np.ptp(one["pose"], axis=0).max() > 1e-3
+    for name in ("pose", "torque"):
+        np.testing.assert_allclose(other[name], one[name], rtol=0.0, atol=1e-9)
