@@ -52,6 +52,10 @@ def show(robot: str, picture: Path | None) -> None:
         click.echo(f"picture in {_draw(robot, picture)}")
 
 
+_OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
+"""What no table says and no robot shares with another."""
+
+
 @robots.command("from-table")
 @click.argument("table", type=click.Path(path_type=Path))
 @click.option("--unit", default="m", show_default=True, help="Of all lengths, in the table and after --set: m or mm.")
@@ -81,6 +85,9 @@ def from_table(table: Path, unit: str, cranks: str, overrides: tuple[str, ...], 
     robot = RobotParameters.from_table(table, **choices, **parameters)
     save_robot(robot, out, about)
     click.echo(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    unsaid = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
+    if unsaid:
+        click.echo(f"not given, so taken from the paper's robot [kg, kg m^2, N m]: {', '.join(unsaid)}")
 
 
 @robots.command("table")

@@ -12,8 +12,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
-from stewart_drake.robot.leg import LEGS, crank_equation
+from stewart_drake.robot.leg import LEGS, Signed3, Size, crank_equation
 from stewart_drake.robot.robot_checks import check_order
+from stewart_drake.section import check_value
 
 Unit = Literal["m", "mm"]
 Cranks = Literal["outwards", "towards", "away"]
@@ -21,6 +22,7 @@ _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 _GROUPS = (("crank_x", "crank_y", "crank_z"), ("up_x", "up_y", "up_z"), ("low", "high"))
 _OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch")
 _LENGTHS = {"crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"}
+_MASSES = {"platform_mass", "rod_mass", "crank_mass"}
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11
 """Of a link, over the characteristic length: as the paper's robot has it."""
@@ -45,6 +47,11 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
             raise ConfigurationError(name, given, f"one of {', '.join(choices)}")
     scale = 1e-3 if unit == "mm" else 1.0
     columns = _columns(table)
+    for name, given in parameters.items():
+        if name in _LENGTHS or name in _MASSES:
+            check_value(f"robot.{name}", given, Size)
+        elif name == "platform_center_of_mass":
+            check_value(f"robot.{name}", given, Signed3)
     own = {name: value * scale if name in _LENGTHS else value for name, value in parameters.items()}
     if "platform_center_of_mass" in own:
         own["platform_center_of_mass"] = tuple(scale * x for x in own["platform_center_of_mass"])
