@@ -176,7 +176,7 @@ WRONG = [
     ("controller.period", {"controller": {"period": 0.0055}}, "a whole multiple of the plant's time step 0.001 s"),
     ("controller.period", {"controller": {"period": 0.0005}}, "a whole multiple"),
     ("controller.period", {"controller": {"period": 0.005000001}}, "a whole multiple"),
-    ("robot.home_height", {"robot": {"rod_length": 0.1}}, "rods of 0.1 m reach"),
+    ("robot.home_height", {"robot": {"rod_length": 0.1}}, "its rod 0.1 m long"),
     ("robot.rod_length", {"robot": {"rod_length": 1e200}}, "1e+06"),
     ("log_period", {"log_period": 0.0015}, "a whole multiple of the plant's time step"),
     ("log_period", {"log_period": 10.001}, "at most the duration, 10 s"),

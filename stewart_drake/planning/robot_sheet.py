@@ -53,12 +53,14 @@ def at_home(robot: RobotParameters) -> Sheet:
     angles = np.degrees(home.crank_angles)
     stops = np.degrees(robot.crank_angle_ranges)
     torque = static_torque(robot, robot.home_pose)
-    header = ("leg", "branch", "angle [deg]", "stops [deg]", "transmission [-]", "torque at rest [N m]")
+    header = ("leg", "branch", "angle [deg]", "stops [deg]", "transmission [-]", "torque at rest, limit [N m]")
     rows = []
     for leg in range(LEGS):
         ends = f"{stops[leg, 0]:.1f} to {stops[leg, 1]:.1f}" if np.isfinite(stops[leg]).any() else "none"
         own = (f"{robot.branches[leg]:+.0f}", f"{angles[leg]:.2f}", ends)
-        rows.append((str(leg), *own, f"{abs(home.transmission[leg]):.3f}", f"{torque[leg]:.4g}"))
+        rows.append(
+            (str(leg), *own, f"{abs(home.transmission[leg]):.3f}", f"{torque[leg]:.4g}, {robot.effort_limits[leg]:g}")
+        )
     return "at home", header, rows
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _HUGE = 30.0
 """[m] no leg is larger: such a number is in millimetres."""
+_LENGTHS = ("rod_length", "crank_length", "shaft_position", "platform_joint")
 _SLACK = 1e-6
 """[rad] by which directions of joints that meet in one point may seem out of order."""
 
@@ -79,11 +80,15 @@ def check_home(robot: RobotParameters) -> None:
     if not margin.min() > 0.0:
         leg = int(margin.argmin())
         distance = float(np.linalg.norm(span[leg]))
+        own = [name for name in _LENGTHS if robot.legs is not None and getattr(robot.legs[leg], name) is not None]
+        # One number of its own is the likely cause; more of them say no more than the height.
+        key, what = (f"legs.{leg}.{own[0]}", "a value") if len(own) == 1 else ("home_height", "a height")
+        given = getattr(robot.legs[leg], own[0]) if len(own) == 1 and robot.legs else robot.home_height
         allowed = (
-            f"a height to which cranks of {robot.crank_lengths[leg]:g} m and rods of {robot.rod_lengths[leg]:g} m "
-            f"reach (leg {leg} has margin {margin[leg]:.3g}): its joint is {distance:.4g} m from its shaft"
+            f"{what} with which leg {leg} closes at home: its joint is {distance:.4g} m from its shaft, its crank "
+            f"{robot.crank_lengths[leg]:g} m and its rod {robot.rod_lengths[leg]:g} m long (margin {margin[leg]:.3g})"
         )
-        raise ConfigurationError("robot.home_height", robot.home_height, allowed + _meant(robot, leg))
+        raise ConfigurationError(f"robot.{key}", given, allowed + _meant(robot, leg))
     theta = np.arctan2(up, along) + robot.branches * np.arccos(constant / size)
     low, high = np.clip(robot.crank_angle_ranges, -LARGEST, LARGEST).T
     off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi
