@@ -123,7 +123,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
-        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {log.message}", err=True)
+        why = (log.message or "").removeprefix(f"{log.reason}: ")
+        click.echo(f"stewart-drake: {told(log.status, log.reason, log.outcome_time)}: {why}", err=True)
     sys.exit(_STATUS[log.status])
 
 
