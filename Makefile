@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction montecarlo format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -64,6 +64,11 @@ plan: install
 reproduction: install
 	$(BIN)/stewart-drake reproduce --out runs/reproduction
 	$(BIN)/python docs/write_reproduction.py runs/reproduction
+
+# A thousand runs, a quarter of an hour on two cores, and docs/results/monte_carlo.md.
+montecarlo: install
+	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
+	$(BIN)/python docs/write_monte_carlo.py runs/monte_carlo
 
 format: install
 	$(BIN)/ruff check --fix .

@@ -1,0 +1,79 @@
+"""Writes docs/results/monte_carlo.md and .parquet from the table of the sweep: `make montecarlo`.
+
+python docs/write_monte_carlo.py runs/monte_carlo     # a folder that `stewart-drake sweep monte_carlo` made
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+TEXT = """# A thousand robots that are not what the controller believes
+
+`stewart-drake sweep monte_carlo`; what is drawn, and from what, is in
+[monte_carlo.yaml](../../diagrams/sweeps/monte_carlo.yaml): masses and inertias within 20 %, payload up to 0.3 kg off
+centre, 0 to 0.08 N m of friction, encoder noise up to a count, 1 to 3 ticks of delay, a push of up to 5 N, and a motion
+of six sines of 0.1 to 1.5 Hz each. The controller is the exact-model LQI of `exact_breathing`, with the nominal robot
+as its model. A row a run: [monte_carlo.parquet](monte_carlo.parquet). `make montecarlo` writes both.
+
+| of {runs} runs of 4 s | 50 % | 95 % | 99 % | largest |
+|---|---|---|---|---|
+| RMSE of position, second half [mm] | {position} |
+| RMSE of rotation, second half [deg] | {rotation} |
+
+{completed} of {runs} completed, {warned} of them with a warning; at most {saturated:.2g} % of a run's torques were at
+their limit. The gap of the loop closure (at most {gap:.1f} µm) is at most {share:.1f} % of the run's RMSE. At no
+instant was the platform off by more than {worst_mm:.2f} mm and {worst_deg:.2f} deg.
+
+| friction in each motor [N m] | runs | RMSE, median [mm] | 99 % [mm] |
+|---|---|---|---|
+{by_friction}
+
+99 % with 1, 2, 3 ticks of delay: {by_delay} mm.
+"""
+
+
+def main(folder: Path) -> None:
+    """Writes both files; ends with a line where the sweep is not whole."""
+    table = pq.read_table(folder / "monte_carlo.parquet")
+    row = {name: np.array(table[name].to_pylist()) for name in table.column_names if "." not in name}
+    friction = np.array(table["plant.motor_friction"].to_pylist())
+    runs, done = table.num_rows, row["status"] == "completed"
+    if runs != 1000:
+        sys.exit(f"{folder}: {runs} runs; the whole sweep has 1000")
+    rmse = row["rmse_norm_mm"].astype(float)
+
+    def spread(values: np.ndarray) -> str:
+        shares = [*np.nanquantile(values, [0.5, 0.95, 0.99]), np.nanmax(values)]
+        return " | ".join(f"{share:.3f}" for share in shares)
+
+    bands = []
+    for low in (0.0, 0.02, 0.04, 0.06):
+        own = rmse[(friction >= low) & (friction < low + 0.02)]
+        bands.append(
+            f"| {low:g} to {low + 0.02:g} | {own.size} | {np.nanmedian(own):.3f} | {np.nanquantile(own, 0.99):.3f} |"
+        )
+    gap = 1e6 * row["loop_gap_max_m"].astype(float)
+    text = TEXT.format(
+        runs=runs,
+        completed="All" if done.all() else int(done.sum()),
+        warned="none" if not any(row["warnings"]) else sum(map(bool, row["warnings"])),
+        position=spread(rmse),
+        rotation=spread(row["rmse_norm_deg"].astype(float)),
+        saturated=100.0 * np.nanmax(row["saturated_fraction"].astype(float)),
+        gap=np.nanmax(gap),
+        share=np.nanmax(0.1 * gap / rmse),
+        worst_mm=np.nanmax(row["error_max_mm"].astype(float)),
+        worst_deg=np.nanmax(row["error_max_deg"].astype(float)),
+        by_friction="\n".join(bands),
+        by_delay=", ".join(f"{np.nanquantile(rmse[row['command_delay'] == ticks], 0.99):.3f}" for ticks in (1, 2, 3)),
+    )
+    results = Path(__file__).with_name("results")
+    (results / "monte_carlo.md").write_text(text)
+    shutil.copyfile(folder / "monte_carlo.parquet", results / "monte_carlo.parquet")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
