@@ -23,7 +23,7 @@ as its model. A row a run: [monte_carlo.parquet](monte_carlo.parquet). `make mon
 | RMSE of position, second half [mm] | {position} |
 | RMSE of rotation, second half [deg] | {rotation} |
 
-{completed} of {runs} completed, {warned} of them with a warning; at most {saturated:.2g} % of a run's torques were at
+{completed} completed, {warned} of them with a warning; at most {saturated:.2g} % of a run's torques were at
 their limit. The gap of the loop closure (at most {gap:.1f} µm) is at most {share:.1f} % of the run's RMSE. At no
 instant was the platform off by more than {worst_mm:.2f} mm and {worst_deg:.2f} deg.
 
@@ -37,7 +37,7 @@ instant was the platform off by more than {worst_mm:.2f} mm and {worst_deg:.2f} 
 
 def main(folder: Path) -> None:
     """Writes both files; ends with a line where the sweep is not whole."""
-    table = pq.read_table(folder / "monte_carlo.parquet")
+    table = pq.read_table(folder / "sweep.parquet")
     row = {name: np.array(table[name].to_pylist()) for name in table.column_names if "." not in name}
     friction = np.array(table["plant.motor_friction"].to_pylist())
     runs, done = table.num_rows, row["status"] == "completed"
@@ -58,7 +58,7 @@ def main(folder: Path) -> None:
     gap = 1e6 * row["loop_gap_max_m"].astype(float)
     text = TEXT.format(
         runs=runs,
-        completed="All" if done.all() else int(done.sum()),
+        completed=f"All {runs}" if done.all() else f"{int(done.sum())} of {runs}",
         warned="none" if not any(row["warnings"]) else sum(map(bool, row["warnings"])),
         position=spread(rmse),
         rotation=spread(row["rmse_norm_deg"].astype(float)),
@@ -72,7 +72,7 @@ def main(folder: Path) -> None:
     )
     results = Path(__file__).with_name("results")
     (results / "monte_carlo.md").write_text(text)
-    shutil.copyfile(folder / "monte_carlo.parquet", results / "monte_carlo.parquet")
+    shutil.copyfile(folder / "sweep.parquet", results / "monte_carlo.parquet")
 
 
 if __name__ == "__main__":
