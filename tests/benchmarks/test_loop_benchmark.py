@@ -139,7 +139,7 @@ def test_mathematics_of_a_tick(compare):
     options = load_scenario("exact_fig7").controller
     scenario = load_scenario("exact_fig7", ALL)
     estimate = flat_estimate(ROBOT, scenario.sensors, options.period, compiled=True)
-    tick = flat_tick(ROBOT, options, scenario.gravity)
+    tick = flat_tick(ROBOT, options, scenario.gravity, compiled=True)
     network = load_network()
     answer = network.compiled_weights()
     features = DensityFeatures(scenario.tuner.window, options.period, scenario.tuner.density, compiled=True)
