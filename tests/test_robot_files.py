@@ -45,7 +45,10 @@ def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
 
 
 def test_the_schema_takes_a_robot_by_name():
-    jsonschema.validate({"robot": "reachy_mini", "model_robot": {"rod_length": 0.41}}, scenario_schema())
+    check = jsonschema.Draft202012Validator(scenario_schema())
+    assert check.is_valid({"robot": "reachy_mini", "model_robot": {"rod_length": 0.41}})
+    assert not check.is_valid({"robot": 3})
+    assert not check.is_valid({"model_robot": {"rod_length": "reachy_mini"}})
 
 
 @pytest.mark.parametrize(

@@ -1,86 +1,18 @@
-import math
-
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
+from plant_runs import Run
 from strategies import ROBOT, UNEQUAL
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics import friction
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import FrictionOptions, PlantOptions
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_files import load_robot
 
 HOME = ROBOT.home_pose
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-# Of the size of Reachy Mini: cranks of 40 mm in tangential planes, the rotors' inertia far above that of the rest.
-SMALL = RobotParameters(
-    shaft_circle_radius=0.038,
-    shaft_height=0.0766,
-    shaft_half_angle=0.79,
-    crank_plane_angle=-math.pi / 2.0,
-    platform_joint_radius=0.03,
-    platform_half_angle=0.81,
-    crank_length=0.04,
-    rod_length=0.085,
-    home_height=0.15,
-    rod_mass=0.005,
-    rod_inertia=(3.66e-06, 3.66e-06, 2.64e-08),
-    crank_mass=0.0037,
-    crank_inertia=(5.5e-08, 1.89e-06, 1.89e-06),
-    platform_mass=0.28,
-    platform_inertia=(0.0008, 0.00056, 0.00076),
-    platform_center_of_mass=(0.0, 0.0, 0.056),
-    rotor_inertia=0.0018,
-    effort_limit=0.8,
-    characteristic_length=0.03,
-)
-_built = {}
-
-
-class Run:
-    """One simulation with torques that hold until they are set again."""
-
-    def __init__(self, robot=ROBOT, gravity=9.81, pose=None, rate=None, time_step=1e-3, **options):
-        key = (id(robot), gravity, time_step, *sorted(options.items()))
-        if key not in _built:
-            _built[key] = build_plant(robot, PlantOptions(time_step=time_step, **options), gravity)
-        self.diagram, self.stewart = _built[key]
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
-        self.stewart.set_state(self.context, robot.home_pose if pose is None else pose, rate)
-        self.hold(np.zeros(6))
-
-    def hold(self, torque):
-        self.diagram.GetInputPort("torque").FixValue(self.context, np.array(torque, dtype=float))
-        return self
-
-    def to(self, time):
-        self.simulator.AdvanceTo(time)
-        return self
-
-    @property
-    def state(self):
-        return self.diagram.GetOutputPort("state").Eval(self.context)
-
-    @property
-    def pose(self):
-        return self.stewart.pose_and_rate(self.state)[0]
-
-    @property
-    def angles(self):
-        return self.state[self.stewart.indices.crank].copy()
-
-    @property
-    def rates(self):
-        return self.stewart.crank_rates(self.state)
-
-    @property
-    def kinetic_energy(self):
-        plant = self.stewart.plant
-        return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
+SMALL = load_robot("reachy_mini")
 
 
 def test_friction_hides_its_actuators():
@@ -93,7 +25,7 @@ def test_the_rotors_keep_their_inertia_beside_friction():
     """Drake takes the rotor of a joint from one of its actuators."""
     masses = []
     for options in ({}, {"motor_friction": 0.1}, {"friction": FrictionOptions(coulomb=(0.1, 0.0) * 3)}):
-        plant = Run(UNEQUAL, **options).stewart.plant
+        plant = Run(robot=UNEQUAL, **options).stewart.plant
         masses.append(plant.CalcMassMatrix(plant.CreateDefaultContext()))
     for other in masses[1:]:
         np.testing.assert_allclose(other, masses[0], rtol=1e-12, atol=1e-15)
@@ -108,7 +40,7 @@ def test_the_rotors_keep_their_inertia_beside_friction():
 )
 def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, break_away, viscous, share, ratio):
     said = FrictionOptions(coulomb=share * break_away, break_away=break_away, stribeck_velocity=0.02, viscous=viscous)
-    run = Run(robot, friction=said)
+    run = Run(robot=robot, friction=said)
     # The closed loops of the plant stand a little off: what is left of the load beside friction is known to 1e-3.
     run.hold(static_torque(robot, robot.home_pose) + ratio * break_away * SIGNS)
     start, yielded = run.angles, 0.0
@@ -126,8 +58,8 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
 @pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
 def test_above_break_away_it_slides(robot):
     hold = static_torque(robot, robot.home_pose)
-    run = Run(robot, motor_friction=0.05).hold(hold + 1.05 * 0.05 * np.sign(hold)).to(0.1)
-    assert np.abs(run.angles - Run(robot, motor_friction=0.05).angles).max() > 1e-3
+    run = Run(robot=robot, motor_friction=0.05).hold(hold + 1.05 * 0.05 * np.sign(hold)).to(0.1)
+    assert np.abs(run.angles - Run(robot=robot, motor_friction=0.05).angles).max() > 1e-3
 
 
 def test_between_the_levels_what_rests_stays_and_what_slides_goes_on():
@@ -226,12 +158,12 @@ def test_the_exact_model_with_the_same_friction_sticks_and_slips_alike(robot):
     for step in (2e-3, 1e-3):
         law = PlantOptions(friction=said, time_step=step).friction_law(robot)
         model = exact(robot, law, torque, 0.5, step)
-        run, poses = Run(robot, time_step=step, friction=said), []
+        run, poses = Run(robot=robot, time_step=step, friction=said), []
         for k in range(len(model)):
             poses.append(run.hold(torque(k * step)).to((k + 1) * step).pose)
         poses = np.array(poses)
         stuck = np.abs(np.diff(poses, axis=0)).max(axis=1) < 1e-5 * step
-        assert 0.1 < stuck.mean() < 0.9
+        assert 0.05 < stuck.mean() < 0.9  # both happen
         errors.append(np.abs(model - poses).max())
     moved = np.abs(poses - robot.home_pose).max()
     assert moved > 0.005

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plant_runs import Run, built
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import JacobianWrtVariable, WeldJoint
-from pydrake.systems.analysis import Simulator
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
@@ -30,62 +30,7 @@ HOME = ROBOT.home_pose
 # Level, turned by 92 deg, low: in reach, but the rods of each pair cross.
 CROSSED = np.array([0.0, 0.0, 1.6, 0.0, 0.0, 0.2])
 
-_built = {}
 universal_or_ball = pytest.mark.parametrize("rod_joint", ["universal", "ball"])
-
-
-def built(rod_joint="universal", robot=ROBOT, gravity=9.81, **options):
-    """Diagram and plant; the same arguments share them, because a test may only change a Context of its own."""
-    key = (rod_joint, id(robot), gravity, *sorted(options.items()))
-    if key not in _built:
-        _built[key] = build_plant(robot, PlantOptions(rod_joint=rod_joint, **options), gravity)
-    return _built[key]
-
-
-class Run:
-    """One simulation with torques that hold until they are set again."""
-
-    def __init__(self, pose=HOME, rate=None, torque=(0.0,) * 6, **plant):
-        self.diagram, self.stewart = built(**plant)
-        self.simulator = Simulator(self.diagram)
-        self.context = self.simulator.get_mutable_context()
-        self.stewart.set_state(self.context, pose, rate)
-        self.hold(torque)
-
-    def hold(self, torque):
-        self.diagram.GetInputPort("torque").FixValue(self.context, np.array(torque))
-
-    def to(self, time):
-        self.simulator.AdvanceTo(time)
-        return self
-
-    @property
-    def state(self):
-        return self.diagram.GetOutputPort("state").Eval(self.context)
-
-    @property
-    def pose(self):
-        return self.stewart.pose_and_rate(self.state)[0]
-
-    @property
-    def kinetic_energy(self):
-        plant = self.stewart.plant
-        return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
-
-    @property
-    def energy(self):
-        plant = self.stewart.plant
-        return self.kinetic_energy + plant.CalcPotentialEnergy(plant.GetMyContextFromRoot(self.context))
-
-    @property
-    def contacts(self):
-        plant = self.stewart.plant
-        results = plant.get_contact_results_output_port().Eval(plant.GetMyContextFromRoot(self.context))
-        infos = [results.point_pair_contact_info(k) for k in range(results.num_point_pair_contacts())]
-        return {
-            frozenset({plant.get_body(info.bodyA_index()).name(), plant.get_body(info.bodyB_index()).name()})
-            for info in infos
-        }
 
 
 def in_drake(stewart, state):
