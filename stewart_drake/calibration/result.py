@@ -17,7 +17,7 @@ from stewart_drake.calibration.parameters import (
     FrameName,
     Name,
 )
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.installed import need_pandas
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -88,11 +88,9 @@ class Calibration:
         Raises:
             ConfigurationError: pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            allowed = "an installation with pandas: pip install pandas; rows() gives the same as tuples"
-            raise ConfigurationError("to_pandas", "no pandas", allowed) from None
+        need_pandas("rows() gives the same as tuples")
+        import pandas as pd
+
         return pd.DataFrame(self.rows(), columns=COLUMNS)
 
     def error_sizes(self) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -10,9 +10,24 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE
 
 _OWN = "stewart_drake"
+
+
+def need_pandas(instead: str) -> None:
+    """Asks for pandas, which this package uses but does not install.
+
+    Args:
+        instead: What gives the same without it.
+
+    Raises:
+        ConfigurationError: It is not installed.
+    """
+    if importlib.util.find_spec("pandas") is None:
+        allowed = f"an installation with pandas: pip install pandas; {instead}"
+        raise ConfigurationError("to_pandas", "no pandas", allowed)
 
 
 def distribution_of(module: str) -> str | None:

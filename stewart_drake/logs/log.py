@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.installed import need_pandas
 from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status, told
@@ -218,11 +219,7 @@ class SimulationLog:
         Raises:
             ConfigurationError: pandas is not installed.
         """
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            allowed = "an installation with pandas: pip install pandas; table() gives the same as an Arrow table"
-            raise ConfigurationError("to_pandas", "no pandas", allowed) from None
+        need_pandas("table() gives the same as an Arrow table")
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
