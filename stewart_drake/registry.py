@@ -48,8 +48,15 @@ TUNERS = Family(
 SENSORS = Family(
     {
         "ideal": ("hardware.sensor_faults:IdealSensors", "systems.task_space_sensor:add_ideal_sensor"),
-        "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
+        "encoders": ("hardware.estimator:EncoderOptions", "systems.motor_encoders:add_encoders"),
     }
+)
+ESTIMATORS = Family(
+    {
+        "difference": ("hardware.observer:DifferenceOptions", "systems.pose_estimator:add_difference"),
+        "observer": ("hardware.observer:ObserverOptions", "systems.platform_observer:add_observer"),
+    },
+    default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
 """Those of the user's own, under `safety.monitors`."""

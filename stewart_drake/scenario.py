@@ -23,7 +23,9 @@ from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.observer import DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -31,7 +33,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_files import AnyRobot, robot_section
@@ -95,7 +97,11 @@ class Scenario(Section):
     tuner: Annotated[Tuner, TUNERS] = by_default(AnnTuner())
     """Where the weights come from; without effect for controllers that take none."""
     sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
-    """What the controller sees of the robot."""
+    """What is read of the robot."""
+    estimator: Annotated[EstimatorOptions, ESTIMATORS] = by_default(DifferenceOptions())
+    """What makes of it the pose and rate that the controller sees."""
+    friction_compensation: FrictionCompensation | None = None
+    """Friction of the motors that every command makes up for; null for none."""
     compiled: Flag = False
     """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner and
     the safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected. The
