@@ -13,9 +13,10 @@ regulator and servomechanism problems" (IEEE Trans. Autom. Control 16, 1971).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -150,8 +151,8 @@ class ObserverMemory(NamedTuple):
     @classmethod
     def from_flat(cls, values: np.ndarray) -> ObserverMemory:
         """Inverse of `flat`."""
-        rows = values[:_M.missed].reshape(-1, 6)
-        return cls(*rows, values[_M.missed : _M.side], values[_M.side : _M.size], values[_M.size :].reshape(-1, 6))
+        parts: Any = (values[start:end] for start, end in itertools.pairwise(_M))
+        return cls(*parts, values[_M.size :].reshape(-1, 6))
 
 
 class Observer(NamedTuple):
@@ -236,7 +237,10 @@ def observe(observer: Observer, angles: np.ndarray, sent: np.ndarray, memory: Ob
         pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
         surplus = memory.surplus + gains.surplus * innovation
         return _looking_ahead(
-            observer, memory._replace(pose=pose, rate=rate, innovation=innovation, surplus=surplus, missed=missed, commands=commands)
+            observer,
+            memory._replace(
+                pose=pose, rate=rate, innovation=innovation, surplus=surplus, missed=missed, commands=commands
+            ),
         )
     except UnreachablePoseError as error:
         # A crank carried across its dead centre, slightly.

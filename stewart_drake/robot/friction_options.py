@@ -13,6 +13,7 @@ from stewart_drake.section import NotNegative, Section, check_value
 from stewart_drake.wording import as_problem
 
 Moderate = Annotated[NotNegative, Field(le=LARGEST)]
+SixNumbers = tuple[float, float, float, float, float, float]
 
 
 class _Each:
@@ -62,7 +63,7 @@ class FrictionOptions(Section, key="plant.friction"):
                 raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
 
     @property
-    def levels(self) -> tuple[tuple[float, ...], ...]:
+    def levels(self) -> tuple[SixNumbers, SixNumbers, SixNumbers, SixNumbers]:
         """Coulomb [N m], break-away [N m], Stribeck rate [rad/s] and viscous [N m s/rad], six of each."""
         break_away = self.coulomb if self.break_away is None else self.break_away
         return self.coulomb, break_away, self.stribeck_velocity, self.viscous

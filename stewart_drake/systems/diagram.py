@@ -343,3 +343,12 @@ def require_scenario(value: object) -> None:
     """Raises a `TypeError` for anything but a Scenario."""
     if not isinstance(value, Scenario):
         raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
+
+
+def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
+    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`.
+
+    Raises:
+        ConfigurationError: The tuner's weights file is missing or corrupt.
+    """
+    return ClosedLoop(scenario, meshcat)

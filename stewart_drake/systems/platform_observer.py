@@ -77,7 +77,8 @@ def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> 
     delay = scenario.command_delay if options.delay is None else options.delay
     noise = scenario.sensors.reading_noise
     observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise)
-    memory = observer.initial(*scenario.start(), wiring.standing_torque(), delay)
+    pose, rate = scenario.start()
+    memory = observer.initial(pose, rate, wiring.standing_torque(), delay)
     made = PlatformObserver(observer, memory, reading.size(), scenario.compiled, wiring.guarded)
     sent = wiring.last_command()
     added = wiring.add("estimator", made, reading=reading, sent=sent)
