@@ -32,12 +32,11 @@ def advance(
     step: float,
     sweeps: int,
     torque: np.ndarray,
-    wrenches: np.ndarray,
-    rows: np.ndarray,
-    first: int,
-    count: int,
-) -> tuple[int, int, float]:
-    """Reference `closed_chain.advanced`, so many steps with the motors' torques held.
+    outside: np.ndarray,
+    now: np.ndarray,
+    then: np.ndarray,
+) -> tuple[int, float]:
+    """Reference `closed_chain.advanced`.
 
     Args:
         robot: From `mechanism.pack`.
@@ -46,13 +45,12 @@ def advance(
         step: [s].
         sweeps: Over the motors, of friction.
         torque: (6,) [N m] asked of the motors.
-        wrenches: (n, 6) [N m, N] on the platform, from each row on.
-        rows: (n, 36) `CHAIN_STATE`; row `first` is where it starts, those after it are written.
-        first: Row.
-        count: Steps.
+        outside: (6,) [N m, N] wrench on the platform.
+        now: (36,) `CHAIN_STATE`.
+        then: (36,) out, a step later.
 
     Returns:
-        Steps that were done; where that is not all, the leg that cannot span there, and its margin.
+        -1, or the leg that cannot span; its margin.
     """
     legs, lines, turn, turned = np.empty((6, 14)), np.empty((6, 6)), np.empty((3, 3)), np.empty((3, 3))
     jacobian, inertia, columns = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
@@ -61,65 +59,63 @@ def advance(
     rubs = False
     for i in range(6):
         rubs = rubs or law[BREAK_AWAY, i] > 0.0 or law[VISCOUS, i] > 0.0
-    bad = leg_vectors(robot, rows[first, :6], legs)
-    for done in range(count):
-        if bad >= 0:
-            return done, bad, legs[bad, 13]
-        now, then = rows[first + done], rows[first + done + 1]
-        pose, twist = now[: _S.pose_rate], now[_S.twist : _S.angles]
-        rod_lines(legs, lines)
-        rotation(pose[:3], turn)
-        task_inertia(robot, legs, lines, turn, inertia)
-        loads(robot, legs, turn, twist, still, gravity, wrench, own)
-        # M a = J' (torque - own) - wrench + what pushes from outside; beside it M^-1 J' for friction.
+    bad = leg_vectors(robot, now[: _S.pose_rate], legs)
+    if bad >= 0:
+        return bad, legs[bad, 13]
+    pose, twist = now[: _S.pose_rate], now[_S.twist : _S.angles]
+    rod_lines(legs, lines)
+    rotation(pose[:3], turn)
+    task_inertia(robot, legs, lines, turn, inertia)
+    loads(robot, legs, turn, twist, still, gravity, wrench, own)
+    # M a = J' (torque - own) - wrench + what pushes from outside; beside it M^-1 J' for friction.
+    for k in range(6):
+        columns[k, 6] = outside[k] - wrench[k, 0]
+    for i in range(6):
+        limit = scalar(robot, EFFORT + i)
+        asked = min(max(torque[i], -limit), limit) - own[i]
+        inverse = 1.0 / (robot[i, CRANK_LENGTH] * legs[i, 12])
         for k in range(6):
-            columns[k, 6] = wrenches[first + done, k] - wrench[k, 0]
+            jacobian[i, k] = lines[i, k] * inverse
+            columns[k, i] = jacobian[i, k]
+            columns[k, 6] += jacobian[i, k] * asked
+    solve(inertia, columns)
+    for k in range(6):
+        then[_S.twist + k] = twist[k] + step * columns[k, 6]
+    if rubs:
         for i in range(6):
-            limit = scalar(robot, EFFORT + i)
-            asked = min(max(torque[i], -limit), limit) - own[i]
-            inverse = 1.0 / (robot[i, CRANK_LENGTH] * legs[i, 12])
+            rates[i] = 0.0
             for k in range(6):
-                jacobian[i, k] = lines[i, k] * inverse
-                columns[k, i] = jacobian[i, k]
-                columns[k, 6] += jacobian[i, k] * asked
-        solve(inertia, columns)
+                rates[i] += jacobian[i, k] * then[_S.twist + k]
+                mobility[i, k] = 0.0
+                for m in range(6):
+                    mobility[i, k] += jacobian[i, m] * columns[m, k]
+        bristles = now[_S.anchor :].reshape((2, 6))
+        implicit_torque(law, bristles, now[_S.angles : _S.anchor], rates, mobility, step, sweeps, dry)
         for k in range(6):
-            then[_S.twist + k] = twist[k] + step * columns[k, 6]
-        if rubs:
             for i in range(6):
-                rates[i] = 0.0
-                for k in range(6):
-                    rates[i] += jacobian[i, k] * then[_S.twist + k]
-                    mobility[i, k] = 0.0
-                    for m in range(6):
-                        mobility[i, k] += jacobian[i, m] * columns[m, k]
-            bristles = now[_S.anchor :].reshape((2, 6))
-            implicit_torque(law, bristles, now[_S.angles : _S.anchor], rates, mobility, step, sweeps, dry)
-            for k in range(6):
-                for i in range(6):
-                    then[_S.twist + k] += step * columns[k, i] * dry[i]
-        _turn(turn, then[_S.twist : _S.twist + 3], step, turned)
-        then[0] = np.arctan2(turned[2, 1], turned[2, 2])
-        then[1] = np.arcsin(min(1.0, max(-1.0, -turned[2, 0])))
-        then[2] = np.arctan2(turned[1, 0], turned[0, 0])
-        for k in range(6):
-            then[_S.pose_rate + k] = then[_S.twist + k]
-        euler_rates(then[:3], then[_S.pose_rate : _S.pose_rate + 3])
+                then[_S.twist + k] += step * columns[k, i] * dry[i]
+    _turn(turn, then[_S.twist : _S.twist + 3], step, turned)
+    then[0] = np.arctan2(turned[2, 1], turned[2, 2])
+    then[1] = np.arcsin(min(1.0, max(-1.0, -turned[2, 0])))
+    then[2] = np.arctan2(turned[1, 0], turned[0, 0])
+    for k in range(6):
+        then[_S.pose_rate + k] = then[_S.twist + k]
+    euler_rates(then[:3], then[_S.pose_rate : _S.pose_rate + 3])
+    for k in range(3):
+        then[3 + k] = pose[3 + k] + step * then[_S.twist + 3 + k]
+    bad = leg_vectors(robot, then[: _S.pose_rate], legs)
+    if bad >= 0:
+        return bad, legs[bad, 13]
+    for i in range(6):
+        along, up = 0.0, 0.0
         for k in range(3):
-            then[3 + k] = pose[3 + k] + step * then[_S.twist + 3 + k]
-        bad = leg_vectors(robot, then[: _S.pose_rate], legs)
-        if bad >= 0:
-            return done, bad, legs[bad, 13]
-        for i in range(6):
-            along, up = 0.0, 0.0
-            for k in range(3):
-                along += legs[i, 3 + k] * robot[i, ZERO + k]
-                up += legs[i, 3 + k] * robot[i, QUARTER + k]
-            ahead = np.arctan2(up, along) - now[_S.angles + i]
-            then[_S.angles + i] = now[_S.angles + i] + ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-        then[_S.anchor :] = now[_S.anchor :]
-        moved(law, then[_S.anchor :].reshape((2, 6)), then[_S.angles : _S.anchor], step)
-    return count, -1, 0.0
+            along += legs[i, 3 + k] * robot[i, ZERO + k]
+            up += legs[i, 3 + k] * robot[i, QUARTER + k]
+        ahead = np.arctan2(up, along) - now[_S.angles + i]
+        then[_S.angles + i] = now[_S.angles + i] + ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
+    then[_S.anchor :] = now[_S.anchor :]
+    moved(law, then[_S.anchor :].reshape((2, 6)), then[_S.angles : _S.anchor], step)
+    return -1, 0.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -86,6 +86,11 @@ class OwnControllerOptions(ControllerOptions):
         return self
 
     @property
+    def weighted(self) -> bool:
+        """Whether it takes the weights of a tuner."""
+        return False
+
+    @property
     def results(self) -> Sequence[int]:
         """See `ControllerOptions`."""
         return (6, 6, 6)

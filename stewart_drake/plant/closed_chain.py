@@ -108,7 +108,7 @@ def advanced(
 
 
 class ClosedChain:
-    """The same by numba, in rows of a table.
+    """The same by numba, on flat vectors.
 
     Args:
         robot: Geometry and masses.
@@ -126,22 +126,18 @@ class ClosedChain:
         law = np.stack(options.friction_law(robot))
         self._advance, self._fixed = advance, (packed, law, float(gravity), on_grid(options.time_step), SWEEPS)
 
-    def advance(self, torque: np.ndarray, wrenches: np.ndarray, rows: np.ndarray, first: int, count: int) -> None:
-        """So many steps with the motors' torques held.
+    def advance(self, torque: np.ndarray, wrench: np.ndarray, now: np.ndarray, then: np.ndarray) -> None:
+        """One step.
 
         Args:
             torque: (6,) [N m] asked of the motors.
-            wrenches: (n, 6) [N m, N] on the platform, from each row on.
-            rows: (n, 36) states, each a `ChainState` in a row; those after row `first` are written.
-            first: Row of the state now.
-            count: Steps.
+            wrench: (6,) [N m, N] on the platform.
+            now: (36,) a `ChainState` in a row.
+            then: (36,) out, likewise.
 
         Raises:
             SingularPoseError: A crank comes to its dead centre, where this description of the robot ends.
         """
-        done, leg, margin = self._advance(*self._fixed, torque, wrenches, rows, first, count)
-        if done < count:
-            pose = rows[first + done, : CHAIN_STATE.pose_rate]
-            error = SingularPoseError("serial", pose, margin, 0.0, leg)
-            error.time = done * self._fixed[3]
-            raise error
+        leg, margin = self._advance(*self._fixed, torque, wrench, now, then)
+        if leg >= 0:
+            raise SingularPoseError("serial", now[: CHAIN_STATE.pose_rate].copy(), margin, 0.0, leg)

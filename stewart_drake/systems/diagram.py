@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import (
     Demultiplexer,
@@ -16,12 +14,13 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from stewart_drake.errors import UnreachablePoseError, drake_guard
-from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.control.parts import ControllerSite
+from stewart_drake.errors import drake_guard
+from stewart_drake.hardware.command_link import standing_torque
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
 from stewart_drake.sampling import on_grid, steps_per
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, require_scenario
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
@@ -31,7 +30,6 @@ from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.ticked import TickedSystem
-from stewart_drake.systems.tracking_controller import ControllerSite
 from stewart_drake.systems.tracking_error import TrackingError
 
 if TYPE_CHECKING:
@@ -88,7 +86,7 @@ class ClosedLoop(Diagram):
         self.plant = wiring.plant
         self.controller = wiring.controller
         self.safety = wiring.safety
-        self._delays = wiring.delays
+        self._delays, self._still = wiring.delays, wiring.still
 
     def create_start_context(self) -> Context:
         """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
@@ -102,9 +100,8 @@ class ClosedLoop(Diagram):
         start, rate = self.scenario.start()
         self.plant.set_state(context, start, rate)
         if self._delays:
-            hold_still = _standing_torque(self.scenario)
             for delay in self._delays:
-                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
+                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), self._still)
         return context
 
     def graph(self) -> str:
@@ -150,6 +147,8 @@ class _Wiring:
         self.age: OutputPort | None = None
         self.safety: SafetyLayer | None = None
         self.delays: list[ZeroOrderHold] = []
+        # Holds the robot at the start, until the first command is there.
+        self.still = standing_torque(self.believed, scenario.start()[0], scenario.gravity)
 
     def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
         """Adds a system and connects its input ports, by name."""
@@ -236,7 +235,7 @@ class _Wiring:
             self.command = self.delays[-1].get_output_port()
         if not self.scenario.link.perfect:
             steps = steps_per("controller.period", self.period, time_step)
-            link = CommandLink(self.scenario.link, time_step, steps, _standing_torque(self.scenario))
+            link = CommandLink(self.scenario.link, time_step, steps, self.still)
             self.add("link", link, torque=self.command)
             self.command, self.age = self.parts("arrived", link, 6, 1)
 
@@ -246,7 +245,7 @@ class _Wiring:
         if scenario.safety is None:
             return
         quantum = scenario.sensors.quantum
-        still, compiled = _standing_torque(scenario), scenario.compiled
+        still, compiled = self.still, scenario.compiled
         layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
         self.safety = self.add("safety", layer, command=self.command, **seen)
@@ -283,20 +282,6 @@ class _Wiring:
             sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
             sinks[name].set_name(f"log_{name}")
         return sinks
-
-
-def require_scenario(value: object) -> None:
-    """Raises a `TypeError` for anything but a Scenario."""
-    if not isinstance(value, Scenario):
-        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
-
-
-def _standing_torque(scenario: Scenario) -> np.ndarray:
-    """Torques (6,) that hold the robot, as believed, at the start pose; zeros where it cannot stand there."""
-    # In that case the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
-        return static_torque(scenario.believed_robot, scenario.start()[0], scenario.gravity)
-    return np.zeros(6)
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
