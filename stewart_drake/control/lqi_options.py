@@ -78,7 +78,7 @@ class LqiOptions(OwnControllerOptions):
 
     @property
     def weighted(self) -> bool:
-        """See `OwnControllerOptions`."""
+        """See `ControllerOptions`."""
         return True
 
     @property

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.control.controller_options import OwnControllerOptions
+from stewart_drake.control.controller_options import ControllerOptions, OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import Running, Sampled
@@ -67,7 +67,7 @@ class TickedControl:
         health: What was wrong in the last tick, see `sampling.ill`.
     """
 
-    def __init__(self, part: Sampled, options: OwnControllerOptions, site: ControllerSite) -> None:
+    def __init__(self, part: Sampled, options: ControllerOptions, site: ControllerSite) -> None:
         self.weighted, self._tells = options.weighted, len(options.results) > 1
         self._running, self._nothing = Running(part, site.guarded), np.zeros(6)
         self._last = Answer(*np.zeros((3, 6)))

@@ -92,8 +92,8 @@ class PlantOptions(Section, key="plant"):
     time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
     """[s] period of the discrete plant."""
     engine: Literal["drake", "reduced"] = "drake"
-    """drake: the MultibodyPlant, in a Diagram. reduced: the exact closed form of the robot, compiled, without a Diagram,
-    several times faster, for searches, sweeps and comparisons; it lacks what joints and links do beyond their own."""
+    """drake: the MultibodyPlant, in a Diagram. reduced: the exact closed form of the robot, compiled, without a
+    Diagram: several times faster, for searches, sweeps and comparisons. What it cannot have is refused."""
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
     collision: Flag = False

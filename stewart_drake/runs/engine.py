@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -24,7 +23,7 @@ class Engine(Protocol):
     """
 
     state_names: tuple[str, ...]
-    stops: Sequence[int]
+    stops: tuple[int, ...]
 
     def prepare(self) -> None:
         """What is no part of a run's cost, such as compiling; then the state at the start."""

@@ -376,5 +376,5 @@ def test_what_a_run_raises_holds_no_view_of_its_contexts():
     with pytest.raises(ZeroDivisionError) as caught:
         run(Scenario(duration=0.05), progress=lambda _: 1 / 0)
     frames = [frame for frame, _ in traceback.walk_tb(caught.tb)]
-    assert any(frame.f_code.co_name == "_run_loop" for frame in frames)
+    assert any(frame.f_code.co_name == "_run_engine" for frame in frames)
     assert not any("context" in frame.f_locals for frame in frames)
