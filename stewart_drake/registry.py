@@ -60,10 +60,25 @@ SENSORS = Family(
         ),
         "encoders": (
             "hardware.estimator:EncoderOptions",
-            "systems.pose_estimator:add_encoders",
+            "systems.motor_encoders:add_encoders",
             "hardware.estimator:EncoderSensing",
         ),
     }
+)
+ESTIMATORS = Family(
+    {
+        "difference": (
+            "hardware.observer:DifferenceOptions",
+            "systems.pose_estimator:add_difference",
+            "hardware.estimator:DifferenceEstimating",
+        ),
+        "observer": (
+            "hardware.observer:ObserverOptions",
+            "systems.platform_observer:add_observer",
+            "hardware.observing:ObserverEstimating",
+        ),
+    },
+    default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
 """Those of the user's own, under `safety.monitors`."""
@@ -81,6 +96,7 @@ BUILT_IN_MONITORS = Table(
         "following_error": "safety.monitors:FOLLOWING",
         "torque_limit": "safety.monitors:TORQUE_LIMIT",
         "torque_rate": "safety.monitors:TORQUE_RATE",
+        "innovation": "safety.monitors:INNOVATION",
     }
 )
 """Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""

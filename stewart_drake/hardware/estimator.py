@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +20,7 @@ from stewart_drake.errors import (
     pose_text,
 )
 from stewart_drake.hardware.seeded import tick_normal
-from stewart_drake.hardware.sensing import SensorSite
+from stewart_drake.hardware.sensing import Estimate, LoopSite
 from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions, faulty_sensor
 from stewart_drake.mechanics.kinematics import (
     crank_rates,
@@ -32,7 +32,7 @@ from stewart_drake.mechanics.kinematics import (
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.sampling import Running, Sampled
+from stewart_drake.sampling import WELL, Running, Sampled
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 _M = ESTIMATOR_MEMORY
@@ -76,6 +76,11 @@ class EncoderOptions(SensorOptions):
     def quantum(self) -> float:
         """[rad] of one count; 0 for none."""
         return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
+
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
+        return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
 
     def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
         """What the encoders say, while none fails.
@@ -257,32 +262,40 @@ def starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np
 class EncoderSensing:
     """`EncoderOptions` in one run; see `Sensing`."""
 
+    size = 6
     live = False
 
-    def __init__(self, options: EncoderOptions, site: SensorSite) -> None:
+    def __init__(self, options: EncoderOptions, site: LoopSite) -> None:
         self._read = options.reader(site.compiled)
         self._faulty = Running(faulty_sensor(options.faults, 6, site.period)) if options.faults else None
-        rates = starting_crank_rates(site.robot, site.pose, site.pose_rate)
-        tick = flat_estimate(site.robot, options, site.period, site.compiled)
-        self._estimate = Running(Sampled(initial_memory(site.pose, rates), tick), site.guarded)
         self.angles: np.ndarray | None = None
+
+    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:
+        """See `Sensing`."""
+        angles = self._read(state[CHAIN_STATE.angles : CHAIN_STATE.anchor], tick)
+        self.angles = angles if self._faulty is None else self._faulty(time, angles, time)[:6]
+        return self.angles
+
+
+class DifferenceEstimating:
+    """`DifferenceOptions` in one run; see `Estimating`."""
+
+    ahead = 0
+    innovates = False
+
+    def __init__(self, options: object, site: LoopSite, sensors: Any, size: int) -> None:  # noqa: ARG002 - none matter
+        self.live, self._estimate = size == 12, None
+        if not self.live:
+            rates = starting_crank_rates(site.robot, site.pose, site.pose_rate)
+            tick = flat_estimate(site.robot, sensors, site.period, site.compiled)
+            self._estimate = Running(Sampled(initial_memory(site.pose, rates), tick), site.guarded)
 
     @property
     def health(self) -> tuple[float, float]:
-        """See `Sensing`."""
-        return self._estimate.health
+        """See `Estimating`."""
+        return WELL if self._estimate is None else self._estimate.health
 
-    def __call__(
-        self,
-        time: float,
-        tick: int,
-        state: np.ndarray,
-        command: np.ndarray,  # noqa: ARG002
-        reference: np.ndarray,  # noqa: ARG002
-    ) -> np.ndarray:
-        """See `Sensing`."""
-        angles = self._read(state[CHAIN_STATE.angles : CHAIN_STATE.anchor], tick)
-        if self._faulty is not None:
-            angles = self._faulty(time, angles, time)[:6]
-        self.angles = angles
-        return self._estimate(time, angles)[:12]
+    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:  # noqa: ARG002
+        """See `Estimating`."""
+        found = reading if self._estimate is None else self._estimate(time, reading)[:12]
+        return Estimate(found, found)

@@ -12,9 +12,9 @@ from pydantic import Field
 from stewart_drake.compiled.constants import CHAIN_STATE
 from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind, swap
-from stewart_drake.hardware.sensing import SensorSite
+from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.registry import ENCODER_FAULTS, POSE_FAULTS
-from stewart_drake.sampling import WELL, Running, Sampled
+from stewart_drake.sampling import Running, Sampled
 from stewart_drake.section import LegNumber, Positive, Real, Section, Text
 
 Delay = Annotated[Positive, Field(le=1.0)]
@@ -120,6 +120,11 @@ class SensorOptions(Section, key="sensors"):
         """[rad] of a count, of sensors that read the cranks' angles; 0 for none."""
         return 0.0
 
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a crank's angle as it is read."""
+        return 0.0
+
 
 class IdealSensors(SensorOptions):
     """Pose and rate of the platform, exact."""
@@ -190,22 +195,15 @@ def faulty_sensor(faults: Faults, size: int, period: float) -> Sampled:
 class IdealSensing:
     """`IdealSensors` in one run; see `Sensing`."""
 
+    size = 12
     angles = None
-    health = WELL
 
-    def __init__(self, options: IdealSensors, site: SensorSite) -> None:
+    def __init__(self, options: IdealSensors, site: LoopSite) -> None:
         self._faulty = Running(faulty_sensor(options.faults, 12, site.period)) if options.faults else None
         self.live = not options.faults
 
-    def __call__(
-        self,
-        time: float,
-        tick: int,  # noqa: ARG002
-        state: np.ndarray,
-        command: np.ndarray,  # noqa: ARG002
-        reference: np.ndarray,  # noqa: ARG002
-    ) -> np.ndarray:
+    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:  # noqa: ARG002 - no noise
         """See `Sensing`."""
-        # A copy: between ticks the controller's view stays, and the table of states is used again.
+        # A copy, because the state goes on.
         true = state[: CHAIN_STATE.twist].copy()
         return true if self._faulty is None else self._faulty(time, true, time)[:12]

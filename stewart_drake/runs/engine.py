@@ -98,7 +98,7 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
     weights = values.pop("weights", None)
     if weights is not None:
         signals["weights" if weights.shape[1] == 2 else "block_weights"] = weights
-    if not scenario.sensors.exact:
+    if not (scenario.sensors.exact and scenario.estimator.exact):
         signals["measured_pose"], signals["measured_pose_rate"] = measurement[:, :6], measurement[:, 6:]
     signals = values | signals
     return {name: signals[name] for name in SIGNALS if name in signals}

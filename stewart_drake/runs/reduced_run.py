@@ -15,10 +15,11 @@ from stewart_drake.control.parts import Answer, ControllerSite, TickedControl
 from stewart_drake.errors import ConfigurationError, NotFiniteError, RunFailure, StewartDrakeError
 from stewart_drake.hardware.command_link import command_link, standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.sensing import SensorSite
+from stewart_drake.hardware.friction_feedforward import feedforward_part
+from stewart_drake.hardware.sensing import Estimate, LoopSite
 from stewart_drake.plant.closed_chain import ClosedChain, starting_state
 from stewart_drake.references import in_blocks
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, SENSORS, TUNERS
 from stewart_drake.runs.engine import quiet, signals_of
 from stewart_drake.safety import MEMORY_SIZE, SafetyMemory, first_trip, safety_part
 from stewart_drake.sampling import InBlocks, Running, on_grid, steps_per
@@ -58,8 +59,17 @@ class ReducedRun:
         guarded = scenario.safety is not None and scenario.safety.failures
         start, rate = scenario.start()
         still = standing_torque(believed, start, scenario.gravity)
-        sensor_site = SensorSite(believed, period, start, rate, guarded, compiled)
-        self._sensing = _plain(scenario, "sensors", SENSORS)(scenario.sensors, sensor_site)
+        at = LoopSite(believed, scenario.gravity, period, start, rate, still, scenario.command_delay, guarded, compiled)
+        self._sensing = _plain(scenario, "sensors", SENSORS)(scenario.sensors, at)
+        estimating = _plain(scenario, "estimator", ESTIMATORS)
+        self._estimating = estimating(scenario.estimator, at, scenario.sensors, self._sensing.size)
+        self._live = self._sensing.live and self._estimating.live
+        # A block of its own: one that both asked would be made again and again where one ends.
+        self._ahead = in_blocks(scenario.reference, time_step) if self._estimating.ahead else self._reference
+        friction = scenario.friction_compensation
+        self._against = None if friction is None else Running(feedforward_part(believed, friction, compiled))
+        self._limit = believed.effort_limits
+        self._sent = still
         site = ControllerSite(believed, scenario.gravity, len(scenario.tuner.weights), guarded, compiled)
         self._control = _control(scenario, site)
         self._tuner, self._density = None, None
@@ -89,6 +99,7 @@ class ReducedRun:
             torque=6,
             error=6,
             integral=6,
+            innovation=6 if self._estimating.innovates else 0,
             weights=len(self._weights) if self._tuner else 0,
             density=12 if self._density else 0,
             torque_applied=6 if applied else 0,
@@ -98,7 +109,7 @@ class ReducedRun:
         self._table = np.empty((_ROWS, self._places["safety"].stop))
         self._now, self._first, self._count = 0, 0, 0
         self._state, self._next = np.zeros(_S.size), np.empty(_S.size)
-        self._measured = np.zeros(12)
+        self._estimate = Estimate(np.zeros(12), np.zeros(12))
         self._answer = Answer(np.zeros(6), np.zeros(6), np.zeros(6))
         self._command = still
 
@@ -164,15 +175,15 @@ class ReducedRun:
         """What happens at a step of the plant before the plant itself moves."""
         time, wanted = self._reference.at(self._now)
         tick, within = divmod(self._now, self._per_tick)
-        if within == 0 or self._sensing.live:
-            self._measured = self._sensing(time, tick, self._state, self._answer.torque, wanted)
-        measured = self._measured
-        if within == 0:
-            self._answer = self._control.tick(time, measured, wanted, self._weights)
-            if self._density is not None:
-                self._density(time, self._answer.error, self._answer.torque)
-        else:
-            self._answer = self._control.between(time, measured, wanted, self._weights)
+        ticks = within == 0
+        if ticks or self._live:
+            self._estimate = self._estimating(time, self._sensing(time, tick, self._state), self._sent)
+        measured, seen = self._estimate.measurement, self._estimate.seen
+        ahead = self._ahead.at(self._now + self._estimating.ahead * self._per_tick)[1]
+        say = self._control.tick if ticks else self._control.between
+        self._answer = self._compensated(time, ticks, ahead, say(time, seen, ahead, self._weights))
+        if ticks and self._density is not None:
+            self._density(time, self._answer.error, self._answer.torque)
         answer = self._answer
         command = self._delayed[0] if self._delayed else answer.torque
         age = 0.0
@@ -180,15 +191,27 @@ class ReducedRun:
             arrived = self._link(time, command, time, self._now)
             command, age = arrived[:6], float(arrived[6])
         if self._safety is not None:
-            if within == 0:
-                healths = self._sensing.health, self._control.health
-                self._safety(time, command, measured, wanted, age, *healths, self._sensing.angles)
+            if ticks:
+                healths = self._estimating.health, self._control.health
+                more = self._sensing.angles, self._estimate.innovation
+                self._safety(time, command, measured, wanted, age, *healths, *more)
             command = self._safety.memory[:6]
         if self._motors is not None:
             # Times of steps are stretched slightly, see `sampling.on_grid`.
             command = self._motors.torque(command, self._state[_S.angles : _S.anchor], time)
         self._command = command
         self._write(wanted, answer)
+
+    def _compensated(self, time: float, ticks: bool, reference: np.ndarray, answer: Answer) -> Answer:
+        """The answer with what is added to its torque: against friction, and what an observer cannot explain."""
+        friction, surplus = self._against, self._estimate.compensation
+        if friction is not None and ticks:
+            friction(time, reference)
+        torque = answer.torque if surplus is None else answer.torque + surplus
+        torque = torque if friction is None else torque + friction.memory
+        if torque is not answer.torque:
+            answer = answer._replace(torque=np.minimum(np.maximum(torque, -self._limit), self._limit))
+        return answer
 
     def _write(self, wanted: np.ndarray, answer: Answer) -> None:
         """Completes the row."""
@@ -197,9 +220,11 @@ class ReducedRun:
         row, places = self._table[self._count], self._places
         row[places["state"]] = self._state
         row[places["reference"]] = wanted
-        row[places["measurement"]] = self._measured
+        row[places["measurement"]] = self._estimate.measurement
         row[places["torque"]], row[places["error"]], row[places["integral"]] = answer
         row[places["torque_applied"]] = self._command[: places["torque_applied"].stop - places["torque_applied"].start]
+        if self._estimate.innovation is not None:
+            row[places["innovation"]] = self._estimate.innovation
         if self._density is not None:
             row[places["weights"]], row[places["density"]] = self._weights, self._density.memory[:12]
         if self._scenario.disturbances:
@@ -218,9 +243,12 @@ class ReducedRun:
         self._control.advance((self._now + 1) * self._step)
         if self._tuner is not None and self._density is not None and self._now % self._per_tick == 0:
             self._weights = self._tuner(time, self._density.memory[:12])
-        if self._delayed and (self._now + 1) % self._per_tick == 0:
-            self._delayed.append(self._answer.torque)
-            self._delayed.popleft()
+        if (self._now + 1) % self._per_tick == 0:
+            torque = self._answer.torque
+            self._sent = torque if self._against is None else torque - self._against.memory
+            if self._delayed:
+                self._delayed.append(torque)
+                self._delayed.popleft()
         try:
             self._chain.advance(self._command, wrench, self._state, self._next)
         except RunFailure as failure:

@@ -8,9 +8,10 @@ from stewart_drake.errors import failure_code
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.frozen import FROZEN_SIZE, frozen_tick
 from stewart_drake.safety.memory import MEMORY_SIZE, SafetyInputs, initial_memory
+from stewart_drake.safety.monitors import surprise
 from stewart_drake.safety.safety_options import SafetyOptions
 from stewart_drake.safety.tick import flat_tick
-from stewart_drake.sampling import Sampled
+from stewart_drake.sampling import WELL, Sampled
 
 
 def safety_part(
@@ -35,8 +36,9 @@ def safety_part(
 
     Returns:
         Its tick takes command (6,) [N m], measurement (12,), reference (18,), age [ticks] of the command, health of
-        sensors and of controller as `sampling.ill` tells it, readings (6,) [rad] of encoders or None, and memory
-        (81,), which begins with torque (6,), and numbers of level and monitor, leg or -1.
+        sensors and of controller as `sampling.ill` tells it, readings (6,) [rad] of encoders or None, innovation (6,)
+        [rad] of an observer or None, and memory (81,), which begins with torque (6,), and numbers of level and monitor,
+        leg or -1.
     """
     tick = flat_tick(robot, options, gravity, period, compiled)
 
@@ -48,13 +50,15 @@ def safety_part(
         sensor: tuple[float, float],
         controller: tuple[float, float],
         angles: np.ndarray | None,
+        innovation: np.ndarray | None,
         memory: np.ndarray,
     ) -> np.ndarray:
         wanted, seen = reference[:6], memory[MEMORY_SIZE:]
         frozen, seen = frozen_tick(robot, options, quantum, angles, measured[:6], wanted, seen)
         if frozen is not None:
             sensor = failure_code("frozen"), frozen
-        inputs = SafetyInputs(command, measured[:6], measured[6:], wanted, age, sensor, controller)
+        surprised = WELL if innovation is None else surprise(innovation, quantum)
+        inputs = SafetyInputs(command, measured[:6], measured[6:], wanted, age, sensor, controller, surprised)
         return np.concatenate([tick(inputs, memory[:MEMORY_SIZE]), seen])
 
     return Sampled(np.concatenate([initial_memory(initial).flat(), np.full(FROZEN_SIZE, np.nan)]), whole)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, OutputPort
 
 from stewart_drake.hardware.estimator import EncoderOptions
 from stewart_drake.plant.multibody_plant import StewartPlant
@@ -41,3 +41,11 @@ class MotorEncoders(LeafSystem):
     def _calc(self, context: Context, output: Any) -> None:
         angles = self.plant_state.Eval(context)[self._index] + self._zero
         output.SetFromVector(self._read(angles, math.floor(context.get_time() / self._period + 1e-6)))
+
+
+def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
+    """Adds encoders to a closed loop; their readings (6,)."""
+    encoders = MotorEncoders(wiring.plant, options, wiring.period, wiring.scenario.compiled)
+    wiring.add("encoders", encoders, plant_state=wiring.plant.state_output_port)
+    wiring.angles = wiring.with_faults(encoders.angles, options.faults)
+    return cast(OutputPort, wiring.angles)

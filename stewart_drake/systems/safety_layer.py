@@ -35,6 +35,7 @@ class SafetyLayer(TickedSystem):
         sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `TickedSystem`; may be
             left unconnected.
         angles: in (6,) [rad], readings of the encoders; may be left unconnected.
+        innovation: in (6,) [rad], of an observer; may be left unconnected.
         torque: out (6,) [N m], for the motors.
         state: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
     """
@@ -59,6 +60,7 @@ class SafetyLayer(TickedSystem):
         self.sensor_health = self.DeclareVectorInputPort("sensor_health", 2)
         self.controller_health = self.DeclareVectorInputPort("controller_health", 2)
         self.angles = self.DeclareVectorInputPort("angles", 6)
+        self.innovation = self.DeclareVectorInputPort("innovation", 6)
         self._declare_result()
         self.torque = self._declare_output("torque", 0, 6)
         self.state = self._declare_output("state", 6, 3)
@@ -71,8 +73,9 @@ class SafetyLayer(TickedSystem):
             for port in (self.sensor_health, self.controller_health)
         )
         angles = self.angles.Eval(context) if self.angles.HasValue(context) else None
+        innovation = self.innovation.Eval(context) if self.innovation.HasValue(context) else None
         seen = (port.Eval(context) for port in (self.command, self.measurement, self.reference))
-        return self._tick(*seen, float(age), sensor, controller, angles, previous)
+        return self._tick(*seen, float(age), sensor, controller, angles, innovation, previous)
 
     def first_trip(self, context: Context) -> dict[str, Any] | None:
         """See `safety.first_trip`; `context` is that of the whole Diagram.
