@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.compiled.constants import COMPUTED_TORQUE_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.parts import ControllerSite, law_part
@@ -35,6 +37,11 @@ class ComputedTorqueOptions(OwnControllerOptions):
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
+
+    @property
+    def compiles(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
 
 
 class ComputedTorqueMemory(NamedTuple):
@@ -97,4 +104,21 @@ def computed_torque_tick(
 
 def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
     """`computed_torque_tick` as a part of a loop."""
-    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
+    if not site.compiled:
+        return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism, tracking
+
+    numbers = filled(
+        COMPUTED_TORQUE_NUMBERS,
+        period=options.period,
+        gravity=site.gravity,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        frequency=options.natural_frequency,
+        damping=options.damping,
+        integral_frequency=options.integral_frequency,
+        limit=site.robot.effort_limits if options.saturation == "clamp" else np.full(6, np.inf),
+    )
+    fast = partial(tracking.computed_torque_tick, mechanism.pack(site.robot), numbers)
+    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, fast)

@@ -33,7 +33,7 @@ def test_a_sweep_says_how_far_its_first_run_is_from_drakes(tmp_path):
         other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.engine).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
         assert off == pytest.approx(100.0 * (made.rows[0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
-        assert abs(off) < 2.0
+        assert abs(off) < 5.0
     assert run_sweep(sweep(runs=1), tmp_path / "drake", SerialExecutor()).engine is None
 
 
