@@ -46,6 +46,7 @@ NEAR = Region(
 )
 """Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
 
+
 @dataclass(frozen=True)
 class PoseSample:
     """Random poses of a region that the robot reaches.

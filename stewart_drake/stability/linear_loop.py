@@ -8,6 +8,8 @@ counts of encoders and friction are not in it; weights stay as the tuner has the
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -146,19 +148,22 @@ class _Site(NamedTuple):
         x = np.concatenate([np.zeros(12), estimated, remembered, sent])
         for _ in range(_NEWTON_STEPS):
             matrices, change = self._tick(x)
-            if not np.isfinite(change).all():
-                break
-            if np.abs(change).max() < _STILL:
-                return matrices
             a, b, c = matrices
-            x = x + np.linalg.lstsq(np.eye(len(x)) - a - b @ c, change, rcond=1e-12)[0]
+            # An integral that nobody hears, its gain zero, need not stand still.
+            heard = _heard(a[None], c[None])
+            if np.abs(change[heard]).max() < _STILL:
+                return matrices
+            with contextlib.suppress(np.linalg.LinAlgError):
+                x[heard] += np.linalg.solve((np.eye(len(x)) - a - b @ c)[np.ix_(heard, heard)], change[heard])
+            if not np.isfinite(x).all():
+                break
         raise RunFailure(f"the loop does not stand still at {self.pose.tolist()}", reason="standstill")
 
     def _tick(self, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         """A, B, C at a state, and by how much the closed loop's state changes in a tick there."""
         (value, by_state), n_e, n_c = self.read, len(self.estimator.state), len(self.controller.state)
-        ends = np.cumsum([12, n_e, n_c, 6])
-        plant, estimated, remembered, sent = (slice(end - size, end) for end, size in zip(ends, (12, n_e, n_c, 6)))
+        ends = np.cumsum([0, 12, n_e, n_c, 6])
+        plant, estimated, remembered, sent = (slice(*pair) for pair in itertools.pairwise(ends))
         n, r = len(x), len(value)
 
         says, of_estimator = _derivatives(

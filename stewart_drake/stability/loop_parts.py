@@ -72,15 +72,17 @@ def _crank_angles(robot: RobotParameters, poses: np.ndarray) -> Reading:
 
 def _difference(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part:
     if len(reading) == 12:
-        return Part(np.zeros(12), lambda state, sent, memory: state, _entries(0), (np.arange(12),))  # noqa: ARG005
-    estimate = flat_estimate(scenario.believed_robot, scenario.sensors, scenario.controller.period, compiled=True)
+        return Part(np.zeros(12), lambda state, sent, memory: state, np.arange(0), (np.arange(12),))  # noqa: ARG005
+    options: Any = scenario.sensors
+    estimate = flat_estimate(scenario.believed_robot, options, scenario.controller.period, compiled=True)
     state = np.arange(_E.angles, _E.held)
     memory = estimate(reading, initial_memory(pose))
     return Part(memory, lambda angles, sent, memory: estimate(angles, memory), state, (np.arange(12),))  # noqa: ARG005
 
 
 def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part:
-    robot, options, sensors = scenario.believed_robot, scenario.estimator, scenario.sensors
+    robot, sensors = scenario.believed_robot, scenario.sensors
+    options: Any = scenario.estimator
     observer = Observer(robot, options, scenario.gravity, scenario.controller.period, sensors.reading_noise)
     tick = flat_observer(observer, lambda angles, guess: guess, compiled=True)  # noqa: ARG005 - it stands there
 
@@ -96,7 +98,8 @@ def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part
 
 
 def _lqi(scenario: Scenario) -> Part:
-    tick = flat_tick(scenario.believed_robot, scenario.controller, scenario.gravity, compiled=True)
+    options: Any = scenario.controller
+    tick = flat_tick(scenario.believed_robot, options, scenario.gravity, compiled=True)
     weights = np.array(scenario.tuner.weights)
 
     def with_weights(measured: np.ndarray, wanted: np.ndarray, memory: np.ndarray) -> np.ndarray:
@@ -120,10 +123,6 @@ def _by_law(law: Callable[..., Any], memory: Any) -> Callable[[Scenario], Part]:
         return Part(np.zeros(6 * len(memory._fields)), tick, state, (np.arange(6),))
 
     return made
-
-
-def _entries(count: int) -> np.ndarray:
-    return np.arange(count)
 
 
 READINGS: Mapping[str, Callable[[RobotParameters, np.ndarray], Reading]] = {

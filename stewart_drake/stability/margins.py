@@ -8,6 +8,7 @@ P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins" (IEEE Contr
 
 from __future__ import annotations
 
+import contextlib
 from typing import NamedTuple
 
 import numpy as np
@@ -16,15 +17,15 @@ from stewart_drake.stability.linear_loop import LinearLoops
 from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
 
 _SLOWEST = 0.1
-"""Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
+"""Of the snot_above closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
 _MODAL_ERROR = 1e-7
 """Of responses by modes; loops whose modes are worse than that are solved one by one."""
-_LARGEST = 1e6
-"""Of a gain margin, in place of none."""
+_BLOCK = 50
+"""Loops at once."""
 
 
 class Margins(NamedTuple):
-    """Margins at m poses; each (m,), or (m, 6) for the motors one at a time; all 0, and gains 1, where a loop is unstable.
+    """Margins at m poses; each (m,), or (m, 6) for the motors one at a time; 0, and gains 1, where a loop is unstable.
 
     Attributes:
         disk: [-] alpha.
@@ -48,8 +49,8 @@ class LoopMargins(NamedTuple):
         radius: (m,) spectral radius of the closed loop; stable below 1.
         single: One motor at a time, the others as they should be; gain, phase and delay are the classical ones.
         all_at_once: The motors differ at will, each within the margin; all follow from the disk.
-        lowest: (m,) [-] disk margin all at once that is certainly not exceeded: where it meets `all_at_once.disk`, both are
-            exact but for the grid.
+        not_above: (m,) [-] what the disk margin all at once is certainly not above; where it meets that of
+            `all_at_once`, both are exact but for the grid.
         frequency: (m,) [rad/s] at which all at once is smallest.
         frequencies: (f,) [rad/s] of the grid.
         curves: (m, f) [-] disk margin all at once at each frequency.
@@ -58,7 +59,7 @@ class LoopMargins(NamedTuple):
     radius: np.ndarray
     single: Margins
     all_at_once: Margins
-    lowest: np.ndarray
+    not_above: np.ndarray
     frequency: np.ndarray
     frequencies: np.ndarray
     curves: np.ndarray
@@ -74,61 +75,80 @@ def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
     poles, modes = np.linalg.eig(loops.closed)
     radius = np.abs(poles).max(axis=-1)
     frequencies = _grid(poles, loops.period, count)
-    sensitivity = _sensitivity(loops, poles, modes, np.exp(1j * frequencies * loops.period))
-    stable = radius < 1.0
-    own = np.einsum("mfii->mif", sensitivity)
-    single = _classical(own, frequencies, stable)
-    disk, lowest, at, curves = _all_at_once(sensitivity - 0.5 * np.eye(6), stable)
-    lag = np.where(stable[:, None], _lag(curves, np.eye(6) - sensitivity), 0.0)
-    all_at_once = _of_disk(disk)._replace(delay=(lag / frequencies).min(axis=-1))
-    return LoopMargins(radius, single, all_at_once, lowest, frequencies[at], frequencies, curves)
+    responses = _Responses(loops, poles, modes, np.exp(1j * frequencies * loops.period))
+    # What fits into a processor's cache.
+    blocks = [np.arange(at, min(at + _BLOCK, len(radius))) for at in range(0, len(radius), _BLOCK)]
+    parts = [_of_block(responses.sensitivity(rows), frequencies, radius[rows] < 1.0) for rows in blocks]
+    single, all_at_once = (
+        Margins(*map(np.concatenate, zip(*(part[k] for part in parts), strict=True))) for k in (0, 1)
+    )
+    not_above, at, curves = (np.concatenate([part[k] for part in parts]) for k in (2, 3, 4))
+    return LoopMargins(radius, single, all_at_once, not_above, frequencies[at], frequencies, curves)
+
+
+def _of_block(
+    sensitivity: np.ndarray, frequencies: np.ndarray, stable: np.ndarray
+) -> tuple[Margins, Margins, np.ndarray, np.ndarray, np.ndarray]:
+    """One at a time, all at once, and of that the bound from above, the place on the grid and the curve."""
+    single = _classical(np.einsum("mfii->mif", sensitivity), frequencies, stable)
+    curves, logs, peak = _disks(sensitivity - 0.5 * np.eye(6))
+    rows = np.arange(len(curves))
+    not_above = 1.0 / lower_bound(sensitivity[rows, peak] - 0.5 * np.eye(6), logs[rows, peak])
+    disk = curves.min(axis=-1)
+    high = gain_of_disk(disk)
+    delay = (_lag(curves, np.eye(6) - sensitivity, logs) / frequencies).min(axis=-1)
+    found = Margins(disk, 1.0 / high, high, 2.0 * np.arctan(0.5 * disk), delay)
+    return single, _where(stable, found), np.where(stable, not_above, 0.0), peak, np.where(stable[:, None], curves, 0.0)
 
 
 def gain_of_disk(disk: np.ndarray) -> np.ndarray:
     """Largest factor of a disk (...); without end from alpha = 2 on. The smallest is its inverse."""
-    rest = 2.0 - disk
-    return np.where(rest > 2.0 / _LARGEST, (2.0 + disk) / np.maximum(rest, 2.0 / _LARGEST), np.inf)
-
-
-def _of_disk(disk: np.ndarray) -> Margins:
-    high = gain_of_disk(disk)
-    return Margins(disk, 1.0 / high, high, 2.0 * np.arctan(0.5 * disk), np.zeros_like(disk))
+    with np.errstate(divide="ignore"):
+        return np.where(disk < 2.0, (2.0 + disk) / (2.0 - disk), np.inf)
 
 
 def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
-    """Frequencies [rad/s] of all loops, from below the slowest pole to Nyquist's."""
+    """Frequencies [rad/s] of all loops, from below the snot_above pole to Nyquist's."""
     fast = np.abs(poles) > 1e-3
     rates = np.abs(np.log(np.where(fast, poles, 0.5))) / period
-    slowest = np.clip(rates.min(), 1e-5 / period, 0.1 / period)
-    return np.geomspace(_SLOWEST * slowest, np.pi / period, count)
+    snot_above = np.clip(rates.min(), 1e-5 / period, 0.1 / period)
+    return np.geomspace(_SLOWEST * snot_above, np.pi / period, count)
 
 
-def _sensitivity(loops: LinearLoops, poles: np.ndarray, modes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """S (m, f, 6, 6) at points (f,) of the unit circle: I + C (z I - A - B C)^-1 B."""
-    out = loops.c @ modes
-    try:
-        into = np.linalg.solve(modes, loops.b.astype(complex))
-    except np.linalg.LinAlgError:
-        into = np.zeros_like(loops.b, dtype=complex)
-    found = np.empty((len(out), len(points), 6, 6), complex)
-    # (z - pole)^-1 (f, n) times the n products of columns and rows (n, 36): one multiplication of matrices a loop.
-    for k in range(len(out)):
-        parts = (out[k].T[:, :, None] * into[k][:, None, :]).reshape(-1, 36)
-        found[k] = (1.0 / (points[:, None] - poles[k]) @ parts).reshape(-1, 6, 6)
-    tried = np.array([0, len(points) // 2, len(points) - 1])
-    error = np.abs(found[:, tried] - _solved(loops, np.arange(len(out)), points[tried])).max(axis=(1, 2, 3))
-    poor = np.flatnonzero(~(error <= _MODAL_ERROR))
-    for k in poor:
-        found[k] = _solved(loops, np.array([k]), points)[0]
-    return found + np.eye(6)
+class _Responses(NamedTuple):
+    """Loops with the modes (m, n, n) of their closed loops, to be asked at points (f,) of the unit circle."""
 
+    loops: LinearLoops
+    poles: np.ndarray
+    modes: np.ndarray
+    points: np.ndarray
 
-def _solved(loops: LinearLoops, which: np.ndarray, points: np.ndarray) -> np.ndarray:
-    closed = loops.closed[which][:, None]
-    left = points[:, None, None] * np.eye(closed.shape[-1]) - closed
-    right = np.broadcast_to(loops.b[which][:, None], (*left.shape[:-1], 6))
-    solved: np.ndarray = loops.c[which][:, None] @ np.linalg.solve(left, right)
-    return solved
+    def sensitivity(self, rows: np.ndarray) -> np.ndarray:
+        """S (k, f, 6, 6) of some loops: I + C (z I - A - B C)^-1 B."""
+        found = np.stack([self._by_modes(row) for row in rows])
+        tried = np.array([0, len(self.points) // 2, len(self.points) - 1])
+        error = np.abs(found[:, tried] - self._solved(rows, self.points[tried])).max(axis=(1, 2, 3))
+        for k in np.flatnonzero(~(error <= _MODAL_ERROR)):
+            found[k] = self._solved(rows[k : k + 1], self.points)[0]
+        return found + np.eye(6)
+
+    def _by_modes(self, row: int) -> np.ndarray:
+        """C (z I - A - B C)^-1 B (f, 6, 6), one multiplication of matrices: (z - pole)^-1 times columns and rows."""
+        into = np.full((self.modes.shape[-1], 6), np.nan + 0.0j)
+        with contextlib.suppress(np.linalg.LinAlgError):
+            into = np.linalg.solve(self.modes[row], self.loops.b[row].astype(complex))
+        out = (self.loops.c[row] @ self.modes[row]).T
+        parts = (out[:, :, None] * into[:, None, :]).reshape(-1, 36)
+        found: np.ndarray = (1.0 / (self.points[:, None] - self.poles[row]) @ parts).reshape(-1, 6, 6)
+        return found
+
+    def _solved(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """The same without modes, which may be hardly independent of each other."""
+        closed = self.loops.closed[rows][:, None]
+        left = points[:, None, None] * np.eye(closed.shape[-1]) - closed
+        right = np.broadcast_to(self.loops.b[rows][:, None], (*left.shape[:-1], 6))
+        solved: np.ndarray = self.loops.c[rows][:, None] @ np.linalg.solve(left, right)
+        return solved
 
 
 def _classical(own: np.ndarray, frequencies: np.ndarray, stable: np.ndarray) -> Margins:
@@ -155,10 +175,8 @@ def _classical(own: np.ndarray, frequencies: np.ndarray, stable: np.ndarray) -> 
     return _where(stable[:, None], Margins(disk, np.exp(low), np.exp(high), phase, delay))
 
 
-def _all_at_once(
-    matrices: np.ndarray, stable: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Disk margin (m,), what bounds it from above, where on the grid, and at each frequency (m, f).
+def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Disk margin (m, f) at each frequency, log D (m, f, 6), and where on the grid (m,) it is smallest.
 
     The upper bound of mu is refined at its peak, and again wherever that makes another frequency the peak.
     """
@@ -170,21 +188,19 @@ def _all_at_once(
         peak = bound.argmax(axis=-1)
         left = np.flatnonzero(~done[rows, peak])
         if not len(left):
-            break
+            return 1.0 / bound, logs, peak
         at = left, peak[left]
         logs[at] = refined(matrices[at], logs[at])
         bound[at], done[at] = upper_bound(matrices[at], logs[at]), True
-    lowest = 1.0 / lower_bound(matrices[rows, peak], logs[rows, peak])
-    curves = np.where(stable[:, None], 1.0 / bound, 0.0)
-    return curves.min(axis=-1), np.where(stable, lowest, 0.0), peak, curves
 
 
-def _lag(disks: np.ndarray, complementary: np.ndarray) -> np.ndarray:
+def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.ndarray:
     """Lag (m, f) [rad] that all motors together bear at each frequency, each up to that.
 
     The larger of two bounds: of the disk, and of 1 + d with |d| < 1 / mu(T). Where mu(T) < 1/2, no lag is too much.
+    S, T and their difference have the same elements off the diagonal, so one log D balances them all.
     """
-    size = upper_bound(complementary, balanced(complementary))
+    size = upper_bound(complementary, logs)
     chord = np.arcsin(np.minimum(1.0, 0.5 / size))
     return np.where(size < 0.5, np.inf, 2.0 * np.maximum(chord, np.arctan(0.5 * disks)))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_SWEEPS = 12
+_SWEEPS = 5
 _POWERS = (4.0, 32.0, 256.0)
 """Of the singular values whose sum stands for the largest one, from smooth to sharp."""
 _NEWTON_STEPS = 4
@@ -22,7 +22,7 @@ CLOSE = 1e-4
 
 
 def balanced(matrices: np.ndarray) -> np.ndarray:
-    """log D (..., n) that makes the Frobenius norm of D M D^-1 as small as it gets, nearly.
+    """The log D (..., n) that makes the Frobenius norm of D M D^-1 as small as it gets, nearly.
 
     E. Osborne, "On pre-conditioning of matrices" (J. ACM 7, 1960), row by row.
 
@@ -52,7 +52,7 @@ def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def refined(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """log D (..., n) at which `upper_bound` is smallest, nearly; never worse than at the start.
+    """The log D (..., n) at which `upper_bound` is smallest, nearly; never worse than at the start.
 
     Newton's method on log(sum sigma^2p) / 2p, which is convex and smooth, and comes near to log sigma_max as p grows;
     it ends where the lower bound is met.
