@@ -74,6 +74,7 @@ BUILT_IN_MONITORS = Table(
         "following_error": "safety.monitors:FOLLOWING",
         "torque_limit": "safety.monitors:TORQUE_LIMIT",
         "torque_rate": "safety.monitors:TORQUE_RATE",
+        "innovation": "safety.monitors:INNOVATION",
     }
 )
 """Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""

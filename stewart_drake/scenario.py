@@ -51,6 +51,7 @@ from stewart_drake.section import (
     Text,
     Vector6,
     by_default,
+    is_finite,
 )
 from stewart_drake.wording import keys_of, shown
 
@@ -132,13 +133,14 @@ class Scenario(Section):
             return data
         data = data if robot is None else {**data, "robot": robot}
         robot = robot or PAPER
-        return _with_defaults(data, robot, believed or robot)
+        return _with_defaults(data, robot, believed or robot, _latency(data))
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
         Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
-        another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
+        another `robot`, not with single keys of it, or another latency of the commands, what was but a default for the
+        old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
@@ -152,9 +154,9 @@ class Scenario(Section):
         for name in _OF_ROBOT:
             if data[name] is not None:
                 data[name] = given_again(data[name])
-                if any(key in changes for key in ROBOT_KEYS):
+                if any(key in changes for key in (*ROBOT_KEYS, *_OF_LATENCY)):
                     robot = self.believed_robot if name in _BELIEVED else self.robot
-                    data[name] = without_own(getattr(self, name), data[name], robot)
+                    data[name] = without_own(getattr(self, name), data[name], robot, _latency(data))
         for key, value in changes.items():
             if key not in components:
                 _assign(data, key, value)
@@ -315,13 +317,31 @@ _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
 
 
-def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
-    """The keys of a scenario with those defaults that another robot than the paper's has."""
+_OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.delay")
+
+
+def _latency(data: Mapping[str, Any]) -> float:
+    """[s] within which a command acts, as believed: a control period and the delay; 0 where the data make no sense."""
+
+    def given(section: str, key: str) -> Any:
+        part = data.get(section)
+        found = part.get(key) if isinstance(part, Mapping) else getattr(part, key, None)
+        return getattr(_FAMILIES[section].section_of(part or {}), key, None) if found is None else found
+
+    period, delay = given("controller", "period"), given("estimator", "delay")
+    delay = data.get("command_delay", 0) if delay is None else delay
+    return period * (1 + delay) if is_finite(period) and is_finite(delay) else 0.0
+
+
+def _with_defaults(
+    data: dict[str, Any], robot: RobotParameters, believed: RobotParameters, latency: float
+) -> dict[str, Any]:
+    """The keys of a scenario with those defaults that another robot than the paper's has, or a slower one."""
     found = {}
     for name, absent in _OF_ROBOT.items():
         given = data.get(name, absent)
         section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
-        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS)
+        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS, latency)
         if made is not given:
             found[name] = made
     return {**data, **found}

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -151,8 +151,8 @@ class ObserverMemory(NamedTuple):
     @classmethod
     def from_flat(cls, values: np.ndarray) -> ObserverMemory:
         """Inverse of `flat`."""
-        parts: Any = (values[start:end] for start, end in itertools.pairwise(_M))
-        return cls(*parts, values[_M.size :].reshape(-1, 6))
+        parts = [values[start:end] for start, end in itertools.pairwise(_M)]
+        return cls(*(*parts, values[_M.size :].reshape(-1, 6)))
 
 
 class Observer(NamedTuple):

@@ -306,6 +306,7 @@ class _Wiring:
         self.safety = self.add("safety", layer, command=self.command, **seen)
         for port, source in (
             (layer.angles, self.angles),
+            (layer.innovation, self.signals.get("innovation")),
             (layer.age, self.age),
             (layer.sensor_health, self.health.get("estimate")),
             (layer.controller_health, self.health.get("command")),
