@@ -19,7 +19,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.estimator import flat_estimate, initial_memory
 from stewart_drake.hardware.observer import Observer, flat_observer
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
 from stewart_drake.wording import either
@@ -84,7 +84,7 @@ def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part
     robot, sensors = scenario.believed_robot, scenario.sensors
     options: Any = scenario.estimator
     observer = Observer(robot, options, scenario.gravity, scenario.controller.period, sensors.reading_noise)
-    tick = flat_observer(observer, lambda angles, guess: guess, compiled=True)  # noqa: ARG005 - it stands there
+    tick = flat_observer(observer, lambda angles, guess: forward_kinematics(robot, angles, guess), compiled=True)
 
     def from_reading(read: np.ndarray, sent: np.ndarray, memory: np.ndarray) -> np.ndarray:
         return tick(inverse_kinematics(robot, read[:6]) if len(read) == 12 else read, sent, memory)

@@ -156,7 +156,8 @@ def _classical(own: np.ndarray, frequencies: np.ndarray, stable: np.ndarray) -> 
     disk = 1.0 / np.abs(own - 0.5).max(axis=-1)
     loop = 1.0 / own - 1.0
     # Between two points of the grid logarithms are taken as straight.
-    size, angle, place = np.log(np.abs(loop)), np.angle(-loop), np.log(frequencies)
+    size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
+    angle, place = np.angle(-loop), np.log(frequencies)
     bend = np.diff(angle, axis=-1)
     crossing = (angle[..., 1:] * angle[..., :-1] <= 0.0) & (np.abs(bend) < np.pi)
     share = np.where(crossing, angle[..., :-1] / np.where(bend == 0.0, 1.0, -bend), 0.0)
