@@ -202,7 +202,7 @@ def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.n
     S, T and their difference have the same elements off the diagonal, so one log D balances them all.
     """
     size = upper_bound(complementary, logs)
-    chord = np.arcsin(np.minimum(1.0, 0.5 / size))
+    chord = np.arcsin(0.5 / np.maximum(size, 0.5))
     return np.where(size < 0.5, np.inf, 2.0 * np.maximum(chord, np.arctan(0.5 * disks)))
 
 
