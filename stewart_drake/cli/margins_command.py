@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag
-from stewart_drake.runs.terminal import print_columns, print_table
+from stewart_drake.runs.terminal import announce_compilation, print_columns, print_table
 
 
 @click.command()
@@ -42,6 +42,8 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     from stewart_drake.planning.pose_box import NEAR, sample_poses
     from stewart_drake.stability.linear_loop import linear_loops
 
+    if not quiet:
+        announce_compilation(loaded)
     sample = sample_poses(loaded.robot, NEAR.around(loaded.robot), poses, np.random.default_rng(seed))
     loops = linear_loops(loaded, sample.poses)
     folder = prepare_folder(out, SPACE)

@@ -30,7 +30,7 @@ def test_the_plant_moves_as_the_exact_model_does():
     robot, period = scenario().robot, 0.005
     plant = plant_at(robot, POSE[None], 9.81, period)
     start, push = 1e-5 * np.random.default_rng(0).normal(size=(2, 12))
-    pose, rate, steps = POSE + start[:6], start[6:].copy(), 500
+    pose, rate, steps = POSE + start[:6], start[6:].copy(), 100
     for _ in range(steps):
         # Midpoints: of second order.
         step = period / steps

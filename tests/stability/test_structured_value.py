@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
@@ -19,9 +19,10 @@ def bounds(matrices):
     return lower_bound(matrices, logs), upper_bound(matrices, logs)
 
 
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.0, 5.0))
 def test_bounds_are_in_order_and_refinement_never_loosens(seed, spread):
-    matrices = random_matrices(seed, 4, spread)
+    matrices = random_matrices(seed, 2, spread)
     start = balanced(matrices)
     low, high = bounds(matrices)
     assert (low <= high * (1.0 + 1e-9)).all()
@@ -31,7 +32,7 @@ def test_bounds_are_in_order_and_refinement_never_loosens(seed, spread):
 
 def test_bounds_meet_for_most_matrices():
     # Nothing says that they must: six scalar blocks are more than the three for which they always do.
-    low, high = bounds(random_matrices(0, 300))
+    low, high = bounds(random_matrices(0, 100))
     assert np.quantile(high / low, 0.5) < 1.0 + 1e-6
     assert np.quantile(high / low, 0.8) < 1.001
 
