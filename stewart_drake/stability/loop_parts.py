@@ -87,8 +87,10 @@ def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part
     tick = flat_observer(observer, lambda angles, guess: forward_kinematics(robot, angles, guess), compiled=True)
 
     def from_reading(read: np.ndarray, sent: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        return tick(inverse_kinematics(robot, read[:6]) if len(read) == 12 else read, sent, memory)
+        return tick(inverse_kinematics(robot, read[:6]) if len(read) == 12 else read, sent, at_rest, memory)
 
+    # Without friction, what is wanted says nothing to it.
+    at_rest = np.concatenate([pose, np.zeros(12)])
     still = static_torque(robot, pose, scenario.gravity)
     delay = scenario.command_delay if options.delay is None else options.delay
     memory = observer.initial(pose, np.zeros(6), still, delay)
