@@ -25,8 +25,9 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
     At poses at rest the loop, with sensors, estimator, controller and delay, is broken at the six motors' torques:
     gain, phase, delay and disk margins, one motor at a time and all at once. The poses are drawn from the near box: up
-    to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z about home, shifts by the robot's size. Friction,
-    saturation and counts of encoders are not linear, and left out; weights stay as at the start.
+    to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z about home, shifts by the robot's size, within the
+    scenario's limits. Friction, saturation and counts of encoders are not linear, and left out; weights stay as at the
+    start.
 
     Writes margins.json, margins.parquet (a row for each pose) and margins.png.
 
@@ -37,15 +38,11 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
     loaded = load_scenario(scenario, overrides)
 
-    import numpy as np
-
-    from stewart_drake.planning.pose_box import NEAR, sample_poses
-    from stewart_drake.stability.linear_loop import linear_loops
+    from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 
     if not quiet:
         announce_compilation(loaded)
-    sample = sample_poses(loaded.robot, NEAR.around(loaded.robot), poses, np.random.default_rng(seed))
-    loops = linear_loops(loaded, sample.poses)
+    loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
     folder = prepare_folder(out, SPACE)
 
     import pyarrow.parquet as pq

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin
+from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
 
@@ -63,7 +65,13 @@ class PoseSample:
 
 
 def sample_poses(
-    robot: RobotParameters, region: Region, count: int, rng: np.random.Generator, least_margin: float = 1e-6
+    robot: RobotParameters,
+    region: Region,
+    count: int,
+    rng: np.random.Generator,
+    least_margin: float = 1e-6,
+    limits: Limits | None = None,
+    gravity: float = STANDARD_GRAVITY,
 ) -> PoseSample:
     """Uniform over the box, out-of-reach poses left out.
 
@@ -73,6 +81,8 @@ def sample_poses(
         count: Poses wanted.
         rng: Source of chance.
         least_margin: [-] poses nearer to the edge of reach than this, `kinematics.reach_margin`, count as outside.
+        limits: Poses that break one of them at rest count as outside too; None for none.
+        gravity: [m/s^2] for the motors' torque at rest.
 
     Returns:
         `count` poses, or fewer where hardly any pose of the box can be reached.
@@ -85,8 +95,13 @@ def sample_poses(
     while reached < count and drawn < _MOST_BLOCKS * _BLOCK:
         poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_BLOCK, 6)) * region.half_width
         poses = poses[reach_margin(robot, poses).min(axis=-1) > least_margin]
+        if limits is not None:
+            still = np.zeros_like(poses)
+            margins = limit_margins(robot, limits, poses, still, still, gravity)
+            poses = poses[np.all([(each >= 0.0).all(axis=-1) for each in margins.values()], axis=0)]
         kept.append(poses)
         drawn, reached = drawn + _BLOCK, reached + len(poses)
     if not reached:
-        raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box: {region.words}")
+        within = "" if limits is None else ", within its limits"
+        raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box{within}: {region.words}")
     return PoseSample(region, np.concatenate(kept)[:count], reached / drawn)

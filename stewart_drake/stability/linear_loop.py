@@ -18,6 +18,7 @@ from scipy.linalg import expm
 
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
 from stewart_drake.stability.loop_parts import CONTROLLERS, ESTIMATORS, READINGS, Part, part_of
@@ -52,6 +53,17 @@ class LinearLoops(NamedTuple):
     def closed(self) -> np.ndarray:
         """(m, n, n) of the closed loop."""
         return self.a + self.b @ self.c
+
+
+def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
+    """Poses (count, 6) [rad, m] of the near box, in the robot's size, at which a run of the scenario may stand.
+
+    Raises:
+        ConfigurationError: There are none.
+    """
+    robot, rng = scenario.robot, np.random.default_rng(seed)
+    box = NEAR.around(robot)
+    return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity).poses
 
 
 class PlantAt(NamedTuple):
