@@ -39,9 +39,9 @@ delay of 1 tick where nothing else is said. In the loop: the exact model under h
 encoders without counts, the estimator with its filter, the controller, the delay. Not in it: friction, saturation, the
 network's changes of weights. `stewart-drake margins` does the same for any scenario.
 
-Drake's plant at its usual step of 1 ms answers sooner than that, by about half a step: at 0.1 ms it agrees with the
-linear loop ten times better (`tests/stability/test_linear_loop.py`), and a fast loop that is unstable here, such as the
-PID of the last row at some poses, may look stable at 1 ms.
+Drake's plant at its usual step of 1 ms answers sooner than that, by about half a step. At 0.1 ms it agrees with the
+linear loop five times better and more (`tests/stability/test_linear_loop.py`); a fast loop that is unstable here, such
+as the PID of the last row at some poses, may look stable at 1 ms.
 
 *Disk*: each motor gives (1 + d/2) / (1 - d/2) times what it is told, d complex; the loop is stable while every |d| is
 below the disk margin. It stands for gain and phase at once: 0.45 means gains from 0.63 to 1.58 or 25 deg. *All at
