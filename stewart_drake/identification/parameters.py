@@ -157,11 +157,15 @@ def scales(guess: RobotParameters) -> np.ndarray:
     )
 
 
-def free_directions(guess: RobotParameters, held: Collection[Kind]) -> np.ndarray:
+def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
 
     No torque tells a heavier robot from stronger motors: unless the platform's mass is held, the geometric mean of the
     torque constants is.
+
+    Args:
+        held: Kinds that keep their value.
+        kept: Places of single parameters that do.
 
     Raises:
         ConfigurationError: Nothing is left to change.
@@ -170,7 +174,7 @@ def free_directions(guess: RobotParameters, held: Collection[Kind]) -> np.ndarra
 
     if set(KINDS) <= set(held):
         raise ConfigurationError("hold", sorted(held), f"some of {', '.join(KINDS)}, not all")
-    rows = [np.eye(SIZE)[at] for at, own in enumerate(PARAMETERS) if own.kind in held]
+    rows = [np.eye(SIZE)[at] for at, own in enumerate(PARAMETERS) if own.kind in held or at in kept]
     if "torque_constant" not in held and "platform_mass" not in held:
         mean = np.zeros(SIZE)
         mean[GAIN] = 1.0

@@ -136,7 +136,9 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
     rows = slice(None, None, max(1, round(tick / step)))
     pose = log.signals.get("measured_pose", log["pose"])[rows]
     angles = inverse_kinematics(robot, pose)
-    return Recording(log.time[rows], angles, log["torque_applied"][rows], 0.5 * tick, log.scenario.gravity, source)
+    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
+    lag = 0.5 * (tick - log.scenario.plant.time_step)
+    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
 
 
 def _ways(name: str) -> list[tuple[str, float]]:

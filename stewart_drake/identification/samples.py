@@ -9,7 +9,7 @@ the motor's row has no say there, nor as far around as the filter smears.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.interpolate
@@ -20,7 +20,7 @@ from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, Unr
 from stewart_drake.identification.parameters import BODIES, COULOMB, GAIN, PARAMETERS, VISCOUS
 from stewart_drake.identification.recording import Recording
 from stewart_drake.identification.regressor import body_torques
-from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
+from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -50,6 +50,7 @@ class Samples:
         used: (n, 6) bool, rows that have a say.
         pieces: Slices of the recordings.
         step: [s] between instants.
+        repeats: How many instants there are in half a period of the filter.
         source: Of the recordings.
     """
 
@@ -62,6 +63,7 @@ class Samples:
     used: np.ndarray
     pieces: tuple[slice, ...]
     step: float
+    repeats: float
     source: str
 
     def predicted(self, values: np.ndarray) -> np.ndarray:
@@ -120,20 +122,38 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float = 
     slowest = np.maximum(
         scipy.ndimage.minimum_filter1d(rates, smear, axis=0), -scipy.ndimage.maximum_filter1d(rates, smear, axis=0)
     )
-    cranks = scipy.interpolate.make_interp_spline(even[rows], angles[rows], k=5)
-    bodies, known = body_torques(guess, motion(at), motion(at, 1), motion(at, 2), recording.gravity)
-    return Samples(
-        at,
-        torque(at - recording.lag),
-        bodies,
-        known,
-        smooth(np.sign(rates))[middle],
-        cranks(at, 1),
-        slowest[middle] > SLOW,
-        (slice(0, len(at)),),
-        thin / rate,
-        source,
+    exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
+    return replace(
+        exact,
+        torque=torque(at - recording.lag),
+        sign=smooth(np.sign(rates))[middle],
+        used=slowest[middle] > SLOW,
+        repeats=rate / (2.0 * bandwidth * thin),
     )
+
+
+def samples_of_motion(
+    guess: RobotParameters,
+    time: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    gravity: float,
+    source: str = "motion",
+) -> Samples:
+    """Equations of a motion that is known exactly, without torques.
+
+    Args:
+        guess: Geometry.
+        time: (n,) [s] at an even rate.
+        motion: Poses, rates and accelerations, as `Reference.evaluate` gives them.
+        gravity: [m/s^2].
+        source: For messages.
+    """
+    pose, rate, acceleration = motion
+    bodies, known = body_torques(guess, pose, rate, acceleration, gravity)
+    speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
+    used, step = np.abs(speed) > SLOW, float(time[1] - time[0])
+    nothing = np.zeros_like(known)
+    return Samples(time, nothing, bodies, known, np.sign(speed), speed, used, (slice(0, len(time)),), step, 1.0, source)
 
 
 def together(parts: Sequence[Samples]) -> Samples:
@@ -144,6 +164,7 @@ def together(parts: Sequence[Samples]) -> Samples:
         *(np.concatenate([getattr(part, name) for part in parts]) for name in arrays),
         pieces=tuple(slice(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)),
         step=max(part.step for part in parts),
+        repeats=max(part.repeats for part in parts),
         source=", ".join(part.source for part in parts),
     )
 
