@@ -46,11 +46,17 @@ class Untold:
         at: Its place in `PARAMETERS`.
         deviation: [-] standard deviation, in `scales`, of the direction that is not told; infinite if no motion tells it.
         direction: (`SIZE`,) change of all parameters per unit of this one that no torque notices.
+        share: (`SIZE`,) [-] the same in `scales`.
     """
 
     at: int
     deviation: float
     direction: np.ndarray
+    share: np.ndarray
+
+    def told(self, change: np.ndarray) -> np.ndarray:
+        """What a motion tells of a change (`SIZE`,) of the parameters: that which leaves this one alone."""
+        return change - change[self.at] * self.direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +78,12 @@ class Estimate:
     information: np.ndarray
     untold: tuple[Untold, ...]
     noise: np.ndarray
+
+    def told(self, change: np.ndarray) -> np.ndarray:
+        """What the motion tells of a change (`SIZE`,) of the parameters."""
+        for each in self.untold:
+            change = each.told(change)
+        return change
 
     @property
     def half_width(self) -> np.ndarray:
@@ -176,7 +188,8 @@ def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: n
         direction = free @ directions[-1]
         at = int((np.abs(direction) * _KEEP_FIRST).argmax())
         deviation = np.inf if sigma[-1] < _BLIND * sigma[0] else 1.0 / sigma[-1]
-        found.append(Untold(at, float(deviation), direction * size / (direction[at] * size[at])))
+        share = direction / direction[at]
+        found.append(Untold(at, float(deviation), share * size / size[at], share))
 
 
 def _refuse_untold(samples: Samples, untold: Collection[Untold], asked: Collection[Kind]) -> None:

@@ -23,12 +23,13 @@ from stewart_drake.references.basic import SineReference
 from stewart_drake.references.combined import AdjustedReference, SumReference
 from stewart_drake.robot import RobotParameters
 
-HARMONICS = (1, 2, 3, 5, 8, 12, 16)
-PERIOD = 10.0
-"""[s] of the whole motion; with it sines of 0.1 to 1.6 Hz."""
+HARMONICS = (2, 3, 5, 8, 13, 21, 31)
+PERIOD = 19.937
+"""[s] of the whole motion; with it sines of 0.1 to 1.55 Hz. No multiple of usual sample times, so that the steps of
+coarse encoders err anew in each period."""
 ROOM = 1.15
 """[-] by which the motion could be larger within the limits: the robot is not quite the guess."""
-_SAMPLES = 160
+_SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
 _FADE = 2.0
 _BLIND = 1e-9

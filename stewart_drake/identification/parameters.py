@@ -106,6 +106,16 @@ def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     return guess.replace(**changes)
 
 
+def with_payload(values: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
+    """Parameters (`SIZE`,) with a point of a mass [kg] at a place (3,) [m] in P on the platform."""
+    inertia = mass * ((place @ place) * np.eye(3) - np.outer(place, place))
+    changed = values.copy()
+    changed[_MASS] += mass
+    changed[_MOMENT] += mass * place
+    changed[_INERTIA] += [inertia[at] for at in _ENTRIES]
+    return changed
+
+
 def inertia_matrix(platform: np.ndarray) -> Any:
     """Inertia (3, 3) about the origin of P of the platform's ten parameters, numbers or expressions."""
     xx, yy, zz, xy, xz, yz = platform[_INERTIA]

@@ -24,8 +24,9 @@ from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, 
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
-BANDWIDTH = 8.0
-"""[Hz] at which the filter lets half of the amplitude through."""
+BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
+"""[Hz] at which the filter lets half of the amplitude through, and at least so many rows in one of its periods: what
+encoders err by grows in accelerations with the power 2.5 of the bandwidth, and falls with the rows."""
 SLOW = 0.05
 """[rad/s] of a crank below which its friction may stick."""
 _OVERSAMPLING = 6.0
@@ -83,19 +84,21 @@ class Samples:
         return slope
 
 
-def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float = BANDWIDTH) -> Samples:
+def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
     """Equations of a recording.
 
     Args:
         guess: Geometry.
         recording: Angles and torques.
-        bandwidth: [Hz] of the filter; what moves the robot should lie well below.
+        bandwidth: [Hz] of the filter; what moves the robot should lie well below. None: see `BANDWIDTH`.
 
     Raises:
         ConfigurationError: Too short; a bandwidth that the rows' rate does not carry; readings at which the robot
             cannot be.
     """
     time, rate, source = recording.time, recording.rate, recording.source
+    if bandwidth is None:
+        bandwidth = min(BANDWIDTH, rate / ROWS_A_PERIOD)
     if not 0.0 < bandwidth <= rate / 5.0:
         raise ConfigurationError("bandwidth", bandwidth, f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate")
     length, least = time[-1] - time[0], (2.0 * _EDGE + _SHORTEST) / bandwidth
