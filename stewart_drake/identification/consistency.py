@@ -1,10 +1,10 @@
 """The nearest parameters that bodies can have: a semidefinite program.
 
-The platform's pseudo-inertia matrix [[Sigma, moment], [moment', mass]] with Sigma = tr(I)/2 - I is positive semidefinite,
-which is what a distribution of positive mass has and nothing else: P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear
-matrix inequalities for physically consistent inertial parameter identification" (IEEE RA-L 3, 2018). Rods, cranks and
-rotors have no negative mass or inertia, and no friction drives. Nearest is meant as the data mean it: in the
-estimate's own information.
+The platform's pseudo-inertia matrix [[Sigma, moment], [moment', mass]] with Sigma = tr(I)/2 - I is positive
+semidefinite, which is what a distribution of positive mass has and nothing else: P. M. Wensing, S. Kim, J.-J. E.
+Slotine, "Linear matrix inequalities for physically consistent inertial parameter identification" (IEEE RA-L 3, 2018).
+Rods, cranks and rotors have no negative mass or inertia, and no friction drives. Nearest is meant as the data mean it:
+in the estimate's own information.
 """
 
 from __future__ import annotations
@@ -68,7 +68,6 @@ def consistent(guess: RobotParameters, found: Estimate) -> np.ndarray:
         # One unit is a standard deviation, were the rows independent: all directions are of one size.
         ways = found.ways @ np.linalg.inv(np.linalg.cholesky(found.information).T)
         along = program.NewContinuousVariables(ways.shape[1], "along")
-        values = found.values + ways @ along
         program.AddQuadraticCost(2.0 * np.eye(len(along)), np.zeros(len(along)), along)
         # 0 for what keeps the guess's value, which is that of a body.
         free = np.abs(ways).max(axis=1) > 0.0

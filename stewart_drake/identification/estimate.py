@@ -4,9 +4,9 @@ Generalised least squares: rows are weighed by the covariance of what the six to
 What is left is correlated in time, by the filter if by nothing else; the intervals go by the long-run covariance of
 the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the number of rows.
 
-Base parameters: a direction in which the parameters may change by as much as their own size and no torque notices is not
-told. Its largest parameter then keeps the guess's value, and all others mean a sum with it: they are base parameters
-(M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
+Base parameters: a direction in which the parameters may change by as much as their own size and no torque notices is
+not told. Its largest parameter then keeps the guess's value, and all others mean a sum with it: they are base
+parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.identification.parameters import GAIN, PARAMETERS, SIZE, Kind, free_directions, of_robot, scales
+from stewart_drake.identification.parameters import GAIN, PARAMETERS, Kind, free_directions, of_robot, scales
 from stewart_drake.identification.samples import Samples
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
@@ -44,7 +44,7 @@ class Untold:
 
     Attributes:
         at: Its place in `PARAMETERS`.
-        deviation: [-] standard deviation, in `scales`, of the direction that is not told; infinite if no motion tells it.
+        deviation: [-] standard deviation, in `scales`, of the direction; infinite if no motion tells it.
         direction: (`SIZE`,) change of all parameters per unit of this one that no torque notices.
         share: (`SIZE`,) [-] the same in `scales`.
     """
@@ -197,7 +197,9 @@ def _refuse_untold(samples: Samples, untold: Collection[Untold], asked: Collecti
         own = PARAMETERS[each.at]
         if own.kind in asked:
             got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
-            raise ConfigurationError(f"{samples.source}: {own}", got, "a motion that tells it, as `excite` designs them")
+            raise ConfigurationError(
+                f"{samples.source}: {own}", got, "a motion that tells it, as `excite` designs them"
+            )
 
 
 def _refuse_other(samples: Samples, values: np.ndarray) -> None:
@@ -205,4 +207,6 @@ def _refuse_other(samples: Samples, values: np.ndarray) -> None:
     share = float(np.sqrt(np.mean(left**2) / np.mean(samples.torque[samples.used] ** 2))) if left.size else 0.0
     if share > _UNLIKE:
         got = f"torques of which no parameters explain {100.0 * share:.0f} %"
-        raise ConfigurationError(samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m")
+        raise ConfigurationError(
+            samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m"
+        )

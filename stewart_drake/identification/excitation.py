@@ -1,14 +1,15 @@
 """A motion that tells the parameters: a finite Fourier series within the limits, of least condition number.
 
-J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997). Each axis
-has a sine at each of a few harmonics. Begun with the best of many random series, each as large as the limits let it
-be; then amplitudes and phases are changed at random, by steps that adapt, and what is better stays.
+J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997). Each
+axis has a sine at each of a few harmonics. Begun with the best of many random series, each as large as the limits let
+it be; then amplitudes and phases are changed at random, by steps that adapt, and what is better stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def excite(
     found: list[tuple[float, np.ndarray]] = []
     for _ in range(_BEGINNINGS):
         waves = rng.standard_normal((2, len(HARMONICS), 6)) * length / np.sqrt(HARMONICS)[:, None]
-        largest = bisect(lambda scale, waves=waves: feasible(waves, scale), 0.0, 1.0)
+        largest = bisect(partial(feasible, waves), 0.0, 1.0)
         if largest > 0.0:
             found.append((condition(largest * waves), largest * waves))
     if not found:

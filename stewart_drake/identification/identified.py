@@ -91,7 +91,7 @@ class Identification:
 
     @property
     def torque_constants(self) -> np.ndarray:
-        """(6,) [-] torque of each motor over what the log says; of geometric mean 1 unless the platform's mass is held."""
+        """(6,) [-] torques over what the log says; of geometric mean 1 unless the platform's mass is held."""
         return np.exp(self.values[GAIN])
 
     @property
@@ -121,7 +121,15 @@ class Identification:
         """A row of `COLUMNS` for each parameter; torque constants as natural logarithms."""
         start, names = of_robot(self.guess), self.base_parameters()
         return [
-            (own.kind, own.part, own.unit, float(start[at]), float(self.values[at]), float(self.half_width[at]), names[at])
+            (
+                own.kind,
+                own.part,
+                own.unit,
+                float(start[at]),
+                float(self.values[at]),
+                float(self.half_width[at]),
+                names[at],
+            )
             for at, own in enumerate(PARAMETERS)
         ]
 

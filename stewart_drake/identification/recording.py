@@ -85,7 +85,11 @@ class Recording:
 
     def to_csv(self) -> str:
         """A table that `load_recording` reads."""
-        names = ["time_s", *(f"crank_angle_{leg}_rad" for leg in range(LEGS)), *(f"torque_{leg}_Nm" for leg in range(LEGS))]
+        names = [
+            "time_s",
+            *(f"crank_angle_{leg}_rad" for leg in range(LEGS)),
+            *(f"torque_{leg}_Nm" for leg in range(LEGS)),
+        ]
         rows = np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1).tolist()
         return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]) + "\n"
 

@@ -8,8 +8,10 @@ the motor's row has no say there, nor as far around as the filter smears.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.interpolate
@@ -100,7 +102,9 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
     if bandwidth is None:
         bandwidth = min(BANDWIDTH, rate / ROWS_A_PERIOD)
     if not 0.0 < bandwidth <= rate / 5.0:
-        raise ConfigurationError("bandwidth", bandwidth, f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate")
+        raise ConfigurationError(
+            "bandwidth", bandwidth, f"above 0, at most {rate / 5.0:g} Hz, a fifth of the rows' rate"
+        )
     length, least = time[-1] - time[0], (2.0 * _EDGE + _SHORTEST) / bandwidth
     if length < least:
         raise ConfigurationError(source, f"{length:.3g} s", f"at least {least:.3g} s of motion")
@@ -161,11 +165,12 @@ def samples_of_motion(
 
 def together(parts: Sequence[Samples]) -> Samples:
     """Several recordings as one."""
-    ends = np.cumsum([0, *(len(part.time) for part in parts)])
+    ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "torque", "bodies", "known", "sign", "rates", "used")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     return Samples(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in arrays),
-        pieces=tuple(slice(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)),
+        **joined,
+        pieces=tuple(slice(start, end) for start, end in itertools.pairwise(ends)),
         step=max(part.step for part in parts),
         repeats=max(part.repeats for part in parts),
         source=", ".join(part.source for part in parts),
