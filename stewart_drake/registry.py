@@ -48,8 +48,15 @@ TUNERS = Family(
 SENSORS = Family(
     {
         "ideal": ("hardware.sensor_faults:IdealSensors", "systems.task_space_sensor:add_ideal_sensor"),
-        "encoders": ("hardware.estimator:EncoderOptions", "systems.pose_estimator:add_encoders"),
+        "encoders": ("hardware.estimator:EncoderOptions", "systems.motor_encoders:add_encoders"),
     }
+)
+ESTIMATORS = Family(
+    {
+        "difference": ("hardware.observer:DifferenceOptions", "systems.pose_estimator:add_difference"),
+        "observer": ("hardware.observer:ObserverOptions", "systems.platform_observer:add_observer"),
+    },
+    default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
 """Those of the user's own, under `safety.monitors`."""
@@ -67,6 +74,7 @@ BUILT_IN_MONITORS = Table(
         "following_error": "safety.monitors:FOLLOWING",
         "torque_limit": "safety.monitors:TORQUE_LIMIT",
         "torque_rate": "safety.monitors:TORQUE_RATE",
+        "innovation": "safety.monitors:INNOVATION",
     }
 )
 """Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""

@@ -23,7 +23,9 @@ from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.observer import DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -31,7 +33,7 @@ from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_files import AnyRobot, robot_section
@@ -49,6 +51,7 @@ from stewart_drake.section import (
     Text,
     Vector6,
     by_default,
+    is_finite,
 )
 from stewart_drake.wording import keys_of, shown
 
@@ -95,7 +98,11 @@ class Scenario(Section):
     tuner: Annotated[Tuner, TUNERS] = by_default(AnnTuner())
     """Where the weights come from; without effect for controllers that take none."""
     sensors: Annotated[SensorOptions, SENSORS] = by_default(IdealSensors())
-    """What the controller sees of the robot."""
+    """What is read of the robot."""
+    estimator: Annotated[EstimatorOptions, ESTIMATORS] = by_default(DifferenceOptions())
+    """What makes of it the pose and rate that the controller sees."""
+    friction_compensation: FrictionCompensation | None = None
+    """Friction of the motors that every command makes up for; null for none."""
     compiled: Flag = False
     """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner and
     the safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected. The
@@ -126,13 +133,14 @@ class Scenario(Section):
             return data
         data = data if robot is None else {**data, "robot": robot}
         robot = robot or PAPER
-        return _with_defaults(data, robot, believed or robot)
+        return _with_defaults(data, robot, believed or robot, _latency(data))
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
         Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
-        another `robot`, not with single keys of it, what was but a default for the old one is that for the new one.
+        another `robot`, not with single keys of it, or another latency of the commands, what was but a default for the
+        old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
@@ -146,9 +154,9 @@ class Scenario(Section):
         for name in _OF_ROBOT:
             if data[name] is not None:
                 data[name] = given_again(data[name])
-                if any(key in changes for key in ROBOT_KEYS):
+                if any(key in changes for key in (*ROBOT_KEYS, *_OF_LATENCY)):
                     robot = self.believed_robot if name in _BELIEVED else self.robot
-                    data[name] = without_own(getattr(self, name), data[name], robot)
+                    data[name] = without_own(getattr(self, name), data[name], robot, _latency(data))
         for key, value in changes.items():
             if key not in components:
                 _assign(data, key, value)
@@ -309,13 +317,31 @@ _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
 
 
-def _with_defaults(data: dict[str, Any], robot: RobotParameters, believed: RobotParameters) -> dict[str, Any]:
-    """The keys of a scenario with those defaults that another robot than the paper's has."""
+_OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.delay")
+
+
+def _latency(data: Mapping[str, Any]) -> float:
+    """[s] within which a command acts, as believed: a control period and the delay; 0 where the data make no sense."""
+
+    def given(section: str, key: str) -> Any:
+        part = data.get(section)
+        found = part.get(key) if isinstance(part, Mapping) else getattr(part, key, None)
+        return getattr(_FAMILIES[section].section_of(part or {}), key, None) if found is None else found
+
+    period, delay = given("controller", "period"), given("estimator", "delay")
+    delay = data.get("command_delay", 0) if delay is None else delay
+    return period * (1 + delay) if is_finite(period) and is_finite(delay) else 0.0
+
+
+def _with_defaults(
+    data: dict[str, Any], robot: RobotParameters, believed: RobotParameters, latency: float
+) -> dict[str, Any]:
+    """The keys of a scenario with those defaults that another robot than the paper's has, or a slower one."""
     found = {}
     for name, absent in _OF_ROBOT.items():
         given = data.get(name, absent)
         section = _FAMILIES[name].section_of(given) if name in _FAMILIES else _OF_NO_FAMILY[name]
-        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS)
+        made = fill(section, given, believed if name in _BELIEVED else robot, _PARTS, latency)
         if made is not given:
             found[name] = made
     return {**data, **found}

@@ -12,9 +12,9 @@ from pydantic import Field
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family
 from stewart_drake.hardware.disturbances import UserDisturbance
-from stewart_drake.plant.plant_options import FrictionOptions
 from stewart_drake.references.user_reference import UserReference
 from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS
+from stewart_drake.robot.friction_options import FrictionOptions
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import (
     MAX_SEED,

@@ -43,6 +43,13 @@ ESTIMATOR_NUMBERS = _fields(
     "EstimatorNumbers", period=1, smoothing=1, max_speed=1, max_turn=1, max_shift=1, tolerance=1, iterations=1
 )
 """[s], share of a new difference, [rad/s], [rad], [m], [m], Newton steps."""
+OBSERVER_MEMORY = _fields(
+    "ObserverMemory",
+    pose=6, rate=6, pose_ahead=6, rate_ahead=6, compensation=6, innovation=6, surplus=6, missed=6, side=1,
+)  # fmt: skip
+"""See `observer.ObserverMemory`; its commands come after these."""
+OBSERVER_NUMBERS = _fields("ObserverNumbers", period=1, gravity=1, gains=3, max_innovation=1, hold_ticks=1)
+"""[s], [m/s^2], see `observer.KalmanGains`, [rad], ticks."""
 SAFETY_MEMORY = _fields(
     "SafetyMemory",
     torque=6, level=1, monitor=1, leg=1, good=6, weight=6, held=1, at_limit=1, too_fast=1, since=1, side=1, ticks=1,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.jit import njit
+from stewart_drake.compiled.mechanism import CRANK_LENGTH, angular_velocity, leg_vectors, rod_lines
 
 COULOMB, BREAK_AWAY, STRIBECK_RATE, VISCOUS, STIFFNESS, DAMPING = range(6)
 """Rows of a law (6, 6), `np.stack(law)` of a `friction.FrictionLaw`."""
@@ -82,3 +83,32 @@ def implicit_torque(
             for k in range(6):
                 rates[k] += mobility[k, i] * change
             out[i] = whole
+
+
+@njit(cache=True, error_model="numpy")
+def feedforward(robot: np.ndarray, levels: np.ndarray, width: float, reference: np.ndarray, out: np.ndarray) -> None:
+    """Reference `friction_feedforward.feedforward`.
+
+    Args:
+        robot: From `mechanism.pack`.
+        levels: (4, 6) `FrictionOptions.levels`.
+        width: [rad/s].
+        reference: (18,).
+        out: (6,) [N m] zeros; they stay where the reference is out of reach.
+    """
+    legs, lines, omega, rates = np.empty((6, 14)), np.empty((6, 6)), np.empty(3), np.empty(6)
+    if leg_vectors(robot, reference[:6], legs) >= 0:
+        return
+    rod_lines(legs, lines)
+    angular_velocity(reference[:3], reference[6:9], omega)
+    for i in range(6):
+        along = 0.0
+        for k in range(3):
+            along += lines[i, k] * omega[k] + lines[i, 3 + k] * reference[9 + k]
+        rates[i] = along / (robot[i, CRANK_LENGTH] * legs[i, 12])
+        if not np.isfinite(rates[i]):
+            return
+    for i in range(6):
+        ratio = rates[i] / levels[STRIBECK_RATE, i]
+        bound = levels[COULOMB, i] + (levels[BREAK_AWAY, i] - levels[COULOMB, i]) * np.exp(-ratio * ratio)
+        out[i] = bound * np.tanh(rates[i] / width) + levels[VISCOUS, i] * rates[i]

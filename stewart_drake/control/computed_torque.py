@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.control.robot_gains import FREQUENCY
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
@@ -23,11 +24,11 @@ class ComputedTorqueOptions(OwnControllerOptions):
 
     kind: Literal["computed_torque"] = "computed_torque"
     period: Positive = 0.001
-    natural_frequency: Positive = 93.8
+    natural_frequency: Annotated[Positive, FREQUENCY] = 93.8
     """[rad/s] omega of e'' + 2 damping omega e' + omega^2 (e + integral_frequency z) = 0."""
     damping: Positive = 0.785
     """[-]"""
-    integral_frequency: NotNegative = 8.47
+    integral_frequency: Annotated[NotNegative, FREQUENCY] = 8.47
     """[rad/s] 0 leaves a PD loop, which errors of the model keep away from the reference."""
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still

@@ -10,7 +10,7 @@ import numpy as np
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
-from stewart_drake.control.robot_gains import CRANK_GAIN
+from stewart_drake.control.robot_gains import DERIVATIVE, INTEGRAL, PROPORTIONAL
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
@@ -29,11 +29,11 @@ class PidOptions(OwnControllerOptions):
 
     kind: Literal["pid"] = "pid"
     period: Positive = 0.001
-    kp: Annotated[NotNegative, CRANK_GAIN] = 37.3
+    kp: Annotated[NotNegative, PROPORTIONAL] = 37.3
     """[N m/rad]"""
-    ki: Annotated[NotNegative, CRANK_GAIN] = 316.0
+    ki: Annotated[NotNegative, INTEGRAL] = 316.0
     """[N m/(rad s)]"""
-    kd: Annotated[NotNegative, CRANK_GAIN] = 0.624
+    kd: Annotated[NotNegative, DERIVATIVE] = 0.624
     """[N m s/rad]"""
     feedforward: Literal["none", "gravity"] = "gravity"
     """gravity: adds the static torque of all bodies at the measured pose."""

@@ -26,7 +26,9 @@ def _crank_inertia(robot: RobotParameters) -> float:
     return float(heave / np.sum(twist_jacobian(robot, robot.home_pose)[:, 5] ** 2))
 
 
-WEIGHT = times(_input_gain, -2.0)
-"""Of errors against torques, for poles at the same place."""
-CRANK_GAIN = times(_crank_inertia)
+POSE_WEIGHT, RATE_WEIGHT, INTEGRAL_WEIGHT = (times(_input_gain, -2.0, slower) for slower in (4.0, 2.0, 6.0))
+"""Of errors against torques, for poles at the same place; a natural frequency is the fourth root of the first."""
+PROPORTIONAL, INTEGRAL, DERIVATIVE = (times(_crank_inertia, 1.0, slower) for slower in (2.0, 3.0, 1.0))
 """Of a crank's error, for the same natural frequency of heave."""
+FREQUENCY = times(lambda _: 1.0, slower=1.0)
+"""The same for every robot."""

@@ -68,6 +68,11 @@ class EncoderOptions(SensorOptions):
         """[rad] of one count; 0 for none."""
         return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
 
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
+        return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
+
     def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
         """What the encoders say, while none fails.
 

@@ -117,6 +117,11 @@ class SensorOptions(Section, key="sensors"):
         """[rad] of a count, of sensors that read the cranks' angles; 0 for none."""
         return 0.0
 
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a crank's angle as it is read."""
+        return 0.0
+
 
 class IdealSensors(SensorOptions):
     """Pose and rate of the platform, exact."""

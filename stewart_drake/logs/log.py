@@ -81,6 +81,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
     "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),
     "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
+    "innovation": _legs("rad", "about the motor axis", "readings less what the observer expected"),
     "disturbance": SignalSpec(
         ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
     ),
@@ -95,7 +96,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
 """Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
 of the plant's state, named by Drake."""
 
-OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "disturbance", "safety")
+OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety")
 """block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders or a
 sensor that fails, the disturbance where there is one, safety where that layer is on."""
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Field, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.friction import FrictionLaw, friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST, LEGS, Size
-from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section, check_value
-from stewart_drake.wording import as_problem
+from stewart_drake.robot.friction_options import FrictionOptions, Moderate
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.section import Flag, LegNumber, NotNegative, Real, Section
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.1
 """[s] finer steps drown in rounding; coarser ones follow nothing."""
 
-Moderate = Annotated[NotNegative, Field(le=LARGEST)]
 Place = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
 
 
@@ -29,53 +27,6 @@ class BrokenRod(Section, key="plant.broken_rod"):
     """0 to 5."""
     time: NotNegative
     """[s] when it breaks."""
-
-
-class _Each:
-    """In `Annotated`: one number in place of six stands for all motors."""
-
-    def __init__(self, number: Any) -> None:
-        self._number = number
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self._six, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        six = handler(schema)
-        return {"anyOf": [six["prefixItems"][0], six]}
-
-    def _six(self, given: Any) -> Any:
-        if not isinstance(given, (int, float)):
-            return given
-        try:
-            check_value("", given, self._number)
-        except ConfigurationError as error:
-            raise as_problem(ConfigurationError("", given, f"{error.allowed}, or six of them")) from None
-        return (given,) * LEGS
-
-
-_NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-EachMotor = Annotated[tuple[Moderate, Moderate, Moderate, Moderate, Moderate, Moderate], _Each(Moderate)]
-EachRate = Annotated[tuple[Size, Size, Size, Size, Size, Size], _Each(Size)]
-
-
-class FrictionOptions(Section, key="plant.friction"):
-    """Friction of the motors that sticks, see `mechanics.friction`: for each key one number, or one for each motor."""
-
-    coulomb: EachMotor = _NONE
-    """[N m] dry friction in sliding."""
-    break_away: EachMotor | None = None
-    """[N m] what moves a motor that rests, at least `coulomb`; null: the same."""
-    stribeck_velocity: EachRate = (0.01, 0.01, 0.01, 0.01, 0.01, 0.01)
-    """[rad/s] of sliding at which 37 % of what `break_away` is above `coulomb` are left; the default is our own."""
-    viscous: EachMotor = _NONE
-    """[N m s/rad] beside it, in proportion to speed."""
-
-    def rules(self) -> None:
-        """See `Section.rules`."""
-        for above, below in zip(self.break_away or (), self.coulomb, strict=False):
-            if above < below:
-                raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
 
 
 class PlantOptions(Section, key="plant"):
@@ -120,9 +71,7 @@ class PlantOptions(Section, key="plant"):
         said = self.friction
         if said is None:
             said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})
-        break_away = said.coulomb if said.break_away is None else said.break_away
-        levels = said.coulomb, break_away, said.stribeck_velocity, said.viscous
-        return friction_law(*levels, robot.crank_axis_inertias, self.time_step)
+        return friction_law(*said.levels, robot.crank_axis_inertias, self.time_step)
 
 
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:

@@ -12,6 +12,9 @@ from stewart_drake.section import Section, to_plain
 
 PAPER = RobotParameters()
 Measure = Callable[[RobotParameters], float]
+LATENCY = 0.0045
+"""[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
+of some 66 rad/s is then 0.3 rad of phase. For a longer one they are as much slower."""
 
 
 @dataclass(frozen=True)
@@ -23,14 +26,21 @@ class OfRobot:
     Attributes:
         value: From the field's default and the robot, the default for that robot.
         null: Whether a null in the file asks for it, rather than the key's absence.
+        slower: Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`.
     """
 
     value: Callable[[Any, RobotParameters], Any]
     null: bool = False
+    slower: float = 0.0
+
+    def at(self, default: Any, robot: RobotParameters, latency: float) -> Any:
+        """The default for a robot whose commands act within a latency [s]."""
+        value = self.value(default, robot)
+        return value * (LATENCY / latency) ** self.slower if self.slower and latency > LATENCY else value
 
 
-def times(measure: Measure, power: float = 1.0) -> OfRobot:
-    """A default that grows with a measure of the robot.
+def times(measure: Measure, power: float = 1.0, slower: float = 0.0) -> OfRobot:
+    """A default that grows with a measure of the robot; for `slower` see `OfRobot`.
 
     Of two numbers, the first an angle, the second grows; of a pose its last three do.
     """
@@ -43,7 +53,7 @@ def times(measure: Measure, power: float = 1.0) -> OfRobot:
         half = len(default) // 2
         return (*default[:half], *(each * scale for each in default[half:]))
 
-    return OfRobot(value)
+    return OfRobot(value, slower=slower)
 
 
 LENGTH = times(lambda robot: robot.characteristic_length)
@@ -52,7 +62,13 @@ HOME_POSE = OfRobot(lambda _, robot: tuple(robot.home_pose.tolist()))
 CHARACTERISTIC_LENGTH = OfRobot(lambda _, robot: robot.characteristic_length, null=True)
 
 
-def fill(section: Any, data: Any, robot: RobotParameters, families: Mapping[str, Family] | None = None) -> Any:
+def fill(
+    section: Any,
+    data: Any,
+    robot: RobotParameters,
+    families: Mapping[str, Family] | None = None,
+    latency: float = 0.0,
+) -> Any:
     """A section with those defaults that this robot has otherwise than the paper's; `data` itself where none is.
 
     Args:
@@ -61,6 +77,7 @@ def fill(section: Any, data: Any, robot: RobotParameters, families: Mapping[str,
             absent.
         robot: Whose defaults are put in.
         families: Keys at which sections of a family stand in it, alone or in a list.
+        latency: [s] within which its commands act.
     """
     if section is None or not isinstance(data, (Mapping, Section)):
         return data
@@ -70,7 +87,7 @@ def fill(section: Any, data: Any, robot: RobotParameters, families: Mapping[str,
         given = data.get(name, ...) if isinstance(data, Mapping) else getattr(data, name)
         marker = _marker(field)
         if marker is not None and _is_absent(given, marker, field.default, isinstance(data, Section)):
-            value = marker.value(field.default, robot)
+            value = marker.at(field.default, robot, latency)
             if value != field.default or marker.null:
                 found[name] = to_plain(value)
         elif isinstance(given, (list, tuple)) and name in families:
@@ -90,12 +107,14 @@ def _is_absent(given: Any, marker: OfRobot, default: Any, made: bool) -> bool:
     return given is None if marker.null else given is ... or (made and given == default)
 
 
-def without_own(section: Section, data: Mapping[str, Any], robot: RobotParameters) -> dict[str, Any]:
-    """The plain keys and values `data` of a section, without those that are but this robot's defaults."""
+def without_own(
+    section: Section, data: Mapping[str, Any], robot: RobotParameters, latency: float = 0.0
+) -> dict[str, Any]:
+    """The plain keys and values `data` of a section, without those that are but defaults of this robot and latency."""
     kept = dict(data)
     for name, field in section.__pydantic_fields__.items():
         marker = _marker(field)
-        if marker is not None and getattr(section, name) == marker.value(field.default, robot):
+        if marker is not None and getattr(section, name) == marker.at(field.default, robot, latency):
             del kept[name]
             if marker.null:
                 kept[name] = None

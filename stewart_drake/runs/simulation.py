@@ -335,7 +335,7 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog]) -> dict[str, np.nd
     weights = values.pop("weights", None)
     if weights is not None:
         signals["weights" if weights.shape[1] == 2 else "block_weights"] = weights
-    if not scenario.sensors.exact:
+    if not (scenario.sensors.exact and scenario.estimator.exact):
         signals["measured_pose"] = values["measurement"][:, :6]
         signals["measured_pose_rate"] = values["measurement"][:, 6:]
     signals = values | signals

@@ -25,6 +25,7 @@ from stewart_drake.safety.memory import (
     first_trip,
     initial_memory,
 )
+from stewart_drake.safety.monitors import surprise
 from stewart_drake.safety.refusals import refuse_motion, refuse_start, sample_times
 from stewart_drake.safety.safety_options import SafetyOptions
 from stewart_drake.safety.tick import FlatTick, flat_tick, safety_tick
@@ -53,4 +54,5 @@ __all__ = [
     "refuse_start",
     "safety_tick",
     "sample_times",
+    "surprise",
 ]

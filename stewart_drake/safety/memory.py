@@ -41,6 +41,7 @@ class SafetyInputs(NamedTuple):
         age: [ticks] of the command.
         sensor: What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
         controller: What is wrong with the controller, likewise.
+        surprise: [rad] largest innovation of an observer, less what counts of an encoder explain, and its leg.
     """
 
     command: np.ndarray
@@ -50,6 +51,7 @@ class SafetyInputs(NamedTuple):
     age: float = 0.0
     sensor: tuple[float, float] = (0.0, -1.0)
     controller: tuple[float, float] = (0.0, -1.0)
+    surprise: tuple[float, float] = (0.0, -1.0)
 
 
 class SafetyMemory(NamedTuple):

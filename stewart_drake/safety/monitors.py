@@ -177,6 +177,22 @@ def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tu
     return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
 
 
+def _surprised(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
+    return (int(inputs.surprise[1]), 0) if surprising(options, inputs) else None
+
+
+def surprising(options: SafetyOptions, inputs: SafetyInputs) -> bool:
+    """Whether the robot does what the model of its observer does not explain."""
+    return options.innovation is not None and inputs.surprise[0] > options.innovation
+
+
+def surprise(innovation: np.ndarray, quantum: float) -> tuple[float, float]:
+    """See `SafetyInputs.surprise`, for innovations (6,) [rad] of readings in counts of `quantum` [rad]."""
+    beyond = np.abs(innovation) - 2.0 * quantum
+    leg = int(beyond.argmax())
+    return float(beyond[leg]), float(leg)
+
+
 MEASUREMENT = Monitor(trips=_unmeasured)
 SENSOR = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.sensor))
 CONTROLLER = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.controller))
@@ -185,6 +201,7 @@ DEADLINE = Monitor(trips=_late)
 TORQUE_LIMIT = Monitor(trips=_absurd)
 """What is at the limit for too long `tick` sees, which cuts it."""
 TORQUE_RATE = Monitor()
+INNOVATION = Monitor(trips=_surprised)
 
 
 def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> Trip | None:

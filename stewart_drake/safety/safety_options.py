@@ -35,6 +35,9 @@ class SafetyOptions(Section, key="safety"):
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""
+    innovation: Positive | None = 5.0e-4
+    """[rad] by which a reading may differ, beyond two counts, from what an observer expected of it: a rod that is lost,
+    a load that appears, a blow, an encoder that lies. Held at first, as a blow passes."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
     torque_limit_time: NotNegative = 0.1

@@ -26,14 +26,14 @@ from stewart_drake.safety.memory import (
     Trip,
     first_trip,
 )
-from stewart_drake.safety.monitors import Seen, broken, failed, further, measured, see, unusable
+from stewart_drake.safety.monitors import Seen, broken, failed, further, measured, see, surprising, unusable
 from stewart_drake.safety.safety_options import SafetyOptions
 
 _REFILL = 0.05
 """Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 """Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
-COMPILED = 12
+COMPILED = 13
 """Monitors, the first of the registry, that the compiled tick knows; with others the reference runs alone."""
 
 
@@ -231,7 +231,8 @@ def flat_tick(
     oldest = bound(options.deadline, math.inf)
 
     def tick(inputs: SafetyInputs, memory: np.ndarray) -> np.ndarray:
-        if inputs.age <= oldest and inputs.sensor[0] == 0.0 and inputs.controller[0] == 0.0:
+        well = inputs.age <= oldest and inputs.sensor[0] == 0.0 and inputs.controller[0] == 0.0
+        if well and not surprising(options, inputs):
             result = np.empty(MEMORY_SIZE)
             measured = np.concatenate([inputs.pose, inputs.pose_rate])
             if quiet_tick(packed, numbers, inputs.command, measured, inputs.reference, memory, result):

@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import (
+    Adder,
     Demultiplexer,
+    Gain,
     LogVectorOutput,
+    Saturation,
     VectorLogSink,
     ZeroOrderHold,
 )
@@ -19,13 +22,14 @@ from pydrake.systems.primitives import (
 from stewart_drake.errors import UnreachablePoseError, drake_guard
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, SENSORS, TUNERS
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
 from stewart_drake.systems.finite_check import FiniteCheck
+from stewart_drake.systems.friction_feedforward import FrictionFeedforward
 from stewart_drake.systems.motor_drive import MotorDrive
 from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.reference_source import ReferenceSource
@@ -77,6 +81,7 @@ class ClosedLoop(Diagram):
         wiring.add_sensors()
         wiring.add_reference()
         wiring.add_controller()
+        wiring.add_compensation()
         wiring.add_tuner()
         wiring.add_delay_and_link()
         wiring.add_safety()
@@ -88,7 +93,7 @@ class ClosedLoop(Diagram):
         self.plant = wiring.plant
         self.controller = wiring.controller
         self.safety = wiring.safety
-        self._delays = wiring.delays
+        self._holds, self._standing_torque = wiring.holds, wiring.standing_torque()
 
     def create_start_context(self) -> Context:
         """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
@@ -101,10 +106,8 @@ class ClosedLoop(Diagram):
         context = self.CreateDefaultContext()
         start, rate = self.scenario.start()
         self.plant.set_state(context, start, rate)
-        if self._delays:
-            hold_still = _standing_torque(self.scenario)
-            for delay in self._delays:
-                delay.SetVectorState(delay.GetMyMutableContextFromRoot(context), hold_still)
+        for hold in self._holds:
+            hold.SetVectorState(hold.GetMyMutableContextFromRoot(context), self._standing_torque)
         return context
 
     def graph(self) -> str:
@@ -149,7 +152,11 @@ class _Wiring:
         self.angles: OutputPort | None = None
         self.age: OutputPort | None = None
         self.safety: SafetyLayer | None = None
-        self.delays: list[ZeroOrderHold] = []
+        self.seen: dict[str, OutputPort] = {}
+        self.ahead = 0
+        self.compensations: list[OutputPort] = []
+        self.sent: ZeroOrderHold | None = None
+        self.holds: list[ZeroOrderHold] = []
 
     def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
         """Adds a system and connects its input ports, by name."""
@@ -175,9 +182,36 @@ class _Wiring:
             self.signals["disturbance"] = push.wrench
 
     def add_sensors(self) -> None:
-        """From the plant's state to what the controller sees of it."""
-        sensors = self.scenario.sensors
-        self.signals["measurement"] = SENSORS.system(sensors.kind)(self, sensors)
+        """From the plant's state to what is read of it, and to what the controller sees."""
+        sensors, estimator = self.scenario.sensors, self.scenario.estimator
+        reading = SENSORS.system(sensors.kind)(self, sensors)
+        self.signals["measurement"] = ESTIMATORS.system(estimator.kind)(self, estimator, reading)
+
+    def look_ahead(self, measurement: OutputPort, ticks: int) -> None:
+        """Lets the controller see this measurement, and the reference so many ticks ahead."""
+        self.seen["measurement"], self.ahead = measurement, ticks
+
+    def last_command(self) -> OutputPort:
+        """The command of the tick before, (6,) [N m], less what friction takes of it."""
+        self.sent = self.hold("sent")
+        return self.sent.get_output_port()
+
+    def hold(self, name: str) -> ZeroOrderHold:
+        """Adds what passes a command on one tick later; at first it is what holds the start pose."""
+        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
+        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
+        # ticks to the last bit need it taken clear of both.
+        sampled, step = on_grid(self.period), on_grid(self.scenario.plant.time_step)
+        taken = sampled - (step if round(sampled / step) * step == sampled else 0.5 * step)
+        self.holds.append(self.add(name, ZeroOrderHold(sampled, 6, taken)))
+        return self.holds[-1]
+
+    def standing_torque(self) -> np.ndarray:
+        """Torques (6,) that hold the robot, as believed, at the start pose; zeros where it cannot stand there."""
+        # In that case the first tick says so, with a log.
+        with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+            return static_torque(self.believed, self.scenario.start()[0], self.scenario.gravity)
+        return np.zeros(6)
 
     def with_faults(self, reading: OutputPort, faults: Sequence[Any]) -> OutputPort:
         """A reading, by way of a sensor that fails where the scenario asks for one."""
@@ -189,13 +223,16 @@ class _Wiring:
 
     def add_reference(self) -> None:
         """Where the platform should be."""
-        source = self.add("reference", ReferenceSource(self.scenario.reference, self.scenario.plant.time_step))
-        self.signals["reference"] = source.reference
+        made = self.scenario.reference, self.scenario.plant.time_step
+        self.signals["reference"] = self.add("reference", ReferenceSource(*made)).reference
+        self.seen = {name: self.signals[name] for name in ("measurement", "reference")} | self.seen
+        if self.ahead > 0:
+            ahead = ReferenceSource(*made, self.ahead * on_grid(self.period))
+            self.seen["reference"] = self.add("reference_ahead", ahead).reference
 
     def add_controller(self) -> None:
         """From measurement and reference to torques, and what else the controller tells of itself."""
-        options = self.options
-        seen = {name: self.signals[name] for name in ("measurement", "reference")}
+        options, seen = self.options, self.seen
         weights, compiled = len(self.scenario.tuner.weights), self.scenario.compiled
         site = ControllerSite(self.believed, self.scenario.gravity, weights, self.guarded, compiled)
         system, sizes = CONTROLLERS.system(options.kind)(options, site), options.results
@@ -211,6 +248,27 @@ class _Wiring:
         self.signals["torque"] = self.command
         self.signals["error"], self.signals["integral"] = errors
 
+    def add_compensation(self) -> None:
+        """What is added to a controller's torque: against friction, and against what an observer cannot explain."""
+        friction, terms = self.scenario.friction_compensation, [self.command, *self.compensations]
+        limit = self.believed.effort_limits
+        explained: list[OutputPort] = []
+        if friction is not None:
+            made = FrictionFeedforward(self.believed, friction, self.period, self.scenario.compiled)
+            self.add("friction_feedforward", made, reference=self.seen["reference"])
+            terms += self.parts("against_friction", made, 6)
+            explained = [self.add("less_friction", Gain(-1.0, 6), u0=terms[-1]).get_output_port()]
+        if len(terms) > 1:
+            bound = self.add("command_limit", Saturation(-limit, limit), u0=self.sum("command_sum", terms))
+            self.command = self.signals["torque"] = bound.get_output_port()
+        if self.sent is not None:
+            self.builder.Connect(self.sum("explained", [self.command, *explained]), self.sent.get_input_port())
+
+    def sum(self, name: str, terms: Sequence[OutputPort]) -> OutputPort:
+        """Sum of torques (6,)."""
+        inputs = {f"u{k}": term for k, term in enumerate(terms)}
+        return cast(OutputPort, self.add(name, Adder(len(terms), 6), **inputs).get_output_port())
+
     def add_tuner(self) -> None:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
         if not self.controller.HasInputPort("weights"):
@@ -225,18 +283,14 @@ class _Wiring:
 
     def add_delay_and_link(self) -> None:
         """What lies between the controller's computer and the motors'."""
-        # A hold that takes its input in the plant's last step before a tick passes it on from that tick, one period
-        # late; taken at a tick, it would be at the motors one step of the plant later. Steps that do not coincide with
-        # ticks to the last bit need it taken clear of both.
-        sampled, time_step = on_grid(self.period), self.scenario.plant.time_step
-        step = on_grid(time_step)
-        taken = sampled - (step if round(sampled / step) * step == sampled else 0.5 * step)
         for k in range(self.scenario.command_delay):
-            self.delays.append(self.add(f"delay_{k}", ZeroOrderHold(sampled, 6, taken), u=self.command))
-            self.command = self.delays[-1].get_output_port()
+            delay = self.hold(f"delay_{k}")
+            self.builder.Connect(self.command, delay.get_input_port())
+            self.command = delay.get_output_port()
+        time_step = self.scenario.plant.time_step
         if not self.scenario.link.perfect:
             steps = steps_per("controller.period", self.period, time_step)
-            link = CommandLink(self.scenario.link, time_step, steps, _standing_torque(self.scenario))
+            link = CommandLink(self.scenario.link, time_step, steps, self.standing_torque())
             self.add("link", link, torque=self.command)
             self.command, self.age = self.parts("arrived", link, 6, 1)
 
@@ -246,12 +300,13 @@ class _Wiring:
         if scenario.safety is None:
             return
         quantum = scenario.sensors.quantum
-        still, compiled = _standing_torque(scenario), scenario.compiled
+        still, compiled = self.standing_torque(), scenario.compiled
         layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
         self.safety = self.add("safety", layer, command=self.command, **seen)
         for port, source in (
             (layer.angles, self.angles),
+            (layer.innovation, self.signals.get("innovation")),
             (layer.age, self.age),
             (layer.sensor_health, self.health.get("estimate")),
             (layer.controller_health, self.health.get("command")),
@@ -289,14 +344,6 @@ def require_scenario(value: object) -> None:
     """Raises a `TypeError` for anything but a Scenario."""
     if not isinstance(value, Scenario):
         raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
-
-
-def _standing_torque(scenario: Scenario) -> np.ndarray:
-    """Torques (6,) that hold the robot, as believed, at the start pose; zeros where it cannot stand there."""
-    # In that case the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
-        return static_torque(scenario.believed_robot, scenario.start()[0], scenario.gravity)
-    return np.zeros(6)
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, LeafSystem, OutputPort
 
 from stewart_drake.hardware.estimator import EncoderOptions
 from stewart_drake.plant.multibody_plant import StewartPlant
@@ -56,3 +56,11 @@ class MotorEncoders(LeafSystem):
             read(self.plant_state.Eval(context), index, zero, quantum, output.get_mutable_value())
 
         return calc
+
+
+def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
+    """Adds encoders to a closed loop; their readings (6,)."""
+    encoders = MotorEncoders(wiring.plant, options, wiring.period, wiring.scenario.compiled)
+    wiring.add("encoders", encoders, plant_state=wiring.plant.state_output_port)
+    wiring.angles = wiring.with_faults(encoders.angles, options.faults)
+    return wiring.angles

@@ -10,9 +10,9 @@ from pydrake.systems.framework import Context, OutputPort
 
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.hardware.observer import DifferenceOptions
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.motor_encoders import MotorEncoders
 from stewart_drake.systems.ticked import TickedSystem
 
 
@@ -54,15 +54,14 @@ class PoseEstimator(TickedSystem):
         return self._estimate(self.angles.Eval(context), previous)
 
 
-def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
-    """Adds encoders and estimator to a closed loop; the measurement (12,)."""
+def add_difference(wiring: Any, options: DifferenceOptions, reading: OutputPort) -> OutputPort:  # noqa: ARG001
+    """Adds what makes a measurement (12,) of the angles (6,) of encoders; a pose and its rate are one already."""
+    if reading.size() == 12:
+        return reading
     scenario = wiring.scenario
-    encoders = MotorEncoders(wiring.plant, options, wiring.period, scenario.compiled)
-    wiring.add("encoders", encoders, plant_state=wiring.plant.state_output_port)
-    wiring.angles = wiring.with_faults(encoders.angles, options.faults)
     start, rates = scenario.start()[0], _starting_crank_rates(wiring.believed, *scenario.start())
-    made = (wiring.believed, options, wiring.period, start, rates, scenario.compiled, wiring.guarded)
-    estimator = wiring.add("estimator", PoseEstimator(*made), angles=wiring.angles)
+    made = (wiring.believed, scenario.sensors, wiring.period, start, rates, scenario.compiled, wiring.guarded)
+    estimator = wiring.add("estimator", PoseEstimator(*made), angles=reading)
     return wiring.parts("estimate", estimator, 12)[0]
 
 

@@ -20,14 +20,15 @@ class ReferenceSource(LeafSystem):
         reference: The motion.
         period: [s] at whose multiples the signal is mostly asked for; they are evaluated some hundred at a time, which
             costs a tenth. Other times are answered too.
+        ahead: [s] by which it is ahead of its time.
 
     Ports:
         reference: out (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
     """
 
-    def __init__(self, reference: Reference, period: float | None = None) -> None:
+    def __init__(self, reference: Reference, period: float | None = None, ahead: float = 0.0) -> None:
         super().__init__()
-        self._reference = reference
+        self._reference, self._ahead = reference, ahead
         self._period = None if period is None else on_grid(period)
         # What was computed last, a memory of a pure function; two runs of one Diagram may share it.
         self._table: tuple[int, np.ndarray, np.ndarray] = (-1, np.empty(0), np.empty(0))
@@ -36,7 +37,7 @@ class ReferenceSource(LeafSystem):
         )
 
     def _calc(self, context: Context, output: Any) -> None:
-        time = context.get_time()
+        time = context.get_time() + self._ahead
         if self._period is None:
             output.SetFromVector(np.concatenate(self._reference.evaluate(time)))
             return

@@ -19,6 +19,7 @@ from stewart_drake.safety import (
     flat_tick,
     frozen_tick,
     initial_memory,
+    surprise,
 )
 from stewart_drake.systems.ticked import TickedSystem
 
@@ -47,6 +48,7 @@ class SafetyLayer(TickedSystem):
         sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `TickedSystem`; may be
             left unconnected.
         angles: in (6,) [rad], readings of the encoders; may be left unconnected.
+        innovation: in (6,) [rad], of an observer; may be left unconnected.
         torque: out (6,) [N m], for the motors.
         state: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
     """
@@ -71,6 +73,7 @@ class SafetyLayer(TickedSystem):
         self.sensor_health = self.DeclareVectorInputPort("sensor_health", 2)
         self.controller_health = self.DeclareVectorInputPort("controller_health", 2)
         self.angles = self.DeclareVectorInputPort("angles", 6)
+        self.innovation = self.DeclareVectorInputPort("innovation", 6)
         self._declare_result()
         self.torque = self._declare_output("torque", 0, 6)
         self.state = self._declare_output("state", 6, 3)
@@ -90,6 +93,9 @@ class SafetyLayer(TickedSystem):
         )
         if frozen is not None:
             sensor = np.array([failure_code("frozen"), frozen])
+        seems_wrong = (0.0, -1.0)
+        if self.innovation.HasValue(context):
+            seems_wrong = surprise(self.innovation.Eval(context), self._quantum)
         inputs = SafetyInputs(
             self.command.Eval(context),
             measured[:6],
@@ -98,6 +104,7 @@ class SafetyLayer(TickedSystem):
             float(age),
             (float(sensor[0]), float(sensor[1])),
             (float(controller[0]), float(controller[1])),
+            seems_wrong,
         )
         return np.concatenate([self._tick(inputs, previous[:MEMORY_SIZE]), seen])
 

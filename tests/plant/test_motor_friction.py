@@ -7,7 +7,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics import friction
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.plant.plant_options import FrictionOptions, PlantOptions
+from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.robot.friction_options import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
 HOME = ROBOT.home_pose

@@ -24,7 +24,9 @@ from stewart_drake.control.lqi import lqi_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.observer import Observer, ObserverOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -36,10 +38,12 @@ from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
 from stewart_drake.systems.finite_check import FiniteCheck
+from stewart_drake.systems.friction_feedforward import FrictionFeedforward
 from stewart_drake.systems.joint_pid import JointPid
 from stewart_drake.systems.lqi_controller import LqiController
 from stewart_drake.systems.motor_drive import MotorDrive
 from stewart_drake.systems.motor_encoders import MotorEncoders
+from stewart_drake.systems.platform_observer import PlatformObserver
 from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
@@ -56,6 +60,7 @@ PLANTS = {kind: build_plant(ROBOT, PlantOptions(rod_joint=kind))[1] for kind in 
 PLANT = PLANTS["universal"]
 LQI = LqiOptions(solver="split", period=PERIOD)
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, hold_ticks=2)
+OBSERVER = Observer(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 2e-5)
 EVERY = [
     NetworkTuner(make_network(), PERIOD),
     CommandLink(LinkOptions(), PERIOD, 1, np.zeros(6)),
@@ -63,11 +68,13 @@ EVERY = [
     DensityFeatures(49, PERIOD),
     FaultySensor((), 12, PERIOD),
     FiniteCheck(),
+    FrictionFeedforward(ROBOT, FrictionCompensation(), PERIOD),
     JointPid(ROBOT, PidOptions(), GRAVITY),
     LqiController(ROBOT, LQI, GRAVITY),
     MotorDrive(PLANT, MotorOptions()),
     MotorEncoders(PLANT, ENCODERS, PERIOD),
     PlatformWrench(PLANT, ()),
+    PlatformObserver(OBSERVER, OBSERVER.initial(START, np.zeros(6), np.zeros(6), 1)),
     PoseEstimator(ROBOT, ENCODERS, PERIOD, START),
     ReferenceSource(paper_reference()),
     SafetyLayer(ROBOT, SafetyOptions(), GRAVITY, PERIOD, np.zeros(6)),

@@ -1,0 +1,314 @@
+"""An observer of the platform's motion: pose, rate and what no model explains, from readings of the cranks' angles.
+
+Between two ticks the exact model says what the known torques do. What else happens is a seventh force to each crank: an
+unknown acceleration, which wanders. A reading then corrects all three, by the steady Kalman filter of
+
+    theta' = rate,  rate' = model + surplus,  surplus' = white noise,  reading = theta + white noise,
+
+the same for each crank. In the cranks' coordinates noise is alike in all directions and the gains are three numbers,
+however the robot stands. Source of the filter's closed form: the spectral factorisation of its Riccati equation, see
+`kalman_gains`; of a disturbance as a further state: C. Johnson, "Accommodation of external disturbances in linear
+regulator and servomechanism problems" (IEEE Trans. Autom. Control 16, 1971).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, filled
+from stewart_drake.errors import RunFailure, SingularPoseError, UnreachablePoseError, pose_text
+from stewart_drake.mechanics.dynamics import forward_dynamics, task_inertia
+from stewart_drake.mechanics.kinematics import (
+    leg_geometry,
+    rod_lines,
+    twist_jacobian,
+    twist_to_pose_rate,
+)
+from stewart_drake.robot import RobotParameters
+from stewart_drake.section import Natural, Positive, Section
+
+_M = OBSERVER_MEMORY
+
+SMALLEST_NOISE = 1e-5
+"""[rad] that readings have at least for the observer: finer than that no model is."""
+
+
+class EstimatorOptions(Section, key="estimator"):
+    """Base of the options of estimators."""
+
+    kind: str
+
+    @property
+    def exact(self) -> bool:
+        """Whether it passes on what a sensor of pose and rate says."""
+        return False
+
+
+class DifferenceOptions(EstimatorOptions):
+    """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
+
+    kind: Literal["difference"] = "difference"
+
+    @property
+    def exact(self) -> bool:
+        """See `EstimatorOptions`."""
+        return True
+
+
+class ObserverOptions(EstimatorOptions):
+    """A Kalman filter with the exact model in it, see the text of `hardware.observer`."""
+
+    kind: Literal["observer"] = "observer"
+    disturbance: Positive = 20.0
+    """[rad/s^2 per sqrt(s)] by which the unexplained part of each crank's acceleration is expected to change in a
+    second: low is quiet, high is stiff. With the noise of the readings it sets the bandwidth."""
+    delay: Annotated[Natural, Field(le=100)] | None = None
+    """[ticks] from a command to its torque, as believed; null takes `command_delay`. The controller gets the state, and
+    the reference, of the time at which its command acts."""
+    max_innovation: Positive = 0.05
+    """[rad] a reading further than this from what was expected is not believed."""
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
+    """Ticks in a row in which a reading may be missing before the run ends; meanwhile the model stands in for it."""
+
+
+class KalmanGains(NamedTuple):
+    """What an innovation of 1 rad adds.
+
+    Attributes:
+        angle: [-] to the crank's angle.
+        rate: [1/s] to its rate.
+        surplus: [1/s^2] to the unexplained acceleration.
+    """
+
+    angle: float
+    rate: float
+    surplus: float
+
+
+def bandwidth(noise: float, disturbance: float, period: float) -> float:
+    """[rad/s] of the observer in continuous time, where its three poles lie on a circle of that radius."""
+    return float((disturbance / (noise * math.sqrt(period))) ** (1.0 / 3.0))
+
+
+def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains:
+    """Gains of the steady Kalman filter of one crank, in closed form.
+
+    With d = z - 1 and x = d (1/z - 1) the spectrum of the readings is proportional to x^3 - (g/4) x + g, where
+    g = disturbance^2 period^5 / noise^2: the surplus reaches the angle through h^2 (z + 1) / 2 d^3. The filter's poles
+    are the stable roots.
+
+    Args:
+        noise: [rad] standard deviation of a reading.
+        disturbance: [rad/s^2 per sqrt(s)], see `ObserverOptions`.
+        period: [s].
+    """
+    strength = (bandwidth(noise, disturbance, period) * period) ** 6
+    x = np.roots([1.0, 0.0, -0.25 * strength, strength]).astype(complex)
+    # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1.
+    root = np.sqrt(x * x - 4.0 * x)
+    d = np.where(np.abs(1.0 + 0.5 * (root - x)) < 1.0, 0.5 * (root - x), -0.5 * (root + x))
+    _, c2, c1, c0 = np.poly(d).real
+    return KalmanGains(float(c2 - c1 + c0), float(c1 - 1.5 * c0) / period, float(c0) / period**2)
+
+
+class ObserverMemory(NamedTuple):
+    """What a tick says, and what the next one needs of it.
+
+    Attributes:
+        pose: (6,) [rad, m] now.
+        rate: (6,) [rad/s, m/s] now.
+        pose_ahead: (6,) when the command of this tick will act.
+        rate_ahead: (6,) likewise.
+        compensation: (6,) [N m] against what is not explained, for the command.
+        innovation: (6,) [rad] readings less what was expected of them; 0 where one is missing.
+        surplus: (6,) [rad/s^2] acceleration of the cranks that the model does not explain.
+        missed: (6,) ticks in a row without a reading.
+        side: Sign of the rods' determinant; 0 before the first tick.
+        commands: (delay + 1, 6) [N m] the last, oldest first.
+    """
+
+    pose: np.ndarray
+    rate: np.ndarray
+    pose_ahead: np.ndarray
+    rate_ahead: np.ndarray
+    compensation: np.ndarray
+    innovation: np.ndarray
+    surplus: np.ndarray
+    missed: np.ndarray
+    side: np.ndarray
+    commands: np.ndarray
+
+    def flat(self) -> np.ndarray:
+        """All in one vector (61 + 6 (delay + 1),), in the order of the attributes."""
+        return np.concatenate([np.ravel(each) for each in self])
+
+    @classmethod
+    def from_flat(cls, values: np.ndarray) -> ObserverMemory:
+        """Inverse of `flat`."""
+        parts = [values[start:end] for start, end in itertools.pairwise(_M)]
+        return cls(*(*parts, values[_M.size :].reshape(-1, 6)))
+
+
+class Observer(NamedTuple):
+    """What stays the same from tick to tick.
+
+    Attributes:
+        robot: As believed.
+        options: See `ObserverOptions`.
+        gravity: [m/s^2].
+        period: [s].
+        noise: [rad] standard deviation of a reading, see `SensorOptions.reading_noise`.
+    """
+
+    robot: RobotParameters
+    options: ObserverOptions
+    gravity: float
+    period: float
+    noise: float
+
+    @property
+    def gains(self) -> KalmanGains:
+        """Of the filter."""
+        return kalman_gains(max(self.noise, SMALLEST_NOISE), self.options.disturbance, self.period)
+
+    def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
+        """Memory before the first tick, flat.
+
+        Args:
+            pose: (6,) [rad, m] roughly where the platform stands; picks the assembly mode.
+            rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
+            command: (6,) [N m] at the motors until the first command arrives.
+            delay: [ticks] of the commands.
+        """
+        none = np.zeros(6)
+        commands = np.tile(command, (delay + 1, 1))
+        return ObserverMemory(pose, rate, pose, rate, none, none, none, none, np.zeros(1), commands).flat()
+
+
+def advance(
+    observer: Observer, pose: np.ndarray, rate: np.ndarray, torque: np.ndarray, surplus: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and rate (6,) a period later, by the exact model under constant torques and `surplus` (6,) [rad/s^2].
+
+    Raises:
+        UnreachablePoseError: The pose is out of reach.
+        numpy.linalg.LinAlgError: Exactly at a singularity.
+    """
+    robot, period = observer.robot, observer.period
+    more = np.linalg.solve(twist_jacobian(robot, pose), surplus)
+    acceleration = forward_dynamics(robot, pose, rate, torque, observer.gravity) + twist_to_pose_rate(pose, more)
+    return pose + period * (rate + 0.5 * period * acceleration), rate + period * acceleration
+
+
+def observe(observer: Observer, angles: np.ndarray, sent: np.ndarray, memory: ObserverMemory) -> ObserverMemory:
+    """One tick, but the first: predicts, corrects by what is believed of the readings, and looks ahead.
+
+    Args:
+        observer: See there.
+        angles: (6,) [rad] readings; NaN for one that is missing.
+        sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
+        memory: Of the tick before.
+
+    Raises:
+        RunFailure: A reading has been missing, or not believed, for too long.
+        SingularPoseError: The robot has come to a singularity.
+    """
+    robot, options, gains = observer.robot, observer.options, observer.gains
+    commands = np.concatenate([memory.commands[1:], sent[None]])
+    try:
+        pose, rate = advance(observer, memory.pose, memory.rate, commands[0], memory.surplus)
+        expected = leg_geometry(robot, pose).crank_angles
+        innovation = np.remainder(angles - expected + np.pi, 2.0 * np.pi) - np.pi
+        believed = np.abs(innovation) <= options.max_innovation * (1.0 + memory.missed)
+        missed = np.where(believed, 0.0, memory.missed + 1.0)
+        if missed.max() > options.hold_ticks:
+            leg = int(missed.argmax())
+            text = f"encoder readings {pose_text(angles)}: {leg} is missing or not believed"
+            raise RunFailure(text, reason="encoder", leg=leg)
+        innovation = np.where(believed, innovation, 0.0)
+        jacobian = twist_jacobian(robot, pose)
+        turned = np.linalg.solve(jacobian, np.outer(innovation, gains[:2])).T
+        pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
+        surplus = memory.surplus + gains.surplus * innovation
+        return _looking_ahead(
+            observer,
+            memory._replace(
+                pose=pose, rate=rate, innovation=innovation, surplus=surplus, missed=missed, commands=commands
+            ),
+        )
+    except UnreachablePoseError as error:
+        # A crank carried across its dead centre, slightly.
+        raise SingularPoseError("serial", error.pose, error.margin, 0.0, error.leg) from None
+    except np.linalg.LinAlgError:
+        raise SingularPoseError("parallel", memory.pose, 0.0, 0.0) from None
+
+
+def _looking_ahead(observer: Observer, memory: ObserverMemory) -> ObserverMemory:
+    """The rest of a tick: what will be when its command acts."""
+    robot, pose, rate = observer.robot, memory.pose, memory.rate
+    side = np.sign(np.linalg.det(rod_lines(leg_geometry(robot, pose))))
+    if memory.side[0] not in (0.0, side):
+        raise SingularPoseError("parallel", pose, 0.0, 0.0)
+    for command in memory.commands[1:]:
+        pose, rate = advance(observer, pose, rate, command, memory.surplus)
+    jacobian = twist_jacobian(robot, pose)
+    wrench = task_inertia(robot, pose) @ np.linalg.solve(jacobian, memory.surplus)
+    compensation = -np.linalg.solve(jacobian.T, wrench)
+    return memory._replace(pose_ahead=pose, rate_ahead=rate, compensation=compensation, side=np.atleast_1d(side))
+
+
+def start(observer: Observer, pose: np.ndarray, memory: ObserverMemory) -> ObserverMemory:
+    """The first tick, from the pose (6,) [rad, m] that its readings tell; the rate is that of the memory."""
+    return _looking_ahead(observer, memory._replace(pose=pose))
+
+
+FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def flat_observer(
+    observer: Observer, first_pose: Callable[[np.ndarray, np.ndarray], np.ndarray], compiled: bool
+) -> FlatObserver:
+    """A tick as a function of angles (6,), last command (6,) and memory alone, compiled or not.
+
+    Args:
+        observer: See there.
+        first_pose: Pose (6,) from the first readings (6,) and the pose in the memory.
+        compiled: See `Scenario.compiled`.
+    """
+
+    def reference(angles: np.ndarray, sent: np.ndarray, flat: np.ndarray) -> np.ndarray:
+        memory = ObserverMemory.from_flat(flat)
+        if memory.side[0] == 0.0:
+            return start(observer, first_pose(angles, memory.pose), memory).flat()
+        return observe(observer, angles, sent, memory).flat()
+
+    if not compiled:
+        return reference
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism
+    from stewart_drake.compiled import observer as fast
+
+    packed = mechanism.pack(observer.robot)
+    numbers = filled(
+        OBSERVER_NUMBERS,
+        period=observer.period,
+        gravity=observer.gravity,
+        gains=observer.gains,
+        max_innovation=observer.options.max_innovation,
+        hold_ticks=observer.options.hold_ticks,
+    )
+
+    def tick(angles: np.ndarray, sent: np.ndarray, flat: np.ndarray) -> np.ndarray:
+        result = np.empty_like(flat)
+        if flat[_M.side] != 0.0 and fast.observe(packed, numbers, angles, sent, flat, result) == mechanism.OK:
+            return result
+        # Rare: the reference says what was wrong.
+        return reference(angles, sent, flat)
+
+    return tick
