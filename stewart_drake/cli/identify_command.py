@@ -105,7 +105,8 @@ def excite(
     from stewart_drake.scenario import load_scenario
 
     guess = load_robot(robot)
-    changes = (f"robot={json.dumps(robot)}", "plant.motor_friction=0", f"duration={duration!r}", *overrides)
+    own = ("plant.motor_friction=0", "estimator.kind=difference", f"duration={duration!r}")
+    changes = (f"robot={json.dumps(robot)}", *own, *overrides)
     scenario = load_scenario("exact_breathing", changes)
     found = design(guess, scenario.limits, hold, gravity=scenario.gravity, seed=seed)
     check_reference(guess, scenario.limits, found.reference, duration, scenario.gravity).raise_if_infeasible()

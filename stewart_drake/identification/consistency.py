@@ -65,18 +65,15 @@ def consistent(guess: RobotParameters, found: Estimate) -> np.ndarray:
 
     with drake_guard("the semidefinite program"):
         program = MathematicalProgram()
-        # One unit is a standard deviation, were the rows independent: all directions are of one size.
+        # In these directions the information is a multiple of 1, and the longest is a parameter's own size.
         ways = found.ways @ np.linalg.inv(np.linalg.cholesky(found.information).T)
+        ways = ways / np.abs(ways / scales(guess)[:, None]).max()
         along = program.NewContinuousVariables(ways.shape[1], "along")
         program.AddQuadraticCost(2.0 * np.eye(len(along)), np.zeros(len(along)), along)
         # 0 for what keeps the guess's value, which is that of a body.
         free = np.abs(ways).max(axis=1) > 0.0
-        least = LEAST * guess.platform_mass
-        constant = pseudo_inertia(guess, found.values) / guess.platform_mass
-        slopes = [(pseudo_inertia(guess, column)) / guess.platform_mass for column in ways.T]
-        program.AddLinearMatrixInequalityConstraint(
-            [constant - least / guess.platform_mass * np.eye(4), *slopes], along
-        )
+        constant, *slopes = (pseudo_inertia(guess, each) / guess.platform_mass for each in (found.values, *ways.T))
+        program.AddLinearMatrixInequalityConstraint([constant - LEAST * np.eye(4), *slopes], along)
         for at, bound in lower_bounds(guess).items():
             if free[at]:
                 scale = np.abs(ways[at]).max()

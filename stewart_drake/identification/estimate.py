@@ -34,8 +34,9 @@ _KEEP_FIRST = np.array([5.0 if own.kind == "rod_mass" else 1.0 for own in PARAME
 _NORMAL_95 = 1.959964
 _BLIND = 1e-9
 """[-] of the largest singular value below which a direction is that of rounding."""
-_UNLIKE = 0.5
-"""[-] of the torques that may be left; a log of the same robot, in N m, leaves some hundredths."""
+_UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
+"""[-] of the torques' changes that may be left, unless it is less than so much of the torques, and by which they may
+differ from the guess's. A log of the same robot leaves some hundredths; units are wrong by 57 or 1000."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def estimate(
         values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
         noise = _noise(samples, values)
         if turn == 1:
-            _refuse_other(samples, values)
+            _refuse_other(guess, samples, values)
             slope = _whitened(samples, values, size[:, None] * free_directions(held), noise)[0]
             untold = _untold(slope, samples, held, size)
             _refuse_untold(samples, untold, set(asked) - set(held))
@@ -187,7 +188,7 @@ def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: n
             return found
         direction = free @ directions[-1]
         at = int((np.abs(direction) * _KEEP_FIRST).argmax())
-        deviation = np.inf if sigma[-1] < _BLIND * sigma[0] else 1.0 / sigma[-1]
+        deviation = np.inf if sigma[-1] <= _BLIND * sigma[0] else 1.0 / sigma[-1]
         share = direction / direction[at]
         found.append(Untold(at, float(deviation), share * size / size[at], share))
 
@@ -202,11 +203,16 @@ def _refuse_untold(samples: Samples, untold: Collection[Untold], asked: Collecti
             )
 
 
-def _refuse_other(samples: Samples, values: np.ndarray) -> None:
-    left = (samples.torque - samples.predicted(values))[samples.used]
-    share = float(np.sqrt(np.mean(left**2) / np.mean(samples.torque[samples.used] ** 2))) if left.size else 0.0
-    if share > _UNLIKE:
-        got = f"torques of which no parameters explain {100.0 * share:.0f} %"
-        raise ConfigurationError(
-            samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m"
-        )
+def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:
+    def size(torque: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(torque[samples.used] ** 2))) if samples.used.any() else 0.0
+
+    measured, expected = size(samples.torque), size(samples.predicted(of_robot(guess)))
+    left, changes = size(samples.torque - samples.predicted(values)), size(samples.torque - samples.torque.mean(axis=0))
+    allowed = "a log of the robot that is guessed, angles in rad, torques in N m"
+    if left > max(_UNLIKE * changes, _NOISY * measured):
+        got = f"torques of whose changes no parameters explain {100.0 * left / changes:.0f} %"
+        raise ConfigurationError(samples.source, got, allowed)
+    if expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
+        got = f"torques of {measured:.3g} N m where the guess has {expected:.3g} N m (RMS)"
+        raise ConfigurationError(samples.source, got, allowed)

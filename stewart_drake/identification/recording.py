@@ -132,6 +132,9 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
         if off > 1e-9:
             got = f"a robot whose {name} differ by up to {off:.3g}"
             raise ConfigurationError(source, got, "a log of the robot that is guessed")
+    if not log.scenario.estimator.exact:
+        got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the robot that is guessed"
+        raise ConfigurationError(source, got, "poses as they are read: estimator.kind difference")
     missing = [name for name in ("time", "torque_applied", "pose") if name not in log.signals]
     if missing:
         raise ConfigurationError(source, f"no {missing[0]}", "a log with torques and poses")
