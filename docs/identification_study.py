@@ -28,7 +28,7 @@ ROBOTS, ON_DRAKE = (int(sys.argv[at]) if len(sys.argv) > at else usual for at, u
 TWELVE_BITS = ("controller.period=0.01", "sensors.resolution_bits=12", "sensors.rate_cutoff=20")
 SERVO = ("controller.kind=computed_torque", "controller.natural_frequency=25", "controller.integral_frequency=2")
 ROBOT_OF = {
-    # encoders, rate of the logs, noise of torques, Coulomb, viscous; how it is run on Drake, and the motion tracked there
+    # encoders, rate of the logs, noise of torques, Coulomb, viscous; how it runs on Drake, and the motion tracked there
     "paper": (EncoderOptions(resolution_bits=17, noise=2e-5), 1000.0, 0.01, 0.02, 0.01, (), "exact_breathing"),
     "reachy_mini": (
         EncoderOptions(resolution_bits=12),
@@ -43,28 +43,50 @@ ROBOT_OF = {
 TEXT = """# What an identification is worth
 
 `make identification`: {robots} simulated robots a row. Of each robot rods, cranks and rotors are off by up to 20 %, the
-torque constants by up to 20 % about their mean, friction differs from motor to motor by a factor of 3 (0.5 to 1.5 of the
-middle, {friction}); on the platform is an unknown payload of 10 to 30 % of its mass. The
-controller's robot, the guess, knows of none of that. Masses of platform and rods are right: no torque tells a rod's mass.
-A log is 60 s long; `paper`: 1 kHz, 17 bits with 2e-5 rad of noise, torques with 0.01 N m of noise; `reachy_mini`: 100 Hz,
-12 bits, torques with 0.005 N m. Each trial's seed is its number. Torques are those of the exact inverse dynamics with
-Coulomb and viscous friction; that the Drake plant says the same is shown below.
+torque constants by up to 20 % about their mean, friction differs from motor to motor by a factor of 3 (0.5 to 1.5 of
+the middle, {friction});
+on the platform is an unknown payload of 10 to 30 % of its mass. The guess knows of none of that. Masses of platform and
+rods are right: no torque tells a rod's mass. A log is 60 s long; `paper`: 1 kHz, 17 bits with 2e-5 rad of noise,
+torques with 0.01 N m of noise; `reachy_mini`: 100 Hz, 12 bits, torques with 0.005 N m. Each trial's seed is its number.
+Torques are those of the exact inverse dynamics with Coulomb and viscous friction; what is so on the Drake plant is
+shown below.
 
-The motion is that of `stewart-drake excite`; the one that was not used is another, at random, as large as the limits let
-it be. Errors are relative; of friction that of the worst motor. Torques are compared after the filter, where no crank
-sticks.
-
-| robot | condition number, of random motions | payload: median, 95 %, worst | its place, median | Coulomb | viscous | unseen torques, by the guess | by what was found: median, worst | intervals that hold the truth |
-|---|---|---|---|---|---|---|---|---|"""
+The motion is that of `stewart-drake excite`; the one that was not used is another, at random, as large as the limits
+let it be. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the worst motor.
+Torques are compared after the filter, where no crank sticks: median and largest.
+"""
+HEADER = (
+    "robot",
+    "condition number, of motions at random",
+    "payload",
+    "its place, median",
+    "Coulomb",
+    "viscous",
+    "unseen torques by the guess",
+    "by what was found",
+    "intervals that hold the truth",
+)
 DRAKE = """
-On the Drake plant (discrete, 1 ms steps, friction that sticks), {robots} robots of the same kind a row: 60 s of the same
-motion under a controller that believes in the guess; `paper` with the LQI of `exact_breathing`, `reachy_mini` on a 100 Hz
-bus with computed torque ({servo}), a tick of delay. Torque constants and torque
-noise are put on the log's torques. Then that controller follows a motion ({motions}) with the guess, and with
-what was found: as `model_robot`, and as `friction_compensation`. Largest of the robots, RMSE medians.
+On the Drake plant (discrete, 1 ms steps, friction that sticks), {robots} robots of the same kind a row: 60 s of the
+same motion under a controller that believes in the guess; `paper` with the LQI of `exact_breathing`, `reachy_mini` on a
+100 Hz bus with computed torque ({servo}), a tick of delay. Torque constants
+and torque noise are put on the log's torques. Then that controller follows a motion ({motions})
+with the guess, and with what was found: as `model_robot`, and as `friction_compensation`. Errors are the largest of the
+robots; RMSE after the first second, medians.
+"""
+DRAKE_HEADER = (
+    "robot",
+    "payload off",
+    "Coulomb, viscous off",
+    "unseen torques off",
+    "RMSE before [mm, deg]",
+    "RMSE after [mm, deg]",
+)
 
-| robot | payload off | Coulomb, viscous off | unseen torques off | RMSE before [mm, deg] | RMSE after [mm, deg] |
-|---|---|---|---|---|---|"""
+
+def header(names):
+    """The first two lines of a table."""
+    return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
 
 
 def motions(name):
@@ -167,18 +189,18 @@ def main():
     ]
     lines = [
         TEXT.format(robots=ROBOTS, friction=friction),
+        *header(HEADER),
         *table,
         "",
         "Share of the 95 % intervals that hold the truth; of what is kept and of sums with it, the truth of the sum:",
         "",
-        f"| | {' | '.join(f'`{name}`' for name in inside)} |",
-        "|---|" + "---|" * len(inside),
+        *header(["", *(f"`{name}`" for name in inside)]),
         *shares,
     ]
     if ON_DRAKE:
         servo = "natural frequency 25 rad/s, integral 2 rad/s"
         named = ", ".join(f"`{each[6]}`" for each in ROBOT_OF.values())
-        lines += [DRAKE.format(robots=ON_DRAKE, servo=servo, motions=named), *drake]
+        lines += [DRAKE.format(robots=ON_DRAKE, servo=servo, motions=named), *header(DRAKE_HEADER), *drake]
     OUT.write_text("\n".join([*lines, ""]))
 
 

@@ -4,8 +4,8 @@ Generalised least squares: rows are weighed by the covariance of what the six to
 What is left is correlated in time, by the filter if by nothing else; the intervals go by the long-run covariance of
 the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the number of rows.
 
-Base parameters: a direction in which the parameters may change by as much as their own size and no torque notices is
-not told. Its largest parameter then keeps the guess's value, and all others mean a sum with it: they are base
+Base parameters: a direction in which the parameters may change by a good part of their own size and no torque
+notices is not told. Its largest parameter then keeps the guess's value, and all others mean a sum with it: they are base
 parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
 """
 
@@ -24,8 +24,9 @@ from stewart_drake.robot.leg import LEGS
 
 ASKED: tuple[Kind, ...] = ("platform_mass", "coulomb", "viscous")
 """What a motion must tell, unless it is held."""
-LARGEST = 1.0
-"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told."""
+LARGEST = 0.3
+"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told: what is drawn or
+weighed is seldom off by more."""
 MEMORY = 0.5
 """[s] over which what is left may be correlated."""
 _PASSES = 6
@@ -211,7 +212,7 @@ def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) 
     left, changes = size(samples.torque - samples.predicted(values)), size(samples.torque - samples.torque.mean(axis=0))
     allowed = "a log of the robot that is guessed, angles in rad, torques in N m"
     if left > max(_UNLIKE * changes, _NOISY * measured):
-        got = f"torques of whose changes no parameters explain {100.0 * left / changes:.0f} %"
+        got = f"torques of whose changes no parameters explain {min(100.0, 100.0 * left / changes):.0f} %"
         raise ConfigurationError(samples.source, got, allowed)
     if expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
         got = f"torques of {measured:.3g} N m where the guess has {expected:.3g} N m (RMS)"
