@@ -5,7 +5,7 @@ What is left is correlated in time, by the filter if by nothing else; the interv
 the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the number of rows.
 
 Base parameters: a direction in which the parameters may change by a good part of their own size and no torque
-notices is not told. Its largest parameter then keeps the guess's value, and all others mean a sum with it: they are base
+notices is not told. Its largest parameter then keeps the value of the guess, and all others mean a sum with it: base
 parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
 """
 

@@ -95,7 +95,7 @@ def excite(
 
     length = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     found: list[tuple[float, np.ndarray]] = []
-    for _ in range(_BEGINNINGS):
+    for _ in range(_BEGINNINGS if feasible(np.zeros((2, len(HARMONICS), 6)), 0.0) else 0):
         waves = rng.standard_normal((2, len(HARMONICS), 6)) * length / np.sqrt(HARMONICS)[:, None]
         largest = bisect(partial(feasible, waves), 0.0, 1.0)
         if largest > 0.0:

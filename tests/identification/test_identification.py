@@ -177,14 +177,16 @@ def test_a_lag_of_the_torques_is_made_up_for(exact):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", [ROBOT, UNEQUAL], ids=["paper", "unequal"])
-def test_intervals_hold_the_truth(robot):
-    setting = Setting(robot, motion(robot, size=0.8), motion(robot, 5, 0.8), 250.0, FINE, 0.01, 0.02, 0.01, 30.0)
-    trials = [run_trial(setting, seed) for seed in range(20)]
+@pytest.mark.parametrize(("robot", "payload"), [(ROBOT, 0.02), (UNEQUAL, 0.2)], ids=["paper", "unequal"])
+def test_intervals_hold_the_truth(robot, payload):
+    # The rods of the second weigh twice its platform, and cranks of different lengths tell their mass, though poorly.
+    setting = Setting(robot, motion(robot, size=0.8), motion(robot, 5, 0.8), 250.0, FINE, 0.002, 0.02, 0.01, 20.0)
+    trials = [run_trial(setting, seed) for seed in range(12)]
+    # Some 350 intervals, which hold the truth or do not in company; the study in docs/results has thousands.
     share = coverage(trials)
-    assert 0.9 <= share["all"] <= 0.99
+    assert 0.88 <= share["all"] <= 0.99
     assert max(trial.predicted for trial in trials) < 0.03
-    assert np.median([trial.payload for trial in trials]) < 0.05
+    assert np.median([trial.payload for trial in trials]) < payload
     assert np.median([max(trial.coulomb, trial.viscous) for trial in trials]) < 0.05
 
 
