@@ -55,7 +55,8 @@ class Recording:
         for name, shape in (("time", ()), ("angles", (LEGS,)), ("torque", (LEGS,))):
             values = np.array(getattr(self, name), dtype=float)
             if values.shape != (len(self.time), *shape):
-                raise ConfigurationError(f"{self.source}: {name}", values.shape, f"numbers of shape (n, *{shape})")
+                wanted = ", ".join(map(str, ("n", *shape)))
+                raise ConfigurationError(f"{self.source}: {name}", values.shape, f"numbers of shape ({wanted})")
             if not np.isfinite(values).all():
                 row = int(np.argwhere(~np.isfinite(values))[0][0])
                 raise ConfigurationError(f"{self.source}: row {row + 1}, {name}", values[row], "finite numbers")
