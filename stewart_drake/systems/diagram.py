@@ -78,8 +78,8 @@ class ClosedLoop(Diagram):
         self.scenario = scenario
         wiring = _Wiring(scenario, meshcat)
         wiring.add_disturbances()
-        wiring.add_sensors()
         wiring.add_reference()
+        wiring.add_sensors()
         wiring.add_controller()
         wiring.add_compensation()
         wiring.add_tuner()
@@ -153,7 +153,6 @@ class _Wiring:
         self.age: OutputPort | None = None
         self.safety: SafetyLayer | None = None
         self.seen: dict[str, OutputPort] = {}
-        self.ahead = 0
         self.compensations: list[OutputPort] = []
         self.sent: ZeroOrderHold | None = None
         self.holds: list[ZeroOrderHold] = []
@@ -181,15 +180,27 @@ class _Wiring:
             self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
             self.signals["disturbance"] = push.wrench
 
+    def add_reference(self) -> None:
+        """Where the platform should be."""
+        self.signals["reference"] = self.add("reference", self._reference(0)).reference
+
+    def _reference(self, ticks: int) -> ReferenceSource:
+        """The reference so many ticks ahead."""
+        step = self.scenario.plant.time_step
+        return ReferenceSource(self.scenario.reference, step, ticks * on_grid(self.period))
+
     def add_sensors(self) -> None:
         """From the plant's state to what is read of it, and to what the controller sees."""
         sensors, estimator = self.scenario.sensors, self.scenario.estimator
         reading = SENSORS.system(sensors.kind)(self, sensors)
         self.signals["measurement"] = ESTIMATORS.system(estimator.kind)(self, estimator, reading)
+        self.seen = {name: self.signals[name] for name in ("measurement", "reference")} | self.seen
 
     def look_ahead(self, measurement: OutputPort, ticks: int) -> None:
         """Lets the controller see this measurement, and the reference so many ticks ahead."""
-        self.seen["measurement"], self.ahead = measurement, ticks
+        self.seen["measurement"] = measurement
+        if ticks > 0:
+            self.seen["reference"] = self.add("reference_ahead", self._reference(ticks)).reference
 
     def last_command(self) -> OutputPort:
         """The command of the tick before, (6,) [N m], less what friction takes of it."""
@@ -220,15 +231,6 @@ class _Wiring:
         faulty = FaultySensor(faults, reading.size(), self.period)
         self.add("faulty_sensor", faulty, reading=reading)
         return self.parts("reading", faulty, reading.size())[0]
-
-    def add_reference(self) -> None:
-        """Where the platform should be."""
-        made = self.scenario.reference, self.scenario.plant.time_step
-        self.signals["reference"] = self.add("reference", ReferenceSource(*made)).reference
-        self.seen = {name: self.signals[name] for name in ("measurement", "reference")} | self.seen
-        if self.ahead > 0:
-            ahead = ReferenceSource(*made, self.ahead * on_grid(self.period))
-            self.seen["reference"] = self.add("reference_ahead", ahead).reference
 
     def add_controller(self) -> None:
         """From measurement and reference to torques, and what else the controller tells of itself."""

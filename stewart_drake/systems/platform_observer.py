@@ -27,6 +27,7 @@ class PlatformObserver(TickedSystem):
     Ports:
         reading: in (6,) or (12,).
         sent: in (6,) [N m], the command of the tick before less what friction takes of it.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] now.
         ahead: out (12,), likewise when the command of this tick acts.
         compensation: out (6,) [N m], against what the model does not explain.
@@ -46,6 +47,7 @@ class PlatformObserver(TickedSystem):
         self._observe = flat_observer(observer, _first_pose(observer), compiled)
         self.reading = self.DeclareVectorInputPort("reading", reading)
         self.sent = self.DeclareVectorInputPort("sent", 6)
+        self.reference = self.DeclareVectorInputPort("reference", 18)
         self._declare_result()
         self.measurement = self._declare_output("measurement", 0, 12)
         self.ahead = self._declare_output("ahead", 12, 12)
@@ -58,7 +60,7 @@ class PlatformObserver(TickedSystem):
         if self._poses:
             finite = np.isfinite(reading[:6]).all()
             reading = inverse_kinematics(self._robot, reading[:6]) if finite else np.full(6, np.nan)
-        return self._observe(reading, self.sent.Eval(context), previous)
+        return self._observe(reading, self.sent.Eval(context), self.reference.Eval(context), previous)
 
 
 def _first_pose(observer: Observer) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -76,12 +78,14 @@ def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> 
     scenario = wiring.scenario
     delay = scenario.command_delay if options.delay is None else options.delay
     noise = scenario.sensors.reading_noise
-    observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise)
+    friction = scenario.friction_compensation
+    sticks = friction is not None and friction.dry
+    observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise, sticks)
     pose, rate = scenario.start()
     memory = observer.initial(pose, rate, wiring.standing_torque(), delay)
     made = PlatformObserver(observer, memory, reading.size(), scenario.compiled, wiring.guarded)
     sent = wiring.last_command()
-    added = wiring.add("estimator", made, reading=reading, sent=sent)
+    added = wiring.add("estimator", made, reading=reading, sent=sent, reference=wiring.signals["reference"])
     now, ahead, compensation, innovation = wiring.parts("estimate", added, 12, 12, 6, 6)
     wiring.look_ahead(ahead, delay)
     wiring.compensations.append(compensation)
