@@ -5,8 +5,9 @@ identified from a run there, and the controller before and after.
 """
 
 import sys
-import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ Torques are those of the exact inverse dynamics with Coulomb and viscous frictio
 shown below.
 
 The motion is that of `stewart-drake excite`; the one that was not used is another, at random, as large as the limits
-let it be. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the worst motor.
+let it be, 20 s of it. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the worst motor.
 Torques are compared after the filter, where no crank sticks: median and largest.
 """
 HEADER = (
@@ -109,18 +110,19 @@ def spread(values):
 def study(name, found, other):
     """A row of the first table and the coverage of each kind."""
     encoders, rate, noise, coulomb, viscous, *_ = ROBOT_OF[name]
-    guess, start = load_robot(name), time.process_time()
+    guess = load_robot(name)
     setting = Setting(guess, found.reference, other.reference, rate, encoders, noise, coulomb, viscous)
-    trials = [run_trial(setting, seed) for seed in range(ROBOTS)]
+    with ProcessPoolExecutor() as workers:
+        trials = list(workers.map(partial(run_trial, setting), range(ROBOTS), chunksize=5))
     of = {field: np.array([getattr(trial, field) for trial in trials]) for field in trials[0]._fields}
     inside = coverage(trials)
-    print(name, spread(of["payload"]), inside, f"{time.process_time() - start:.0f} s", flush=True)
     row = (
         f"| `{name}` | {found.condition:.3g}, {found.random_condition:.3g} | {spread(of['payload'])} "
         f"| {1e3 * np.median(of['place']):.2g} mm | {spread(of['coulomb'])} | {spread(of['viscous'])} "
         f"| {percent(np.median(of['by_guess']))} | {percent(np.median(of['predicted']), of['predicted'].max())} "
         f"| {100 * inside['all']:.1f} % |"
     )
+    print(row, inside, flush=True)
     return row, inside
 
 

@@ -27,7 +27,8 @@ class Setting(NamedTuple):
         torque_noise: [N m] standard deviation of each torque.
         coulomb: [N m] of a motor, in the middle.
         viscous: [N m s/rad] likewise.
-        duration: [s] of a log.
+        duration: [s] of the log that is fitted.
+        judged: [s] of that of the unseen motion.
     """
 
     guess: RobotParameters
@@ -39,6 +40,7 @@ class Setting(NamedTuple):
     coulomb: float
     viscous: float
     duration: float = 60.0
+    judged: float = 20.0
 
 
 class Trial(NamedTuple):
@@ -74,8 +76,8 @@ def run_trial(setting: Setting, seed: int) -> Trial:
     guess = setting.guess
     truth = deviating(guess, rng, setting.coulomb, setting.viscous)
     logs = [
-        recorded(guess, truth, motion, setting.duration, setting.rate, setting.encoders, setting.torque_noise, rng)
-        for motion in (setting.motion, setting.unseen)
+        recorded(guess, truth, motion, seconds, setting.rate, setting.encoders, setting.torque_noise, rng)
+        for motion, seconds in ((setting.motion, setting.duration), (setting.unseen, setting.judged))
     ]
     found = identify(guess, logs[:1], validate=logs[1:])
     values, width = found.estimate.values, found.half_width
