@@ -53,8 +53,8 @@ Torques are those of the exact inverse dynamics with Coulomb and viscous frictio
 shown below.
 
 The motion is that of `stewart-drake excite`; the one that was not used is another, at random, as large as the limits
-let it be, 20 s of it. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the worst motor.
-Torques are compared after the filter, where no crank sticks: median and largest.
+let it be, 20 s of it. Errors are relative: median, 95th percentile and largest of the robots, of friction that of the
+worst motor. Torques are compared after the filter, where no crank sticks: median and largest.
 """
 HEADER = (
     "robot",
