@@ -37,6 +37,17 @@ LQI_CHOICES = _fields(
     exact_model=1, printed_map=1, feedforward=1, at_reference=1, exact_hold=1, saturation=1, bumpless=1,
 )  # fmt: skip
 """Feedforward 0 to 3 for none, gravity, platform, full; saturation 0 to 2 for none, clamp, back_calculation."""
+COMPUTED_TORQUE_NUMBERS = _fields(
+    "ComputedTorqueNumbers",
+    period=1, gravity=1, min_transmission=1, min_conditioning=1, frequency=1, damping=1, integral_frequency=1, limit=6,
+)  # fmt: skip
+"""[s], [m/s^2], [-], [-], [rad/s], [-], [rad/s], [N m] infinite for none."""
+PID_NUMBERS = _fields(
+    "PidNumbers",
+    period=1, gravity=1, min_transmission=1, min_conditioning=1, kp=1, ki=1, kd=1, limit=6, given_back=1,
+)  # fmt: skip
+"""[s], [m/s^2] of the feedforward, [-], [-], [N m/rad], [N m/(rad s)], [N m s/rad], [N m] infinite for none, and
+[rad s/(N m)] by which the integral is led back for what was cut; -1 where it stands still instead."""
 ESTIMATOR_MEMORY = _fields("EstimatorMemory", pose=6, rate=6, angles=6, crank_rates=6, held=1, side=1, started=1)
 """See `estimator.MEMORY_SIZE`."""
 ESTIMATOR_NUMBERS = _fields(
@@ -65,6 +76,8 @@ SAFETY_NUMBERS = _fields(
     usable_transmission=1, usable_conditioning=1,
 )  # fmt: skip
 """[s], [rad], [m], [-], [-], [rad/s], [rad], [m], [N m], [N m] in a tick, [m/s^2], [m], ticks given back, [-], [-]."""
+CHAIN_STATE = _fields("ChainState", pose=6, pose_rate=6, twist=6, angles=6, anchor=6, slip=6)
+"""See `closed_chain.ChainState`."""
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.compiled.constants import COMPUTED_TORQUE_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.control.parts import ControllerSite, law_part
 from stewart_drake.control.robot_gains import FREQUENCY
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -33,6 +37,11 @@ class ComputedTorqueOptions(OwnControllerOptions):
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
+
+    @property
+    def compiles(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
 
 
 class ComputedTorqueMemory(NamedTuple):
@@ -91,3 +100,25 @@ def computed_torque_tick(
         if np.any(torque != wanted):
             growth = np.zeros(6)
     return ComputedTorqueMemory(torque, error, memory.integral + growth)
+
+
+def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
+    """`computed_torque_tick` as a part of a loop."""
+    if not site.compiled:
+        return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism, tracking
+
+    numbers = filled(
+        COMPUTED_TORQUE_NUMBERS,
+        period=options.period,
+        gravity=site.gravity,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        frequency=options.natural_frequency,
+        damping=options.damping,
+        integral_frequency=options.integral_frequency,
+        limit=site.robot.effort_limits if options.saturation == "clamp" else np.full(6, np.inf),
+    )
+    fast = partial(tracking.computed_torque_tick, mechanism.pack(site.robot), numbers)
+    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, fast)

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.compiled.constants import PID_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
+from stewart_drake.control.parts import ControllerSite, law_part
 from stewart_drake.control.robot_gains import DERIVATIVE, INTEGRAL, PROPORTIONAL
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -49,6 +53,16 @@ class PidOptions(OwnControllerOptions):
     def results(self) -> Sequence[int]:
         """See `ControllerOptions`."""
         return (6,)
+
+    @property
+    def compiles(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
+
+    @property
+    def back_share(self) -> float:
+        """[-] of what was cut off that back_calculation gives back in a tick."""
+        return min(1.0, self.period / self.reset_time)
 
     def limit(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] of the motors' torques."""
@@ -115,5 +129,29 @@ def pid_tick(
         if options.saturation == "clamp":
             growth = np.where(cut == 0.0, growth, 0.0)
         elif options.ki > 0.0:
-            growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
+            growth = growth + options.back_share * cut / options.ki
     return PidMemory(torque, integral + growth)
+
+
+def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
+    """`pid_tick` as a part of a loop."""
+    if not site.compiled:
+        return law_part(pid_tick, PidMemory, options, site)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism, tracking
+
+    back = options.saturation == "back_calculation" and options.ki > 0.0
+    numbers = filled(
+        PID_NUMBERS,
+        period=options.period,
+        gravity=site.gravity if options.feedforward == "gravity" else 0.0,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        kp=options.kp,
+        ki=options.ki,
+        kd=options.kd,
+        limit=np.full(6, np.inf) if options.saturation == "none" else options.limit(site.robot),
+        given_back=-1.0 if options.saturation == "clamp" else back and options.back_share / options.ki,
+    )
+    fast = partial(tracking.pid_tick, mechanism.pack(site.robot), numbers)
+    return law_part(pid_tick, PidMemory, options, site, fast)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, OutputPort
+from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
-from stewart_drake.hardware.observer import Observer, ObserverOptions, flat_observer
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.hardware.observer import Observer, ObserverOptions
+from stewart_drake.hardware.observing import observer_at, observer_part
+from stewart_drake.systems.ticked import SampledSystem
 
 
-class PlatformObserver(TickedSystem):
+class PlatformObserver(SampledSystem):
     """State of the platform from readings and the commands that were sent, see `hardware.observer`.
 
     Args:
@@ -34,6 +32,14 @@ class PlatformObserver(TickedSystem):
         innovation: out (6,) [rad], readings less what was expected.
     """
 
+    reading: InputPort
+    sent: InputPort
+    reference: InputPort
+    measurement: OutputPort
+    ahead: OutputPort
+    compensation: OutputPort
+    innovation: OutputPort
+
     def __init__(
         self,
         observer: Observer,
@@ -42,52 +48,20 @@ class PlatformObserver(TickedSystem):
         compiled: bool = False,
         guarded: bool = False,
     ) -> None:
-        super().__init__(observer.period, initial, guarded)
-        self._robot, self._poses = observer.robot, reading == 12
-        self._observe = flat_observer(observer, _first_pose(observer), compiled)
-        self.reading = self.DeclareVectorInputPort("reading", reading)
-        self.sent = self.DeclareVectorInputPort("sent", 6)
-        self.reference = self.DeclareVectorInputPort("reference", 18)
-        self._declare_result()
-        self.measurement = self._declare_output("measurement", 0, 12)
-        self.ahead = self._declare_output("ahead", 12, 12)
-        self.compensation = self._declare_output("compensation", 24, 6)
-        self.innovation = self._declare_output("innovation", 30, 6)
-
-    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
-        """See `observer.observe`."""
-        reading = self.reading.Eval(context)
-        if self._poses:
-            finite = np.isfinite(reading[:6]).all()
-            reading = inverse_kinematics(self._robot, reading[:6]) if finite else np.full(6, np.nan)
-        return self._observe(reading, self.sent.Eval(context), self.reference.Eval(context), previous)
-
-
-def _first_pose(observer: Observer) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """What finds the pose of the first readings, near a guess."""
-
-    def found(angles: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        options = EncoderOptions()
-        return estimate(observer.robot, options, observer.period, angles, initial_memory(guess))[:6]
-
-    return found
+        inputs = {"reading": reading, "sent": 6, "reference": 18}
+        outputs = {"measurement": 12, "ahead": 12, "compensation": 6, "innovation": 6}
+        part = observer_part(observer, initial, reading, compiled)
+        super().__init__(observer.period, part, inputs, outputs, guarded)
 
 
 def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> OutputPort:
     """Adds the observer to a closed loop, on readings of any sensor; the measurement (12,)."""
-    scenario = wiring.scenario
-    delay = scenario.command_delay if options.delay is None else options.delay
-    noise = scenario.sensors.reading_noise
-    friction = scenario.friction_compensation
-    sticks = friction is not None and friction.dry
-    observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise, sticks)
-    pose, rate = scenario.start()
-    memory = observer.initial(pose, rate, wiring.standing_torque(), delay)
-    made = PlatformObserver(observer, memory, reading.size(), scenario.compiled, wiring.guarded)
+    made = observer_at(options, wiring.site, wiring.scenario.sensors)
+    observer = PlatformObserver(*made[:2], reading.size(), wiring.site.compiled, wiring.guarded)
     sent = wiring.last_command()
-    added = wiring.add("estimator", made, reading=reading, sent=sent, reference=wiring.signals["reference"])
+    added = wiring.add("estimator", observer, reading=reading, sent=sent, reference=wiring.signals["reference"])
     now, ahead, compensation, innovation = wiring.parts("estimate", added, 12, 12, 6, 6)
-    wiring.look_ahead(ahead, delay)
+    wiring.look_ahead(ahead, made.ahead)
     wiring.compensations.append(compensation)
     wiring.signals["innovation"] = innovation
     return now

@@ -36,6 +36,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
+from stewart_drake.safety.frozen import flat_frozen
 from stewart_drake.safety.monitors import broken, see
 
 PERIOD = 0.001
@@ -88,6 +89,7 @@ TRIPS = [
     ("command_not_finite", inputs(command=[0, 0, 0, np.nan, 0, 0]), HOLD, "finite"),
     ("command_not_finite", inputs(command=[0, 0, 0, -np.inf, 0, 0]), HOLD, "finite"),
     ("deadline", inputs(age=3.0), HOLD, "deadline"),
+    ("innovation", inputs(surprise=(6e-4, 3.0)), HOLD, "innovation"),
     ("torque_limit", inputs(command=[0, 0, 0, 0, 1e6, 0]), HOLD, "torque_limit"),
     ("workspace", inputs(pose=at(x=0.13)), RAMP, "workspace"),
     ("workspace", inputs(pose=at(yaw=1.25)), RAMP, "workspace"),
@@ -421,7 +423,10 @@ def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
     for k, reading in enumerate(readings):
         angles = reading if reference is None else None
         pose = reference[k] if wanted is None else wanted[k]
+        fast = flat_frozen(ROBOT, options, quantum, compiled=True)(angles, reading, pose, memory)
         said, memory = frozen_tick(ROBOT, options, quantum, angles, reading, pose, memory)
+        assert fast[0] == said
+        np.testing.assert_array_equal(fast[1], memory)
     return said
 
 
