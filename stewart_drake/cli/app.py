@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.cli.calibrate_command import calibrate
-from stewart_drake.cli.campaign_commands import compare, faults, sweep
+from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
@@ -237,6 +237,7 @@ def schema(out: Path | None) -> None:
 cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
+cli.add_command(tune)
 cli.add_command(faults)
 cli.add_command(robots)
 cli.add_command(sweep)
