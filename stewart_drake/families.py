@@ -34,7 +34,8 @@ class Family:
 
     Args:
         lines: Kind -> its section and, where it has one, the LeafSystem or function that builds its part of the
-            Diagram: `module:name` in this package, or the thing itself.
+            Diagram: `module:name` in this package, or the thing itself; then, where it has one, what does the same
+            outside of a Diagram.
         default: Kind where the key is absent; None where it is required.
         own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
             `of(kind, rest)`: an import path, a class or an object, and the other keys.
@@ -67,8 +68,8 @@ class Family:
         """The kinds, and how a user's own is written."""
         return self.kinds if self._own is None else [*self.kinds, OWN]
 
-    def add(self, section: type[Section], system: Any = None) -> None:
-        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it.
+    def add(self, section: type[Section], system: Any = None, plain: Any = None) -> None:
+        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it; see `Family`.
 
         A section that was added before may be added again, as a cell of a notebook does.
 
@@ -89,7 +90,7 @@ class Family:
             )
         if system is None and any(len(line) > 1 for line in self._lines.values()):
             raise ConfigurationError("system", None, f"what builds the part of the Diagram for {section.__name__}")
-        self._lines[kind] = (section,) if system is None else (section, system)
+        self._lines[kind] = tuple(each for each in (section, system, plain) if each is not None)
 
     def added_code(self) -> dict[str, str]:
         """See `added_code`."""
@@ -103,6 +104,10 @@ class Family:
     def system(self, kind: str) -> Any:
         """What builds the part of the Diagram for a kind."""
         return self._get(kind, 1)
+
+    def plain(self, kind: str) -> Any:
+        """What does the same outside of a Diagram; None where there is nothing."""
+        return self._get(kind, 2) if len(self._lines[kind]) > 2 else None
 
     def section_of(self, data: Any) -> Any:
         """Class of a section that is written, or made; None where it is not one of these."""

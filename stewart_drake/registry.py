@@ -1,8 +1,9 @@
 """Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
-A kind is one line here: its section and the LeafSystem that runs it; for faults and monitors one object. Names are
-texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not name.
-`Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
+A kind is one line here: its section, the LeafSystem that runs it, and what runs it outside of a Diagram (`plant.engine:
+reduced`); for faults and monitors one object. Names are texts, imported when a kind is asked for: to read a scenario
+takes neither Drake nor what the scenario does not name. `Family.add` and `Table.add` take a kind from outside of the
+package. Metrics stand in `logs.metric_table`.
 """
 
 from stewart_drake.families import Family, Table
@@ -26,11 +27,16 @@ REFERENCES = Family(
 )
 CONTROLLERS = Family(
     {
-        "lqi": ("control.lqi_options:LqiOptions", "systems.lqi_controller:LqiController.build"),
-        "pid": ("control.joint_pid:PidOptions", "systems.joint_pid:JointPid.build"),
+        "lqi": (
+            "control.lqi_options:LqiOptions",
+            "systems.lqi_controller:LqiController.build",
+            "control.lqi:lqi_part",
+        ),
+        "pid": ("control.joint_pid:PidOptions", "systems.joint_pid:JointPid.build", "control.joint_pid:pid_part"),
         "computed_torque": (
             "control.computed_torque:ComputedTorqueOptions",
             "systems.computed_torque:ComputedTorque.build",
+            "control.computed_torque:computed_torque_part",
         ),
         "python": ("control.user_controller:PythonOptions", "systems.user_controller:load_user_controller"),
     },
@@ -40,21 +46,37 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights"),
-        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner"),
-        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights"),
+        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
+        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
+        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
     }
 )
 SENSORS = Family(
     {
-        "ideal": ("hardware.sensor_faults:IdealSensors", "systems.task_space_sensor:add_ideal_sensor"),
-        "encoders": ("hardware.estimator:EncoderOptions", "systems.motor_encoders:add_encoders"),
+        "ideal": (
+            "hardware.sensor_faults:IdealSensors",
+            "systems.task_space_sensor:add_ideal_sensor",
+            "hardware.sensor_faults:IdealSensing",
+        ),
+        "encoders": (
+            "hardware.estimator:EncoderOptions",
+            "systems.motor_encoders:add_encoders",
+            "hardware.estimator:EncoderSensing",
+        ),
     }
 )
 ESTIMATORS = Family(
     {
-        "difference": ("hardware.observer:DifferenceOptions", "systems.pose_estimator:add_difference"),
-        "observer": ("hardware.observer:ObserverOptions", "systems.platform_observer:add_observer"),
+        "difference": (
+            "hardware.observer:DifferenceOptions",
+            "systems.pose_estimator:add_difference",
+            "hardware.estimator:DifferenceEstimating",
+        ),
+        "observer": (
+            "hardware.observer:ObserverOptions",
+            "systems.platform_observer:add_observer",
+            "hardware.observing:ObserverEstimating",
+        ),
     },
     default="difference",
 )

@@ -297,6 +297,12 @@ def _compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
+def require_scenario(value: object) -> None:
+    """Raises a `TypeError` for anything but a Scenario."""
+    if not isinstance(value, Scenario):
+        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
+
+
 def scenario_schema() -> dict[str, Any]:
     """JSON schema of a scenario file, for editors."""
     schema = json_schema(Scenario)

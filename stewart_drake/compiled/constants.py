@@ -63,6 +63,8 @@ SAFETY_NUMBERS = _fields(
     usable_transmission=1, usable_conditioning=1,
 )  # fmt: skip
 """[s], [rad], [m], [-], [-], [rad/s], [rad], [m], [N m], [N m] in a tick, [m/s^2], [m], ticks given back, [-], [-]."""
+CHAIN_STATE = _fields("ChainState", pose=6, pose_rate=6, twist=6, angles=6, anchor=6, slip=6)
+"""See `closed_chain.ChainState`."""
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, SMALLEST_SINGULAR_VALUE
+from stewart_drake.compiled.dynamics import inverse_dynamics, task_inertia
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.compiled.mechanism import (
@@ -22,13 +23,11 @@ from stewart_drake.compiled.mechanism import (
     angular_velocity,
     euler_drift,
     euler_rates,
-    inverse_dynamics,
     leg_vectors,
     line_conditioning,
     rod_lines,
     rotation,
     scalar,
-    task_inertia,
 )
 from stewart_drake.compiled.riccati import chain_gain
 

@@ -80,16 +80,19 @@ def estimate(robot: np.ndarray, numbers: np.ndarray, angles: np.ndarray, memory:
 
 
 @njit(cache=True, error_model="numpy")
-def read(state: np.ndarray, index: np.ndarray, zero: np.ndarray, quantum: float, result: np.ndarray) -> None:
-    """Reference `estimator.EncoderOptions.read` without noise, of entries `index` (6,) of the plant's state.
+def read(
+    angles: np.ndarray, offset: np.ndarray, noise: float, drawn: np.ndarray, quantum: float, result: np.ndarray
+) -> None:
+    """Reference `estimator.EncoderOptions.read`.
 
     Args:
-        state: (n,).
-        index: (6,) of int.
-        zero: (6,) [rad] added to them.
+        angles: (6,) [rad] true.
+        offset: (6,) [rad] added to them.
+        noise: [rad] standard deviation.
+        drawn: (6,) standard normal numbers.
         quantum: [rad] of a count; 0 for none.
         result: (6,) [rad] out.
     """
     for k in range(6):
-        angle = state[index[k]] + zero[k]
+        angle = angles[k] + offset[k] + noise * drawn[k]
         result[k] = np.rint(angle / quantum) * quantum if quantum > 0.0 else angle

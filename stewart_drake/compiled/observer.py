@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS
+from stewart_drake.compiled.dynamics import inverse_dynamics, task_inertia
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
 from stewart_drake.compiled.mechanism import (
@@ -16,11 +17,9 @@ from stewart_drake.compiled.mechanism import (
     angular_velocity,
     euler_drift,
     euler_rates,
-    inverse_dynamics,
     leg_vectors,
     rod_lines,
     rotation,
-    task_inertia,
 )
 
 _M, _N = OBSERVER_MEMORY, OBSERVER_NUMBERS

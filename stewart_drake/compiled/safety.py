@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.constants import SAFETY_MEMORY, SAFETY_NUMBERS
+from stewart_drake.compiled.dynamics import platform_moment
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
 from stewart_drake.compiled.mechanism import (
@@ -15,7 +16,6 @@ from stewart_drake.compiled.mechanism import (
     angular_velocity,
     leg_vectors,
     line_conditioning,
-    platform_moment,
     rod_lines,
     rotation,
     scalar,

@@ -8,10 +8,12 @@ import numpy as np
 
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.control.parts import ControllerSite, law_part
 from stewart_drake.control.robot_gains import FREQUENCY
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -91,3 +93,8 @@ def computed_torque_tick(
         if np.any(torque != wanted):
             growth = np.zeros(6)
     return ComputedTorqueMemory(torque, error, memory.integral + growth)
+
+
+def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
+    """`computed_torque_tick` as a part of a loop."""
+    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)

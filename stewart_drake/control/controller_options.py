@@ -51,6 +51,11 @@ class ControllerOptions(Section, key="controller"):
         return ()
 
     @property
+    def weighted(self) -> bool:
+        """Whether one that comes with the package takes the weights of a tuner."""
+        return False
+
+    @property
     def asks_for_more(self) -> bool:
         """Whether its torque may exceed the limit, which then says that it has been cut."""
         return getattr(self, "saturation", "") == "none"

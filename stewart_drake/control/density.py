@@ -8,8 +8,11 @@ import numpy as np
 
 from stewart_drake.compiled.constants import MEAN_FLOOR
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.sampling import Sampled
 
 DensityKind = Literal["magnitude", "signed"]
+
+_SIGNALS = 12
 
 
 def density(samples: np.ndarray, kind: DensityKind = "magnitude", scale: float | np.ndarray = 1.0) -> np.ndarray:
@@ -57,3 +60,32 @@ def push(window: np.ndarray, count: int, sample: np.ndarray) -> tuple[np.ndarray
     shifted[:-1] = window[1:]
     shifted[-1] = sample
     return shifted, min(count + 1, len(window))
+
+
+def density_part(window: int, kind: DensityKind, compiled: bool) -> Sampled:
+    """Densities (12,) of errors (6,) and torques (6,) over a window of m ticks, tick by tick; compiled or not.
+
+    Raises:
+        ConfigurationError: A window below one tick.
+    """
+    if window < 1:
+        raise ConfigurationError("window", window, "at least 1 tick")
+    # Density, then rows filled, then the window.
+    initial = np.concatenate([np.ones(_SIGNALS), [0.0], np.zeros((window + 1) * _SIGNALS)])
+    if not compiled:
+
+        def tick(error: np.ndarray, torque: np.ndarray, memory: np.ndarray) -> np.ndarray:
+            old = memory[_SIGNALS + 1 :].reshape(-1, _SIGNALS)
+            rows, filled = push(old, int(memory[_SIGNALS]), np.concatenate([error, torque]))
+            return np.concatenate([density(rows[-filled:], kind), [filled], rows.ravel()])
+
+        return Sampled(initial, tick)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled.tuner import density_tick
+
+    def fast(error: np.ndarray, torque: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        result = np.empty_like(memory)
+        density_tick(memory, error, torque, kind == "signed", result)
+        return result
+
+    return Sampled(initial, fast)

@@ -10,11 +10,13 @@ import numpy as np
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
+from stewart_drake.control.parts import ControllerSite, law_part
 from stewart_drake.control.robot_gains import DERIVATIVE, INTEGRAL, PROPORTIONAL
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import static_torque_of_legs
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -117,3 +119,8 @@ def pid_tick(
         elif options.ki > 0.0:
             growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
     return PidMemory(torque, integral + growth)
+
+
+def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
+    """`pid_tick` as a part of a loop."""
+    return law_part(pid_tick, PidMemory, options, site)

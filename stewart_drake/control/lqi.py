@@ -11,6 +11,7 @@ import numpy as np
 from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, filled
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs, out_of_reach
 from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
+from stewart_drake.control.parts import ControllerSite
 from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
 from stewart_drake.control.state_space import (
     AXES,
@@ -33,6 +34,7 @@ from stewart_drake.errors import (
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque_of_legs
 from stewart_drake.mechanics.force_map import force_map_of_legs
 from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 
 
 class LqiMemory(NamedTuple):
@@ -258,6 +260,11 @@ def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float, compi
         return held_tick(robot, options, gravity, measurement, setpoint, weights, before, compiled).flat()
 
     return tick
+
+
+def lqi_part(options: LqiOptions, site: ControllerSite) -> Sampled:
+    """`flat_tick` as a part of a loop."""
+    return Sampled(np.zeros(MEMORY_SIZE), flat_tick(site.robot, options, site.gravity, site.compiled))
 
 
 def _state(error: np.ndarray, rate_error: np.ndarray, integral: np.ndarray) -> np.ndarray:

@@ -77,6 +77,11 @@ class LqiOptions(OwnControllerOptions):
         return f"{model}, feedforward {self.feedforward}"
 
     @property
+    def weighted(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
+
+    @property
     def compiles(self) -> bool:
         """See `ControllerOptions`."""
         return self.solver == "split"

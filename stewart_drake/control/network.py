@@ -7,7 +7,7 @@ pickle.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -15,9 +15,10 @@ from typing import Any, cast
 import numpy as np
 
 from stewart_drake.control.density import DensityKind
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
-from stewart_drake.section import Window, check_value
+from stewart_drake.sampling import Sampled
+from stewart_drake.section import Real, Window, check_value
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT = "stewart-drake tuner"
@@ -161,6 +162,30 @@ class TunerNetwork:
             ConfigurationError: The folder is missing or not writable.
         """
         write_atomically(Path(path), self.to_bytes())
+
+
+def network_part(network: TunerNetwork, initial: Sequence[float], compiled: bool) -> Sampled:
+    """omega_Q and omega_R from densities (12,), tick by tick: what a tick finds acts from the next one on.
+
+    Args:
+        network: Trained.
+        initial: omega_Q, omega_R at first, clipped to the range that it was trained on.
+        compiled: See `Scenario.compiled`.
+
+    Raises:
+        ConfigurationError: `initial` is not two finite numbers.
+    """
+    check_value("initial", list(initial), tuple[Real, Real])
+    answer = network.compiled_weights() if compiled else network.weights
+
+    def tick(densities: np.ndarray, memory: np.ndarray) -> np.ndarray:  # noqa: ARG001 - it remembers nothing
+        weights: np.ndarray = answer(densities)
+        # The compiled network sees for itself whether all are finite.
+        if not weights[0] > 0.0 or not (compiled or np.isfinite(densities).all()):
+            raise NotFiniteError("density", densities)
+        return weights
+
+    return Sampled(np.clip(initial, network.omega_min, network.omega_max), tick)
 
 
 def load_network(path: str | Path | None = None) -> TunerNetwork:

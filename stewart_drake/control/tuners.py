@@ -6,12 +6,20 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from stewart_drake.control.density import DensityKind
-from stewart_drake.control.network import TunerNetwork, default_network_path, load_network, read_weights
+from stewart_drake.control.network import (
+    TunerNetwork,
+    default_network_path,
+    load_network,
+    network_part,
+    read_weights,
+)
 from stewart_drake.control.robot_gains import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import Positive, Section, Text, Window
 
 
@@ -125,3 +133,13 @@ class AnnTuner(PairTuner):
     def content(self) -> str:
         """See `Tuner.content`."""
         return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
+
+
+def held_weights(options: Tuner, compiled: bool) -> Sampled:  # noqa: ARG001 - nothing to compile
+    """Weights that stay, whatever the densities."""
+    return Sampled(np.array(options.weights), lambda densities, weights: weights)  # noqa: ARG005
+
+
+def asked_weights(options: AnnTuner, compiled: bool) -> Sampled:
+    """Weights of the network, see `network_part`."""
+    return network_part(options.network(), options.weights, compiled)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -9,10 +10,14 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind
 from stewart_drake.hardware.seeded import tick_uniform
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.registry import COMMAND_FAULTS
+from stewart_drake.robot import RobotParameters
+from stewart_drake.sampling import Sampled
 from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Real, Section, Seed, Share, Text
 
 MEMORY_SIZE = 16
@@ -136,3 +141,21 @@ def link_step(
         elif fate == "late":
             arriving, sent, due = command, float(tick), float(step + options.late_steps)
     return np.concatenate([held, [tick - arrived], arriving, [due, sent, arrived]])
+
+
+def command_link(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Sampled:
+    """`link_step` as a part of a loop, of command (6,), time [s] and step; `initial` (6,) until the first arrives."""
+
+    def tick(command: np.ndarray, time: float, step: int, memory: np.ndarray) -> np.ndarray:
+        return link_step(options, steps_per_tick, step, time, command, memory)
+
+    # Age 0 before the first: nothing is overdue at the start.
+    return Sampled(np.concatenate([initial, np.zeros(10)]), tick)
+
+
+def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
+    """Torques (6,) [N m] that hold the robot, as believed, at a pose; zeros where it cannot stand there."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
+        return static_torque(robot, pose, gravity)
+    return np.zeros(6)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH, filled
+from stewart_drake.compiled.constants import CHAIN_STATE, ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH, filled
 from stewart_drake.errors import (
     AssemblyModeError,
     RunFailure,
@@ -19,11 +20,19 @@ from stewart_drake.errors import (
     pose_text,
 )
 from stewart_drake.hardware.seeded import tick_normal
-from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
-from stewart_drake.mechanics.kinematics import forward_kinematics, leg_geometry, rod_lines, twist_to_pose_rate
+from stewart_drake.hardware.sensing import Estimate, LoopSite
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions, faulty_sensor
+from stewart_drake.mechanics.kinematics import (
+    crank_rates,
+    forward_kinematics,
+    leg_geometry,
+    rod_lines,
+    twist_to_pose_rate,
+)
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
+from stewart_drake.sampling import WELL, Running, Sampled
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
 
 _M = ESTIMATOR_MEMORY
@@ -87,6 +96,23 @@ class EncoderOptions(SensorOptions):
         if tick is not None and self.noise > 0.0:
             angles = angles + self.noise * tick_normal(self.noise_seed, _STREAM, tick, 6)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum else angles
+
+    def reader(self, compiled: bool) -> Callable[[np.ndarray, int], np.ndarray]:
+        """`read` of angles (6,) at a tick, compiled or not."""
+        if not compiled:
+            return self.read
+        # numba takes half a second to import, and compiles on first use.
+        from stewart_drake.compiled.estimator import read
+
+        offset, quantum, nothing = self.read_offset, self.quantum, np.zeros(6)
+
+        def fast(crank_angles: np.ndarray, tick: int) -> np.ndarray:
+            result = np.empty(6)
+            drawn = tick_normal(self.noise_seed, _STREAM, tick, 6) if self.noise > 0.0 else nothing
+            read(crank_angles, offset, self.noise, drawn, quantum, result)
+            return result
+
+        return fast
 
     @cached_property
     def read_offset(self) -> np.ndarray:
@@ -221,3 +247,55 @@ def flat_estimate(robot: RobotParameters, options: EncoderOptions, period: float
         return held_estimate(robot, options, period, angles, memory)
 
     return tick
+
+
+def starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+    """Crank rates (6,) [rad/s] of the robot, as believed, at a pose; zeros where it cannot stand there."""
+    # In that case the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
+        if np.isfinite(rates).all():
+            return rates
+    return np.zeros(6)
+
+
+class EncoderSensing:
+    """`EncoderOptions` in one run; see `Sensing`."""
+
+    size = 6
+    live = False
+
+    def __init__(self, options: EncoderOptions, site: LoopSite) -> None:
+        self._read = options.reader(site.compiled)
+        self._faulty = Running(faulty_sensor(options.faults, 6, site.period)) if options.faults else None
+        self.angles: np.ndarray | None = None
+
+    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:
+        """See `Sensing`."""
+        angles = self._read(state[CHAIN_STATE.angles : CHAIN_STATE.anchor], tick)
+        self.angles = angles if self._faulty is None else self._faulty(time, angles, time)[:6]
+        return self.angles
+
+
+class DifferenceEstimating:
+    """`DifferenceOptions` in one run; see `Estimating`."""
+
+    ahead = 0
+    innovates = False
+
+    def __init__(self, options: object, site: LoopSite, sensors: Any, size: int) -> None:  # noqa: ARG002 - none matter
+        self.live, self._estimate = size == 12, None
+        if not self.live:
+            rates = starting_crank_rates(site.robot, site.pose, site.pose_rate)
+            tick = flat_estimate(site.robot, sensors, site.period, site.compiled)
+            self._estimate = Running(Sampled(initial_memory(site.pose, rates), tick), site.guarded)
+
+    @property
+    def health(self) -> tuple[float, float]:
+        """See `Estimating`."""
+        return WELL if self._estimate is None else self._estimate.health
+
+    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:  # noqa: ARG002
+        """See `Estimating`."""
+        found = reading if self._estimate is None else self._estimate(time, reading)[:12]
+        return Estimate(found, found)

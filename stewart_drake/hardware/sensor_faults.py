@@ -9,9 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.compiled.constants import CHAIN_STATE
 from stewart_drake.families import Table
 from stewart_drake.hardware.faults import Fault, FaultKind, swap
+from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.registry import ENCODER_FAULTS, POSE_FAULTS
+from stewart_drake.sampling import Running, Sampled
 from stewart_drake.section import LegNumber, Positive, Real, Section, Text
 
 Delay = Annotated[Positive, Field(le=1.0)]
@@ -172,3 +175,35 @@ def faulty_reading(
             kept[fault.channels] |= fault.does.keeps
     after = np.vstack([np.where(kept, memory[0], reading), reading, memory[1:]])[: len(memory)]
     return says, after
+
+
+def faulty_sensor(faults: Faults, size: int, period: float) -> Sampled:
+    """`faulty_reading` of readings (size,) and the time [s], tick by tick; what it says, first, and its memory."""
+    rows = kept_readings(faults, period)
+
+    def tick(reading: np.ndarray, time: float, before: np.ndarray) -> np.ndarray:
+        memory = before[size:-1].reshape(rows, size)
+        if before[-1] == 0.0:
+            # A sensor that fails from the start repeats what was there at the start.
+            memory = np.tile(reading, (rows, 1))
+        says, memory = faulty_reading(faults, reading, time, period, memory)
+        return np.concatenate([says, memory.ravel(), [1.0]])
+
+    return Sampled(np.zeros((1 + rows) * size + 1), tick)
+
+
+class IdealSensing:
+    """`IdealSensors` in one run; see `Sensing`."""
+
+    size = 12
+    angles = None
+
+    def __init__(self, options: IdealSensors, site: LoopSite) -> None:
+        self._faulty = Running(faulty_sensor(options.faults, 12, site.period)) if options.faults else None
+        self.live = not options.faults
+
+    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:  # noqa: ARG002 - no noise
+        """See `Sensing`."""
+        # A copy, because the state goes on.
+        true = state[: CHAIN_STATE.twist].copy()
+        return true if self._faulty is None else self._faulty(time, true, time)[:12]

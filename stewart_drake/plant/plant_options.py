@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -29,6 +29,10 @@ class BrokenRod(Section, key="plant.broken_rod"):
     """[s] when it breaks."""
 
 
+_OF_DRAKE = ("rod_joint", "collision", "universal_damping", "platform_joint_damping", "broken_rod")
+"""Keys of what only Drake's plant can have."""
+
+
 class PlantOptions(Section, key="plant"):
     """Options of the simulated robot.
 
@@ -38,6 +42,9 @@ class PlantOptions(Section, key="plant"):
 
     time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
     """[s] period of the discrete plant."""
+    engine: Literal["drake", "reduced"] = "drake"
+    """drake: the MultibodyPlant, in a Diagram. reduced: the exact closed form of the robot, compiled, without a
+    Diagram: several times faster, for searches, sweeps and comparisons. What it cannot have is refused."""
     rod_joint: RodJoint = "universal"
     """Joint between crank and rod; `ball` is the paper's, with six spins that nothing controls."""
     collision: Flag = False
@@ -62,6 +69,9 @@ class PlantOptions(Section, key="plant"):
 
     def rules(self) -> None:
         """See `Section.rules`."""
+        for name in _OF_DRAKE if self.engine == "reduced" else ():
+            if getattr(self, name) != self.__pydantic_fields__[name].default:
+                raise ConfigurationError("engine", "reduced", f"drake, where {name} is given")
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0 where `friction` is given, which has this value")

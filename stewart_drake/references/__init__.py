@@ -1,6 +1,6 @@
 """Reference motions q(t) with exact first and second derivatives; poses are [roll, pitch, yaw, X, Y, Z] of P in B."""
 
-from stewart_drake.references.base import Reference
+from stewart_drake.references.base import Reference, in_blocks
 from stewart_drake.references.basic import HoldReference, SineBurstsReference, SineReference, paper_reference
 from stewart_drake.references.combined import AdjustedReference, AnyReference, SumReference, center_of
 from stewart_drake.references.paths import MinimumJerkReference, SplineReference
@@ -22,5 +22,6 @@ __all__ = [
     "SumReference",
     "TremorReference",
     "center_of",
+    "in_blocks",
     "paper_reference",
 ]

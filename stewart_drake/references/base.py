@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from stewart_drake.sampling import InBlocks
 from stewart_drake.section import Vector6
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
@@ -40,3 +41,8 @@ def smoothstep(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     u = np.clip(u, 0.0, 1.0)
     value = u**3 * (u * (6.0 * u - 15.0) + 10.0)
     return value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+
+
+def in_blocks(reference: Reference, period: float) -> InBlocks:
+    """Pose, rate and acceleration (18,) of a motion at multiples of a period [s]."""
+    return InBlocks(lambda times: np.concatenate(reference.evaluate(times), axis=-1), period)

@@ -9,6 +9,7 @@ Torque and torque-rate limits with a named stop are libfranka's habit (`limitRat
 """
 
 from stewart_drake.safety.frozen import FROZEN_SIZE, frozen_tick
+from stewart_drake.safety.layer import safety_part
 from stewart_drake.safety.memory import (
     END,
     HOLD,
@@ -52,6 +53,7 @@ __all__ = [
     "initial_memory",
     "refuse_motion",
     "refuse_start",
+    "safety_part",
     "safety_tick",
     "sample_times",
     "surprise",

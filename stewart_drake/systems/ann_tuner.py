@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource
 
 from stewart_drake.control import tuners
-from stewart_drake.control.network import TunerNetwork
-from stewart_drake.errors import NotFiniteError
+from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.errors import RunFailure
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import Real, check_value
 
 
 class NetworkTuner(LeafSystem):
@@ -47,22 +45,18 @@ class NetworkTuner(LeafSystem):
         compiled: bool = False,
     ) -> None:
         super().__init__()
-        check_value("initial", list(initial), tuple[Real, Real])
-        self._compiled = compiled
-        self._weights = network.compiled_weights() if compiled else network.weights
+        first, self._tick = network_part(network, initial, compiled)
         self.density = self.DeclareVectorInputPort("density", 12)
-        index = self.DeclareDiscreteState(np.clip(initial, network.omega_min, network.omega_max))
+        index = self.DeclareDiscreteState(first)
         self.weights = self.DeclareStateOutputPort("weights", index)
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        features = self.density.Eval(context)
-        weights = self._weights(features)
-        # The compiled network sees for itself whether all are finite.
-        if not weights[0] > 0.0 or not (self._compiled or np.isfinite(features).all()):
-            error = NotFiniteError("density", features)
+        try:
+            weights = self._tick(self.density.Eval(context), context.get_discrete_state(0).value())
+        except RunFailure as error:
             error.time = context.get_time()
-            raise error
+            raise
         discrete_state.set_value(weights)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.hardware.command_link import LinkOptions, link_step
+from stewart_drake.hardware.command_link import LinkOptions, command_link
 from stewart_drake.systems.ticked import TickedSystem
 
 
@@ -27,9 +27,8 @@ class CommandLink(TickedSystem):
     """
 
     def __init__(self, options: LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
-        # Age 0 before the first: nothing is overdue at the start.
-        super().__init__(time_step, np.concatenate([initial, np.zeros(10)]))
-        self._options, self._steps_per_tick = options, steps_per_tick
+        first, self._tick = command_link(options, steps_per_tick, initial)
+        super().__init__(time_step, first)
         self.torque = self.DeclareVectorInputPort("torque", 6)
         self._declare_result()
         self.arrived = self._declare_output("arrived", 0, 6)
@@ -38,5 +37,4 @@ class CommandLink(TickedSystem):
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `command_link.link_step`."""
         time = context.get_time()
-        step = round(time / self.period)
-        return link_step(self._options, self._steps_per_tick, step, time, self.torque.Eval(context), previous)
+        return self._tick(self.torque.Eval(context), time, round(time / self.period), previous)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stewart_drake.control.computed_torque import ComputedTorqueMemory, computed_torque_tick
+from stewart_drake.control.computed_torque import computed_torque_part
 from stewart_drake.systems.tracking_controller import TrackingController
 
 
@@ -17,5 +17,4 @@ class ComputedTorque(TrackingController):
         integral: out (6,) [rad s, m s], z after the tick.
     """
 
-    law = staticmethod(computed_torque_tick)
-    memory = ComputedTorqueMemory
+    part = staticmethod(computed_torque_part)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import (
     Adder,
@@ -19,12 +17,13 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from stewart_drake.errors import UnreachablePoseError, drake_guard
-from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.control.parts import ControllerSite
+from stewart_drake.errors import drake_guard
+from stewart_drake.hardware.command_link import standing_torque
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.registry import CONTROLLERS, ESTIMATORS, SENSORS, TUNERS
 from stewart_drake.sampling import on_grid, steps_per
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, require_scenario
 from stewart_drake.systems.command_link import CommandLink
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.faulty_sensor import FaultySensor
@@ -35,7 +34,6 @@ from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.ticked import TickedSystem
-from stewart_drake.systems.tracking_controller import ControllerSite
 from stewart_drake.systems.tracking_error import TrackingError
 
 if TYPE_CHECKING:
@@ -93,7 +91,7 @@ class ClosedLoop(Diagram):
         self.plant = wiring.plant
         self.controller = wiring.controller
         self.safety = wiring.safety
-        self._holds, self._standing_torque = wiring.holds, wiring.standing_torque()
+        self._holds, self._still = wiring.holds, wiring.still
 
     def create_start_context(self) -> Context:
         """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
@@ -107,7 +105,7 @@ class ClosedLoop(Diagram):
         start, rate = self.scenario.start()
         self.plant.set_state(context, start, rate)
         for hold in self._holds:
-            hold.SetVectorState(hold.GetMyMutableContextFromRoot(context), self._standing_torque)
+            hold.SetVectorState(hold.GetMyMutableContextFromRoot(context), self._still)
         return context
 
     def graph(self) -> str:
@@ -157,6 +155,8 @@ class _Wiring:
         self.compensations: list[OutputPort] = []
         self.sent: ZeroOrderHold | None = None
         self.holds: list[ZeroOrderHold] = []
+        # Holds the robot at the start, until the first command is there.
+        self.still = standing_torque(self.believed, scenario.start()[0], scenario.gravity)
 
     def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
         """Adds a system and connects its input ports, by name."""
@@ -205,13 +205,6 @@ class _Wiring:
         taken = sampled - (step if round(sampled / step) * step == sampled else 0.5 * step)
         self.holds.append(self.add(name, ZeroOrderHold(sampled, 6, taken)))
         return self.holds[-1]
-
-    def standing_torque(self) -> np.ndarray:
-        """Torques (6,) that hold the robot, as believed, at the start pose; zeros where it cannot stand there."""
-        # In that case the first tick says so, with a log.
-        with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
-            return static_torque(self.believed, self.scenario.start()[0], self.scenario.gravity)
-        return np.zeros(6)
 
     def with_faults(self, reading: OutputPort, faults: Sequence[Any]) -> OutputPort:
         """A reading, by way of a sensor that fails where the scenario asks for one."""
@@ -290,7 +283,7 @@ class _Wiring:
         time_step = self.scenario.plant.time_step
         if not self.scenario.link.perfect:
             steps = steps_per("controller.period", self.period, time_step)
-            link = CommandLink(self.scenario.link, time_step, steps, self.standing_torque())
+            link = CommandLink(self.scenario.link, time_step, steps, self.still)
             self.add("link", link, torque=self.command)
             self.command, self.age = self.parts("arrived", link, 6, 1)
 
@@ -300,7 +293,7 @@ class _Wiring:
         if scenario.safety is None:
             return
         quantum = scenario.sensors.quantum
-        still, compiled = self.standing_torque(), scenario.compiled
+        still, compiled = self.still, scenario.compiled
         layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
         self.safety = self.add("safety", layer, command=self.command, **seen)
@@ -338,12 +331,6 @@ class _Wiring:
             sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
             sinks[name].set_name(f"log_{name}")
         return sinks
-
-
-def require_scenario(value: object) -> None:
-    """Raises a `TypeError` for anything but a Scenario."""
-    if not isinstance(value, Scenario):
-        raise TypeError(f"a Scenario is needed, not {value!r}; load_scenario reads one from a file")
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:

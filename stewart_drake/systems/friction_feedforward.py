@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation, flat_feedforward
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation, feedforward_part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.systems.ticked import SampledSystem
 
 
-class FrictionFeedforward(TickedSystem):
+class FrictionFeedforward(SampledSystem):
     """What the command has to add for friction, see `hardware.friction_feedforward`; answers within the tick.
 
     Args:
@@ -24,15 +23,10 @@ class FrictionFeedforward(TickedSystem):
         torque: out (6,) [N m].
     """
 
+    reference: InputPort
+    torque: OutputPort
+
     def __init__(
         self, robot: RobotParameters, options: FrictionCompensation, period: float, compiled: bool = False
     ) -> None:
-        super().__init__(period, np.zeros(6))
-        self._feedforward = flat_feedforward(robot, options, compiled)
-        self.reference = self.DeclareVectorInputPort("reference", 18)
-        self._declare_result()
-        self.torque = self._declare_output("torque", 0, 6)
-
-    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:  # noqa: ARG002
-        """See `friction_feedforward.feedforward`."""
-        return self._feedforward(self.reference.Eval(context))
+        super().__init__(period, feedforward_part(robot, options, compiled), {"reference": 18}, {"torque": 6})

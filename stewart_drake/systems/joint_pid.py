@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stewart_drake.control.joint_pid import PidMemory, pid_tick
+from stewart_drake.control.joint_pid import pid_part
 from stewart_drake.systems.tracking_controller import TrackingController
 
 
@@ -15,5 +15,4 @@ class JointPid(TrackingController):
         torque: out (6,) [N m].
     """
 
-    law = staticmethod(pid_tick)
-    memory = PidMemory
+    part = staticmethod(pid_part)

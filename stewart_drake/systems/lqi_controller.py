@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.control.lqi import lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.tracking_controller import ControllerSite, TrackingController
+from stewart_drake.systems.tracking_controller import TrackingController
 
 
 class LqiController(TrackingController):
@@ -35,6 +34,11 @@ class LqiController(TrackingController):
         integral: out (6,) [rad s, m s], z after the tick.
     """
 
+    part = staticmethod(lqi_part)
+    weights: InputPort
+    error: OutputPort
+    integral: OutputPort
+
     def __init__(
         self,
         robot: RobotParameters,
@@ -46,24 +50,4 @@ class LqiController(TrackingController):
     ) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        self._weights = weights
-        super().__init__(robot, options, gravity, guarded)
-        self._tick = flat_tick(robot, options, gravity, compiled)
-
-    @classmethod
-    def build(cls, options: LqiOptions, site: ControllerSite) -> LqiController:
-        """See `TrackingController.build`."""
-        return cls(site.robot, options, site.gravity, site.weights, site.guarded, site.compiled)
-
-    @classmethod
-    def _memory_size(cls) -> int:
-        return MEMORY_SIZE
-
-    def _declare_more(self) -> None:
-        self.weights = self.DeclareVectorInputPort("weights", self._weights)
-
-    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
-        """See `lqi.held_tick`."""
-        return self._tick(
-            self.measurement.Eval(context), self.reference.Eval(context), self.weights.Eval(context), previous
-        )
+        super().__init__(robot, options, gravity, weights, guarded, compiled)

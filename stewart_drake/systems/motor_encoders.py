@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem, OutputPort
@@ -30,32 +29,18 @@ class MotorEncoders(LeafSystem):
 
     def __init__(self, plant: StewartPlant, options: EncoderOptions, period: float, compiled: bool = False) -> None:
         super().__init__()
-        self._options, self._period = options, on_grid(period)
+        self._read, self._period = options.reader(compiled), on_grid(period)
         # A sensor asks at every tick: what `crank_angles` does, without its generality.
         self._index = plant.indices.crank
         self._zero = plant.crank_angles(np.zeros(plant.plant.num_multibody_states()))
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.plant.num_multibody_states())
         noisy = {self.time_ticket()} if options.noise > 0.0 else set()
         prerequisites = {self.input_port_ticket(self.plant_state.get_index()), *noisy}
-        # A number drawn is the numpy way's business alone.
-        calc = self._compiled_calc() if compiled and options.noise == 0.0 else self._calc
-        self.angles = self.DeclareVectorOutputPort("angles", 6, calc, prerequisites_of_calc=prerequisites)
+        self.angles = self.DeclareVectorOutputPort("angles", 6, self._calc, prerequisites_of_calc=prerequisites)
 
     def _calc(self, context: Context, output: Any) -> None:
         angles = self.plant_state.Eval(context)[self._index] + self._zero
-        tick = math.floor(context.get_time() / self._period + 1e-6) if self._options.noise > 0.0 else None
-        output.SetFromVector(self._options.read(angles, tick))
-
-    def _compiled_calc(self) -> Callable[[Context, Any], None]:
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.estimator import read
-
-        index, zero, quantum = self._index, self._options.read_offset + self._zero, self._options.quantum
-
-        def calc(context: Context, output: Any) -> None:
-            read(self.plant_state.Eval(context), index, zero, quantum, output.get_mutable_value())
-
-        return calc
+        output.SetFromVector(self._read(angles, math.floor(context.get_time() / self._period + 1e-6)))
 
 
 def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
@@ -63,4 +48,4 @@ def add_encoders(wiring: Any, options: EncoderOptions) -> OutputPort:
     encoders = MotorEncoders(wiring.plant, options, wiring.period, wiring.scenario.compiled)
     wiring.add("encoders", encoders, plant_state=wiring.plant.state_output_port)
     wiring.angles = wiring.with_faults(encoders.angles, options.faults)
-    return wiring.angles
+    return cast(OutputPort, wiring.angles)

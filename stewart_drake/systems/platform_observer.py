@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, OutputPort
+from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
-from stewart_drake.hardware.observer import Observer, ObserverOptions, flat_observer
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.hardware.observer import Observer, ObserverOptions
+from stewart_drake.hardware.observing import observer_part
+from stewart_drake.systems.ticked import SampledSystem
 
 
-class PlatformObserver(TickedSystem):
+class PlatformObserver(SampledSystem):
     """State of the platform from readings and the commands that were sent, see `hardware.observer`.
 
     Args:
@@ -33,6 +31,13 @@ class PlatformObserver(TickedSystem):
         innovation: out (6,) [rad], readings less what was expected.
     """
 
+    reading: InputPort
+    sent: InputPort
+    measurement: OutputPort
+    ahead: OutputPort
+    compensation: OutputPort
+    innovation: OutputPort
+
     def __init__(
         self,
         observer: Observer,
@@ -41,34 +46,9 @@ class PlatformObserver(TickedSystem):
         compiled: bool = False,
         guarded: bool = False,
     ) -> None:
-        super().__init__(observer.period, initial, guarded)
-        self._robot, self._poses = observer.robot, reading == 12
-        self._observe = flat_observer(observer, _first_pose(observer), compiled)
-        self.reading = self.DeclareVectorInputPort("reading", reading)
-        self.sent = self.DeclareVectorInputPort("sent", 6)
-        self._declare_result()
-        self.measurement = self._declare_output("measurement", 0, 12)
-        self.ahead = self._declare_output("ahead", 12, 12)
-        self.compensation = self._declare_output("compensation", 24, 6)
-        self.innovation = self._declare_output("innovation", 30, 6)
-
-    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
-        """See `observer.observe`."""
-        reading = self.reading.Eval(context)
-        if self._poses:
-            finite = np.isfinite(reading[:6]).all()
-            reading = inverse_kinematics(self._robot, reading[:6]) if finite else np.full(6, np.nan)
-        return self._observe(reading, self.sent.Eval(context), previous)
-
-
-def _first_pose(observer: Observer) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """What finds the pose of the first readings, near a guess."""
-
-    def found(angles: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        options = EncoderOptions()
-        return estimate(observer.robot, options, observer.period, angles, initial_memory(guess))[:6]
-
-    return found
+        outputs = {"measurement": 12, "ahead": 12, "compensation": 6, "innovation": 6}
+        part = observer_part(observer, initial, reading, compiled)
+        super().__init__(observer.period, part, {"reading": reading, "sent": 6}, outputs, guarded)
 
 
 def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> OutputPort:
@@ -78,7 +58,7 @@ def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> 
     noise = scenario.sensors.reading_noise
     observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise)
     pose, rate = scenario.start()
-    memory = observer.initial(pose, rate, wiring.standing_torque(), delay)
+    memory = observer.initial(pose, rate, wiring.still, delay)
     made = PlatformObserver(observer, memory, reading.size(), scenario.compiled, wiring.guarded)
     sent = wiring.last_command()
     added = wiring.add("estimator", made, reading=reading, sent=sent)

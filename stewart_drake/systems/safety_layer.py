@@ -7,23 +7,10 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
-from stewart_drake.errors import failure_code
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety import (
-    FROZEN_SIZE,
-    MEMORY_SIZE,
-    SafetyInputs,
-    SafetyMemory,
-    SafetyOptions,
-    first_trip,
-    flat_tick,
-    frozen_tick,
-    initial_memory,
-    surprise,
-)
+from stewart_drake.safety import MEMORY_SIZE, SafetyMemory, SafetyOptions, first_trip, safety_part
+from stewart_drake.sampling import WELL
 from stewart_drake.systems.ticked import TickedSystem
-
-_WELL = np.array([0.0, -1.0])
 
 
 class SafetyLayer(TickedSystem):
@@ -63,9 +50,9 @@ class SafetyLayer(TickedSystem):
         compiled: bool = False,
         quantum: float = 0.0,
     ) -> None:
-        super().__init__(period, np.concatenate([initial_memory(initial).flat(), np.full(FROZEN_SIZE, np.nan)]))
-        self._robot, self._options, self._quantum = robot, options, quantum
-        self._tick, self._nominal = flat_tick(robot, options, gravity, period, compiled), period
+        first, self._tick = safety_part(robot, options, gravity, period, initial, compiled, quantum)
+        super().__init__(period, first)
+        self._options, self._nominal = options, period
         self.command = self.DeclareVectorInputPort("command", 6)
         self.measurement = self.DeclareVectorInputPort("measurement", 12)
         self.reference = self.DeclareVectorInputPort("reference", 18)
@@ -80,33 +67,15 @@ class SafetyLayer(TickedSystem):
 
     def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
         """See `safety.safety_tick`."""
-        measured = self.measurement.Eval(context)
         age = self.age.Eval(context)[0] if self.age.HasValue(context) else 0.0
         sensor, controller = (
-            port.Eval(context) if port.HasValue(context) else _WELL
+            tuple(port.Eval(context)) if port.HasValue(context) else WELL
             for port in (self.sensor_health, self.controller_health)
         )
-        reference = self.reference.Eval(context)[:6]
         angles = self.angles.Eval(context) if self.angles.HasValue(context) else None
-        frozen, seen = frozen_tick(
-            self._robot, self._options, self._quantum, angles, measured[:6], reference, previous[MEMORY_SIZE:]
-        )
-        if frozen is not None:
-            sensor = np.array([failure_code("frozen"), frozen])
-        seems_wrong = (0.0, -1.0)
-        if self.innovation.HasValue(context):
-            seems_wrong = surprise(self.innovation.Eval(context), self._quantum)
-        inputs = SafetyInputs(
-            self.command.Eval(context),
-            measured[:6],
-            measured[6:],
-            reference,
-            float(age),
-            (float(sensor[0]), float(sensor[1])),
-            (float(controller[0]), float(controller[1])),
-            seems_wrong,
-        )
-        return np.concatenate([self._tick(inputs, previous[:MEMORY_SIZE]), seen])
+        innovation = self.innovation.Eval(context) if self.innovation.HasValue(context) else None
+        seen = (port.Eval(context) for port in (self.command, self.measurement, self.reference))
+        return self._tick(*seen, float(age), sensor, controller, angles, innovation, previous)
 
     def first_trip(self, context: Context) -> dict[str, Any] | None:
         """See `safety.first_trip`; `context` is that of the whole Diagram.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem, OutputPort
 
-from stewart_drake.errors import RunFailure, failure_code
-from stewart_drake.sampling import on_grid
+from stewart_drake.errors import RunFailure
+from stewart_drake.sampling import WELL, Sampled, ill, on_grid
 
-_WELL = np.array([0.0, -1.0])
 _AHEAD = 1.0 + 4e-10
 """A tick's instant begins a little early: decimal times, at which others may ask, come before the stretched ones."""
 
@@ -47,7 +47,7 @@ class TickedSystem(LeafSystem):
         super().__init__()
         self.period = on_grid(period)
         self.guarded, self._memory = guarded, len(initial)
-        state = np.concatenate([np.asarray(initial, dtype=float), [0.0, -1.0] if guarded else [], [0.0]])
+        state = np.concatenate([np.asarray(initial, dtype=float), WELL if guarded else [], [0.0]])
         self._size = len(state)
         self.DeclareDiscreteState(state)
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
@@ -83,14 +83,42 @@ class TickedSystem(LeafSystem):
             return
         try:
             values[: self._memory] = self.tick(context, held[: self._memory])
-            values[self._memory : -1] = _WELL[: self._size - self._memory - 1]
+            if self.guarded:
+                values[self._memory : -1] = WELL
         except RunFailure as error:
-            if not self.guarded:
-                error.time = context.get_time()
-                raise
+            values[self._memory : -1] = ill(error, self.guarded, context.get_time())
             values[: self._memory] = held[: self._memory]
-            values[self._memory : -1] = failure_code(error.reason), -1 if error.leg is None else error.leg
         values[-1] = int(now + 1e-6) + 1.0
 
     def _store(self, context: Context, discrete_state: DiscreteValues) -> None:
         discrete_state.set_value(0, self.result.Eval(context))
+
+
+class SampledSystem(TickedSystem):
+    """A part as a system: its inputs and outputs as ports, by name; its memory is the result.
+
+    Args:
+        period: [s] tick period.
+        part: What it does.
+        inputs: Name -> size, as `part.tick` takes them.
+        outputs: Name -> size, as its memory begins with them.
+        guarded: See `TickedSystem`.
+    """
+
+    def __init__(
+        self, period: float, part: Sampled, inputs: Mapping[str, int], outputs: Mapping[str, int], guarded: bool = False
+    ) -> None:
+        super().__init__(period, part.initial, guarded)
+        self._tick = part.tick
+        self._seen = [self.DeclareVectorInputPort(name, size) for name, size in inputs.items()]
+        self._declare_result()
+        start = 0
+        for name, size in outputs.items():
+            setattr(self, name, self._declare_output(name, start, size))
+            start += size
+        for port in self._seen:
+            setattr(self, port.get_name(), port)
+
+    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:
+        """See `Sampled.tick`."""
+        return self._tick(*(port.Eval(context) for port in self._seen), previous)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.systems.ticked import TickedSystem
+from stewart_drake.sampling import Sampled
+from stewart_drake.systems.ticked import SampledSystem
 
 
-class TrackingError(TickedSystem):
+class TrackingError(SampledSystem):
     """Measured pose minus reference at the tick, and an integral state of zeros; answers within the tick.
 
     Args:
@@ -21,15 +22,16 @@ class TrackingError(TickedSystem):
         integral: out (6,) zeros.
     """
 
-    def __init__(self, period: float) -> None:
-        super().__init__(period, np.zeros(12))
-        self.measurement = self.DeclareVectorInputPort("measurement", 12)
-        self.reference = self.DeclareVectorInputPort("reference", 18)
-        self._declare_result()
-        self.error = self._declare_output("error", 0, 6)
-        self.integral = self._declare_output("integral", 6, 6)
+    measurement: InputPort
+    reference: InputPort
+    error: OutputPort
+    integral: OutputPort
 
-    def tick(self, context: Context, previous: np.ndarray) -> np.ndarray:  # noqa: ARG002 - it remembers nothing
-        """Pose minus reference, then zeros."""
-        error = self.measurement.Eval(context)[:6] - self.reference.Eval(context)[:6]
-        return np.concatenate([error, np.zeros(6)])
+    def __init__(self, period: float) -> None:
+        inputs, outputs = {"measurement": 12, "reference": 18}, {"error": 6, "integral": 6}
+        super().__init__(period, Sampled(np.zeros(12), _difference), inputs, outputs)
+
+
+def _difference(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:  # noqa: ARG001
+    """Pose minus reference, then zeros; it remembers nothing."""
+    return np.concatenate([measured[:6] - wanted[:6], np.zeros(6)])

@@ -6,9 +6,9 @@ from typing import Any
 
 from pydrake.systems.framework import PortDataType
 
+from stewart_drake.control.parts import ControllerSite
 from stewart_drake.control.user_controller import PythonOptions, construct
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.systems.tracking_controller import ControllerSite
 
 _INPUTS = {"measurement": 12, "reference": 18}
 _ANSWERS = {"error": 6, "integral": 6}

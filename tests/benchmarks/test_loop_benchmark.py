@@ -156,7 +156,7 @@ def test_mathematics_of_a_tick(compare):
         for k in range(count):
             seen = estimate(scenario.sensors.read(home + 1e-4 * (k % 7)), seen)
             memory = tick(seen[:12], reference[k], weights, memory)
-            window = features._tick(window, memory[6:12], memory[:6])
+            window = features._tick(memory[6:12], memory[:6], window)
             weights = answer(window[:12])
 
     compare("mathematics of a tick", block, "plant step", Loop().plant_alone, per=count, base_per=STEPS)

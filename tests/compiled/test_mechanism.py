@@ -3,7 +3,7 @@ import pytest
 from hypothesis import assume, given, settings
 from robots import PAPER, offsets, robots
 
-from stewart_drake.compiled import mechanism
+from stewart_drake.compiled import dynamics, mechanism
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.mechanics import kinematics
 
@@ -68,7 +68,7 @@ def test_forward_kinematics_says_when_it_has_not_converged(theta):
 
 def test_inverse_dynamics_says_so_of_lines_without_rank():
     own, torque = legs_of(PAPER, PAPER.home_pose)[1], np.empty(6)
-    done = mechanism.inverse_dynamics(
+    done = dynamics.inverse_dynamics(
         mechanism.pack(PAPER), own, np.zeros((6, 6)), np.eye(3), np.zeros(6), np.zeros(6), 9.81, torque
     )
     assert not done

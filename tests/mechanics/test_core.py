@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from strategies import ROBOT, ROBOTS, robots_and_poses, vectors
 
 from stewart_drake.compiled import control as compiled_control
+from stewart_drake.compiled import dynamics as compiled_dynamics
 from stewart_drake.compiled import mechanism
 from stewart_drake.control import state_space
 from stewart_drake.errors import UnreachablePoseError
@@ -83,7 +84,7 @@ def compiled_forward_kinematics(robot, pose):
 def compiled_inverse_dynamics(robot, pose, rate, acceleration):
     twist, twist_rate = kinematics.pose_rate_to_twist(pose, rate), kinematics.pose_rate_to_twist(pose, acceleration)
     twist_rate[:3] += filled(3, mechanism.euler_drift, pose[:3], rate[:3])
-    return filled(6, mechanism.inverse_dynamics, *compiled(robot, pose), twist, twist_rate, GRAVITY)
+    return filled(6, compiled_dynamics.inverse_dynamics, *compiled(robot, pose), twist, twist_rate, GRAVITY)
 
 
 def compiled_twist_to_pose_rate(pose, twist):
@@ -105,7 +106,7 @@ COMPILED = {
     "twist_to_pose_rate": lambda r, q, v, a: compiled_twist_to_pose_rate(q, v),
     "forward_kinematics": lambda r, q, v, a: compiled_forward_kinematics(r, q),
     "inverse_dynamics": lambda r, q, v, a: compiled_inverse_dynamics(r, q, v, a),
-    "task_inertia": lambda r, q, v, a: filled((6, 6), mechanism.task_inertia, *compiled(r, q)),
+    "task_inertia": lambda r, q, v, a: filled((6, 6), compiled_dynamics.task_inertia, *compiled(r, q)),
     "pose_acceleration_map": lambda r, q, v, a: acceleration_map(r, q).T,
 }
 """Those of them that are compiled as well, for one pose."""

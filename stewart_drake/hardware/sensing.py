@@ -1,0 +1,87 @@
+"""What stands between the robot and its controller, outside of a Diagram."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from stewart_drake.robot import RobotParameters
+
+
+class LoopSite(NamedTuple):
+    """What sensors and estimators are made for.
+
+    Attributes:
+        robot: As the controller believes it to be.
+        gravity: [m/s^2].
+        period: [s] of the ticks.
+        pose: (6,) [rad, m] at the start.
+        pose_rate: (6,) [rad/s, m/s] likewise.
+        still: (6,) [N m] at the motors until the first command arrives.
+        delay: [ticks] of the commands.
+        guarded: Whether a tick that fails does not end the run, see `sampling.ill`.
+        compiled: See `Scenario.compiled`.
+    """
+
+    robot: RobotParameters
+    gravity: float
+    period: float
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    still: np.ndarray
+    delay: int = 0
+    guarded: bool = False
+    compiled: bool = False
+
+
+class Sensing(Protocol):
+    """Sensors in one run; made with their options and a `LoopSite`.
+
+    Attributes:
+        size: Entries of a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+        live: Whether they say what is there between ticks too.
+        angles: (6,) [rad] last readings of encoders; None where there are none.
+    """
+
+    size: int
+    live: bool
+    angles: np.ndarray | None
+
+    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:
+        """A reading at a time [s] and tick, of the robot's state (36,), see `constants.CHAIN_STATE`."""
+
+
+class Estimate(NamedTuple):
+    """What an estimator says at a tick.
+
+    Attributes:
+        measurement: (12,) pose [rad, m] and its rate now.
+        seen: (12,) likewise, what the controller gets.
+        compensation: (6,) [N m] to be added to the command; None for none.
+        innovation: (6,) [rad] readings less what was expected of them; None where nothing was.
+    """
+
+    measurement: np.ndarray
+    seen: np.ndarray
+    compensation: np.ndarray | None = None
+    innovation: np.ndarray | None = None
+
+
+class Estimating(Protocol):
+    """An estimator in one run; made with its options, a `LoopSite`, the sensors' options and the size of a reading.
+
+    Attributes:
+        ahead: [ticks] of what the controller sees.
+        live: Whether it passes on what is read between ticks too.
+        innovates: Whether there are innovations.
+        health: What was wrong in the last tick, see `sampling.ill`.
+    """
+
+    ahead: int
+    live: bool
+    innovates: bool
+    health: tuple[float, float]
+
+    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:
+        """The estimate at a time [s]; `sent` (6,) [N m] is the last command less what of it the friction takes."""

@@ -1,0 +1,116 @@
+"""A run on Drake's plant: one Diagram, one Simulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.primitives import VectorLog
+
+from stewart_drake.errors import StewartDrakeError, drake_guard
+from stewart_drake.runs.engine import quiet, signals_of
+from stewart_drake.sampling import on_grid
+from stewart_drake.scenario import Scenario
+from stewart_drake.systems.diagram import ClosedLoop
+from stewart_drake.systems.stepped import integrate_in_substeps, refuse_early_end, release
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+
+class DrakeRun:
+    """The loop of a scenario on its way; see `engine.Engine`."""
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
+        # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
+        self._scenario, self._loop = scenario, ClosedLoop(scenario, meshcat, scenario.plant.time_step)
+        self._step = on_grid(scenario.plant.time_step)
+        self.state_names = self._loop.plant.state_names
+        self._breaks = _breaks(scenario, int(scenario.duration / scenario.plant.time_step + 1e-6))
+        self.stops = tuple(self._breaks)
+
+    def prepare(self) -> None:
+        """See `Engine`."""
+        _compile(self._loop)
+        simulator = Simulator(self._loop, self._loop.create_start_context())
+        integrate_in_substeps(simulator, self._scenario.plant.time_step)
+        self._simulator, self._context = simulator, simulator.get_mutable_context()
+        self._logs = {name: sink.FindMutableLog(self._context) for name, sink in self._loop.sinks.items()}
+
+    def start(self) -> None:
+        """See `Engine`."""
+        self._simulator.Initialize()
+
+    def advance(self, step: int) -> None:
+        """See `Engine`."""
+        refuse_early_end(self._simulator.AdvanceTo(step * self._step))
+        if step in self._breaks:
+            self._loop.plant.break_rod(self._context, self._breaks[step])
+
+    @property
+    def time(self) -> float:
+        """See `Engine`."""
+        time: float = self._context.get_time()
+        return time
+
+    @property
+    def rows(self) -> int:
+        """See `Engine`; a row is complete once the slowest sink has it: a failure can stop a publish halfway."""
+        return min(log.num_samples() for log in self._logs.values())
+
+    def take(self) -> dict[str, np.ndarray]:
+        """See `Engine`."""
+        signals = _signals(self._loop, self._logs, self.rows)
+        for log in self._logs.values():
+            log.Clear()
+        return signals
+
+    def first_trip(self) -> dict[str, Any] | None:
+        """See `Engine`."""
+        return None if self._loop.safety is None else self._loop.safety.first_trip(self._context)
+
+    def close(self) -> None:
+        """See `Engine`."""
+        release(self._loop)
+
+
+def _compile(loop: ClosedLoop) -> None:
+    """Takes the first tick of a compiled loop on a Context of its own: numba compiles in the first call of a function.
+
+    It takes half a minute on a new machine, and is no part of what the run costs.
+    """
+    if not loop.scenario.compiled or loop.scenario.controller.code is not None:
+        return
+    # What is wrong with the first tick shows in the run itself, with a log.
+    with suppress(StewartDrakeError), drake_guard("compiling"), quiet():
+        simulator = Simulator(loop, loop.create_start_context())
+        simulator.Initialize()
+        simulator.AdvancePendingEvents()
+
+
+def _breaks(scenario: Scenario, total: int) -> dict[int, int]:
+    """Step of the plant before which a rod breaks -> its leg; from the first step that begins at the time or later."""
+    rod = scenario.plant.broken_rod
+    if rod is None or rod.time > scenario.duration:
+        return {}
+    step = math.ceil(rod.time / scenario.plant.time_step - 1e-6)
+    return {step: rod.leg} if step < total else {}
+
+
+def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog], rows: int) -> dict[str, np.ndarray]:
+    plant = loop.plant
+    values = {name: np.array(log.data().T[:rows]) for name, log in logs.items()}
+    state = values["plant_state"]
+    pose, pose_rate = plant.pose_and_rate(state)
+    true = {
+        "pose": pose,
+        "pose_rate": pose_rate,
+        "crank_angle": plant.crank_angles(state),
+        "loop_gap": plant.loop_gap(state),
+    }
+    steps = np.round(logs["plant_state"].sample_times()[:rows] / loop.scenario.plant.time_step)
+    return signals_of(loop.scenario, steps, values | true)

@@ -1,0 +1,104 @@
+"""What runs a scenario: Drake's plant in a Diagram, or the closed form of the robot; and what both leave."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from stewart_drake.logs.log import SIGNALS
+from stewart_drake.sampling import times_of
+from stewart_drake.scenario import Scenario
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+
+class Engine(Protocol):
+    """A scenario on its way, a row of signals for each step of the plant, both ends included.
+
+    Attributes:
+        state_names: Names of the columns of `plant_state`; none where there is no such signal.
+        stops: Steps at which it must pause.
+    """
+
+    state_names: tuple[str, ...]
+    stops: tuple[int, ...]
+
+    def prepare(self) -> None:
+        """What is no part of a run's cost, such as compiling; then the state at the start."""
+
+    def start(self) -> None:
+        """The row at t = 0."""
+
+    def advance(self, step: int) -> None:
+        """Goes on to a step of the plant, and its row.
+
+        Raises:
+            RunFailure: The run is over.
+        """
+
+    @property
+    def time(self) -> float:
+        """[s] reached, as Drake has it, see `sampling.on_grid`."""
+
+    @property
+    def rows(self) -> int:
+        """How many there are to take."""
+
+    def take(self) -> dict[str, np.ndarray]:
+        """The rows since the last call, see `signals_of`."""
+
+    def first_trip(self) -> dict[str, Any] | None:
+        """See `safety.first_trip`; None where there is no safety layer."""
+
+    def close(self) -> None:
+        """Lets go of it all."""
+
+
+def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
+    """The engine that a scenario asks for, see `PlantOptions.engine`.
+
+    Raises:
+        ConfigurationError: Something that it cannot have; a weights file or a user's controller that cannot be used.
+    """
+    # The closed form needs no Drake, which takes seconds to import.
+    if scenario.plant.engine == "reduced":
+        from stewart_drake.runs.reduced_run import ReducedRun
+
+        return ReducedRun(scenario, meshcat)
+    from stewart_drake.runs.drake_run import DrakeRun
+
+    return DrakeRun(scenario, meshcat)
+
+
+def quiet() -> np.errstate:
+    """Numbers near the largest overflow on the way to an end with a name; numpy need not say so as well."""
+    return np.errstate(all="ignore")
+
+
+def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Signals by their names in a log.
+
+    Args:
+        scenario: As run.
+        steps: (n,) of the plant.
+        values: As they were in the loop: measurement (n, 12), reference (n, 18), weights (n, 2 or 4), `torque_applied`
+            where it is another than `torque`, and the others as they are called in a log.
+    """
+    limit = scenario.robot.effort_limits
+    reference, measurement = values["reference"], values["measurement"]
+    signals = {
+        "time": times_of(steps, scenario.plant.time_step),
+        "reference": reference[:, :6],
+        "reference_rate": reference[:, 6:12],
+        "reference_acceleration": reference[:, 12:],
+        "torque_applied": np.clip(values.get("torque_applied", values["torque"]), -limit, limit),
+    }
+    weights = values.pop("weights", None)
+    if weights is not None:
+        signals["weights" if weights.shape[1] == 2 else "block_weights"] = weights
+    if not (scenario.sensors.exact and scenario.estimator.exact):
+        signals["measured_pose"], signals["measured_pose_rate"] = measurement[:, :6], measurement[:, 6:]
+    signals = values | signals
+    return {name: signals[name] for name in SIGNALS if name in signals}
