@@ -104,7 +104,7 @@ class Scenario(Section):
     friction_compensation: FrictionCompensation | None = None
     """Friction of the motors that every command makes up for; null for none."""
     compiled: Flag = False
-    """Whether numba compiles the ticks of the LQI with `controller.solver: split`, the pose estimator, the tuner and
+    """Whether numba compiles the ticks of joint PID, computed torque and the LQI with `controller.solver: split`, the pose estimator, the tuner and
     the safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected. The
     first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.compiled.constants import COMPUTED_TORQUE_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.parts import ControllerSite, law_part
@@ -97,4 +98,15 @@ def computed_torque_tick(
 
 def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
     """`computed_torque_tick` as a part of a loop."""
-    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
+    numbers = filled(
+        COMPUTED_TORQUE_NUMBERS,
+        period=options.period,
+        gravity=site.gravity,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        natural_frequency=options.natural_frequency,
+        damping=options.damping,
+        integral_frequency=options.integral_frequency,
+        clamp=options.saturation == "clamp",
+    )
+    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, ("computed_torque_tick", numbers))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from stewart_drake.compiled.constants import PID_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
 from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
 from stewart_drake.control.lqi_options import Saturation
@@ -123,4 +124,17 @@ def pid_tick(
 
 def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
     """`pid_tick` as a part of a loop."""
-    return law_part(pid_tick, PidMemory, options, site)
+    numbers = filled(
+        PID_NUMBERS,
+        period=options.period,
+        gravity=site.gravity if options.feedforward == "gravity" else 0.0,
+        min_transmission=options.min_transmission,
+        min_conditioning=options.min_conditioning,
+        kp=options.kp,
+        ki=options.ki,
+        kd=options.kd,
+        reset_time=options.reset_time,
+        saturation=get_args(Saturation).index(options.saturation),
+        limit=options.limit(site.robot),
+    )
+    return law_part(pid_tick, PidMemory, options, site, ("pid_tick", numbers))

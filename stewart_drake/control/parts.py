@@ -31,7 +31,13 @@ class ControllerSite(NamedTuple):
     compiled: bool = False
 
 
-def law_part(law: Callable[..., Any], memory: Any, options: OwnControllerOptions, site: ControllerSite) -> Sampled:
+def law_part(
+    law: Callable[..., Any],
+    memory: Any,
+    options: OwnControllerOptions,
+    site: ControllerSite,
+    compiled: tuple[str, np.ndarray],
+) -> Sampled:
     """A pure law of robot, options, gravity, measurement, setpoint and memory, for flat vectors.
 
     Args:
@@ -39,6 +45,7 @@ def law_part(law: Callable[..., Any], memory: Any, options: OwnControllerOptions
         memory: Its NamedTuple of arrays (6,); it begins with the controller's results.
         options: Of the controller.
         site: What it is built for.
+        compiled: Name of the same in `compiled.laws`, and its numbers.
 
     Returns:
         Its tick takes measurement (12,), reference (18,) and memory (6 n,).
@@ -48,7 +55,23 @@ def law_part(law: Callable[..., Any], memory: Any, options: OwnControllerOptions
         seen = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
         return np.concatenate(law(site.robot, options, site.gravity, *seen, memory(*before.reshape(-1, 6))))
 
-    return Sampled(np.zeros(6 * len(memory._fields)), tick)
+    initial = np.zeros(6 * len(memory._fields))
+    if not site.compiled:
+        return Sampled(initial, tick)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import laws, mechanism
+
+    name, numbers = compiled
+    fast, packed = getattr(laws, name), mechanism.pack(site.robot)
+
+    def fast_tick(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
+        result = np.empty_like(before)
+        if fast(packed, numbers, measured, wanted, before, result):
+            return result
+        # Rare: the reference says what was wrong.
+        return tick(measured, wanted, before)
+
+    return Sampled(initial, fast_tick)
 
 
 class Answer(NamedTuple):
