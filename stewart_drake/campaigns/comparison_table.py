@@ -250,7 +250,7 @@ def _costs(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
         each = [[cost for key, costs in of.items() if key[2] == condition for cost in costs] for condition in conditions]
         everything = [cost for costs in of.values() for cost in costs]
         lines.append((controller, *(number(mean_cost(costs) if costs else None) for costs in (*each, everything))))
-    title = f"cost: geometric mean of the runs; {FAILED:g} for one that was not completed"
+    title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
     return Sheet(title, ("controller", *conditions, "all"), tuple(lines), (0, *range(1, len(conditions) + 2)))
 
 

@@ -34,7 +34,7 @@ PRODUCTS = ("tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png")
 COLUMNS = (
     Column("controller", "", "its name", "text"),
     Column("evaluation", "", "number of it for this controller; 0 is the start", "whole"),
-    Column("cost", "1", "geometric mean over its runs"),
+    Column("cost", "1", "mean of its runs"),
     Column("best", "1", "the least until then"),
     Column("not_completed", "", "how many of its runs were not", "whole"),
     Column("setting", "", "scenario key -> value, as JSON", "json"),
@@ -217,7 +217,7 @@ def _search(tuning: Tuning, name: str, evaluations: _Evaluations) -> Iterator[Ro
         points = strategy.ask()
         first = 1 + generation * options.population
         rows = evaluations.rows(name, first, [ranges.setting(point) for point in points])
-        strategy.tell(points, np.log([row["cost"] for row in rows]).tolist())
+        strategy.tell(points, [row["cost"] for row in rows])
         yield from with_best(rows)
         if strategy.stop():
             return
@@ -243,7 +243,7 @@ def _sheet(tuning: Tuning, rows: Sequence[Row], verdict: ComparisonResult) -> Sh
     changed = ", ".join(f"{key} {value}" for key, value in tuning.options.set.items())
     with_ = f" with {changed}" if changed else ""
     title = (
-        f"{tuning.name}: cost, geometric mean over the runs; the search's{with_}, noise seeds "
+        f"{tuning.name}: cost, mean of the runs; the search's{with_}, noise seeds "
         f"{', '.join(map(str, tuning.options.seeds))}; the verdict's as the comparison has them"
     )
     return Sheet(title, header, tuple(lines), (0, 1, 2, 3, 4, 5, 6))

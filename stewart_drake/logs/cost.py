@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
+from statistics import fmean
 from typing import Any
 
 from stewart_drake.section import Positive, Section
 
 FAILED = 1000.0
 """Cost of a run that was not completed; no other costs more."""
-SMALLEST = 1e-6
-"""No run costs less, so that every cost has a logarithm."""
 
 
 class CostScales(Section, key="cost"):
@@ -54,10 +52,12 @@ def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: Cos
     if status != "completed" or None in parts:
         return FAILED
     rotation, position, change = map(float, parts)  # type: ignore[arg-type]
-    return min(max(cost(rotation, position, change * 1e-3 / period, scales), SMALLEST), FAILED)
+    return min(cost(rotation, position, change * 1e-3 / period, scales), FAILED)
 
 
 def mean_cost(costs: Iterable[float]) -> float:
-    """Geometric mean: halving the cost of one run counts as much as halving that of any other."""
-    logs = [math.log(each) for each in costs]
-    return math.exp(sum(logs) / len(logs))
+    """Mean of the costs of some runs: where errors are large they count for more.
+
+    Not the geometric one, in which a loop that is quiet wherever nothing happens, and gives way to every push, is best.
+    """
+    return fmean(costs)
