@@ -229,6 +229,11 @@ class Given(Workplace):
         self._broken = bool(getattr(executor, "_broken", False))
 
 
+def workplace(where: Workplace | Executor | None) -> Workplace:
+    """What a caller says of where the work goes; None for processes of this machine."""
+    return Given(where) if isinstance(where, Executor) else where or LocalProcesses()
+
+
 class Lasting(Workplace):
     """A workplace whose executor stays from one piece of a campaign to the next: opening it takes seconds.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,13 +15,13 @@ import numpy as np
 from stewart_drake.campaigns.comparison import ComparisonResult, run_comparison
 from stewart_drake.campaigns.comparison_table import Sheet, number
 from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import Lasting, LocalProcesses, Workplace
+from stewart_drake.campaigns.executors import Lasting, Workplace, workplace
 from stewart_drake.campaigns.one_run import Task, empty_row, execute, outcome, simulate_figures, simulate_unchecked
 from stewart_drake.campaigns.plan import identity_of
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Setting, Tuning
-from stewart_drake.files.whole import locked_folder, write_atomically
+from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.logs.cost import FAILED, CostScales, mean_cost, run_cost
 from stewart_drake.logs.log import SimulationLog
@@ -28,8 +29,6 @@ from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import collect_versions
 
-VERDICT = "verdict"
-"""Folder of the comparison that judges."""
 PRODUCTS = ("tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png")
 COLUMNS = (
     Column("controller", "", "its name", "text"),
@@ -49,19 +48,21 @@ class TuneResult:
         rows: One an evaluation, see `COLUMNS`.
         tuned: Controller -> the setting that cost least.
         verdict: See `Tuning.verdict`.
+        judged_in: The folder of its tables.
         sheet: Costs before and after, as texts.
     """
 
     rows: list[Row]
     tuned: dict[str, Setting]
     verdict: ComparisonResult
+    judged_in: Path
     sheet: Sheet
 
 
 def run_tuning(
     tuning: Tuning,
     folder: Path,
-    where: Workplace | None = None,
+    where: Workplace | Executor | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> TuneResult:
@@ -81,14 +82,16 @@ def run_tuning(
         tuned[name] = min((row for row in rows if row["controller"] == name), key=lambda row: row["cost"])["setting"]
     verdict = tuning.verdict(tuned)
     searched = tuning.runs - verdict.runs
-    judged = run_comparison(verdict, folder / VERDICT, where, lambda done: tell(searched + done), restart)
+    # Another search, longer or of other controllers, has another.
+    judged_in = folder / f"verdict-{checksum(tuned)[:8]}"
+    judged = run_comparison(verdict, judged_in, where, lambda done: tell(searched + done), restart)
     sheet = _sheet(tuning, rows, judged)
     about = {"tuning": tuning.work, "versions": collect_versions()}
     with locked_folder(folder):
         write_table(to_arrow(COLUMNS, rows, "tuning", about), folder, "tune")
         write_atomically(folder / "tune.md", sheet.markdown().encode())
         write_atomically(folder / "tuned.yaml", to_yaml({"name": tuning.name, "controllers": tuned}).encode())
-    return TuneResult(rows, tuned, judged, sheet)
+    return TuneResult(rows, tuned, judged, judged_in, sheet)
 
 
 def write_picture(result: TuneResult, folder: Path) -> str | None:
@@ -113,12 +116,12 @@ class _Evaluations:
         self,
         tuning: Tuning,
         folder: Path,
-        where: Workplace | None,
+        where: Workplace | Executor | None,
         tell: Callable[[float], None],
         restart: bool,
     ) -> None:
         comparison = tuning.comparison
-        self._tuning, self._tell, self._where = tuning, tell, where or LocalProcesses()
+        self._tuning, self._tell, self._where = tuning, tell, workplace(where)
         identity = identity_of(comparison, tuning.work, collect_versions())
         self._store = RowStore(folder, identity, restart, PRODUCTS)
         self._kept: dict[int, Row] = {}

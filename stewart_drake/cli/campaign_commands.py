@@ -146,7 +146,7 @@ def tune(
     """Search the gains of controllers for the least cost: COMPARISON is a file with `tune` in it, or a name such as fair.
 
     Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
-    file says, in OUT/verdict. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
+    file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
     evaluation), tune.md and tune.png. What is done is kept in OUT, and an interrupted search goes on from it; with
     another --budget or --controller too.
 
@@ -164,7 +164,7 @@ def tune(
     if options["quiet"]:
         return
     print_columns(result.sheet.title, result.sheet.header, result.sheet.rows, result.sheet.brief[1:])
-    click.echo(f"settings in {folder / 'tuned.yaml'}")
+    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.judged_in}")
 
 
 @click.command()
