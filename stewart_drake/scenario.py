@@ -104,9 +104,9 @@ class Scenario(Section):
     friction_compensation: FrictionCompensation | None = None
     """Friction of the motors that every command makes up for; null for none."""
     compiled: Flag = False
-    """Whether numba compiles the ticks of joint PID, computed torque and the LQI with `controller.solver: split`, the pose estimator, the tuner and
-    the safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected. The
-    first run on a machine compiles for half a minute."""
+    """Whether numba compiles the ticks of the controllers (of the LQI with `controller.solver: split`), of estimators,
+    tuner and safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected.
+    The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())

@@ -31,6 +31,7 @@ class ComparisonResult:
         rows: Rows of the table as plain values, with `trace`.
         band_rows: Rows of the bands likewise.
         sheets: The tables that are read.
+        engine: See `plan.Made`.
     """
 
     table: pa.Table
@@ -38,6 +39,7 @@ class ComparisonResult:
     rows: list[Row]
     band_rows: list[Row]
     sheets: list[Sheet]
+    engine: str | None = None
 
 
 def run_comparison(
@@ -55,7 +57,7 @@ def run_comparison(
     made = run_plan(comparison, folder, where, progress, restart, function)
     table, bands = made["comparison"], made["bands"]
     read = sheets(comparison, table.rows, bands.rows)
-    return ComparisonResult(table.table, bands.table, table.rows, bands.rows, read)
+    return ComparisonResult(table.table, bands.table, table.rows, bands.rows, read, table.engine)
 
 
 def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Path) -> list[str]:

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from stewart_drake.campaigns.engine import Work, carry_out
 from stewart_drake.campaigns.executors import Workplace
+from stewart_drake.campaigns.judge import verdict
 from stewart_drake.campaigns.one_run import Measure, RunFunction, Task, empty_row, execute, measure, simulate
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
@@ -182,11 +183,13 @@ class Made:
         table: One row a run, unit and text of each column in its metadata.
         rows: The same as plain values, with what else a row says.
         path: The Parquet file; a CSV file is beside it.
+        engine: What Drake says of runs on the reduced engine, see `judge.verdict`; None where there are none.
     """
 
     table: pa.Table
     rows: list[Row]
     path: Path
+    engine: str | None = None
 
 
 def run_plan(
@@ -241,15 +244,17 @@ def run_plan(
         tell()
         missing = [index for index in indices if index not in rows]
         carry_out(missing, lambda index: plan.work_item(index, function), keep, where, crashed)
-        about = {plan.kind: plan.to_dict(), "versions": versions}
+        engine = verdict(plan, rows, function)
+        about = {plan.kind: plan.to_dict(), "versions": versions, **({} if engine is None else {"engine": engine})}
         made = {}
         for name, (fields, flat) in plan.tables([rows[index] for index in indices]).items():
-            made[name] = Made(to_arrow(fields, flat, plan.kind, about), flat, folder / f"{name}.parquet")
+            made[name] = Made(to_arrow(fields, flat, plan.kind, about), flat, folder / f"{name}.parquet", engine)
             if flat:
                 write_table(made[name].table, folder, name)
         page = plan.page({name: each.rows for name, each in made.items()})
         if page is not None:
-            write_atomically(folder / f"{plan.kind}.md", page.encode())
+            said = page if engine is None else f"{page}\n{engine}\n"
+            write_atomically(folder / f"{plan.kind}.md", said.encode())
     return made
 
 

@@ -100,6 +100,8 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
         made = run_sweep(loaded, folder, where, progress, restart)
     if not options["quiet"]:
         print_table(loaded.name, [*summary(made.rows), ("table in", str(made.path))])
+        if made.engine is not None:
+            click.echo(made.engine)
 
 
 @click.command()
@@ -130,6 +132,8 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
         columns = range(len(sheet.header)) if console().width >= WIDE else sheet.brief
         rows = ([row[column] for column in columns] for row in sheet.rows)
         print_columns(sheet.title, [sheet.header[column] for column in columns], rows)
+    if result.engine is not None:
+        click.echo(result.engine)
     click.echo(f"tables and pictures in {folder}")
 
 

@@ -39,15 +39,15 @@ LQI_CHOICES = _fields(
 """Feedforward 0 to 3 for none, gravity, platform, full; saturation 0 to 2 for none, clamp, back_calculation."""
 COMPUTED_TORQUE_NUMBERS = _fields(
     "ComputedTorqueNumbers",
-    period=1, gravity=1, min_transmission=1, min_conditioning=1, natural_frequency=1, damping=1, integral_frequency=1,
-    clamp=1,
+    period=1, gravity=1, min_transmission=1, min_conditioning=1, frequency=1, damping=1, integral_frequency=1, limit=6,
 )  # fmt: skip
-"""[s], [m/s^2], [-], [-], [rad/s], [-], [rad/s], 0 or 1."""
+"""[s], [m/s^2], [-], [-], [rad/s], [-], [rad/s], [N m] infinite for none."""
 PID_NUMBERS = _fields(
     "PidNumbers",
-    period=1, gravity=1, min_transmission=1, min_conditioning=1, kp=1, ki=1, kd=1, reset_time=1, saturation=1, limit=6,
+    period=1, gravity=1, min_transmission=1, min_conditioning=1, kp=1, ki=1, kd=1, limit=6, given_back=1,
 )  # fmt: skip
-"""[s], [m/s^2] 0 without feedforward, [-], [-], [N m/rad], [N m/(rad s)], [N m s/rad], [s], as above, [N m]."""
+"""[s], [m/s^2] of the feedforward, [-], [-], [N m/rad], [N m/(rad s)], [N m s/rad], [N m] infinite for none, and
+[rad s/(N m)] by which the integral is led back for what was cut; -1 where it stands still instead."""
 ESTIMATOR_MEMORY = _fields("EstimatorMemory", pose=6, rate=6, angles=6, crank_rates=6, held=1, side=1, started=1)
 """See `estimator.MEMORY_SIZE`."""
 ESTIMATOR_NUMBERS = _fields(

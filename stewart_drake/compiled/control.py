@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, SMALLEST_SINGULAR_VALUE
-from stewart_drake.compiled.dynamics import inverse_dynamics, task_inertia
+from stewart_drake.compiled.dynamics import inverse_dynamics, motion_torque, task_inertia
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import singular_vectors, solve
 from stewart_drake.compiled.mechanism import (
@@ -20,8 +20,6 @@ from stewart_drake.compiled.mechanism import (
     PLATFORM_MASS,
     SERIAL,
     UNREACHABLE,
-    angular_velocity,
-    euler_drift,
     euler_rates,
     leg_vectors,
     line_conditioning,
@@ -105,6 +103,36 @@ def split_gain(
     return True
 
 
+@njit(cache=True, error_model="numpy")
+def usable_legs(
+    robot: np.ndarray,
+    min_transmission: float,
+    min_conditioning: float,
+    pose: np.ndarray,
+    legs: np.ndarray,
+    lines: np.ndarray,
+) -> tuple[int, int, float]:
+    """Reference `inputs.checked_legs`; legs (6, 14) and lines (6, 6) out.
+
+    Returns:
+        Status as in `mechanism`; leg or -1; margin, or where all is well the conditioning.
+    """
+    bad = leg_vectors(robot, pose, legs)
+    if bad >= 0:
+        return UNREACHABLE, bad, legs[bad, 13]
+    worst, leg = np.inf, 0
+    for i in range(6):
+        if not abs(legs[i, 12]) >= worst:
+            worst, leg = abs(legs[i, 12]), i
+    if worst < min_transmission:
+        return SERIAL, leg, worst
+    rod_lines(legs, lines)
+    ratio = line_conditioning(robot, lines)
+    if not ratio >= min_conditioning:
+        return PARALLEL, -1, ratio
+    return OK, -1, ratio
+
+
 _M, _N, _C = LQI_MEMORY, LQI_NUMBERS, LQI_CHOICES
 
 
@@ -147,19 +175,11 @@ def lqi_tick(
             return NOT_FINITE, 0, 0.0
     legs, lines, turn = np.empty((6, 14)), np.empty((6, 6)), np.empty((3, 3))
     pose = measurement[:6]
-    bad = leg_vectors(robot, pose, legs)
-    if bad >= 0:
-        return UNREACHABLE, bad, legs[bad, 13]
-    worst, leg = np.inf, 0
-    for i in range(6):
-        if not abs(legs[i, 12]) >= worst:
-            worst, leg = abs(legs[i, 12]), i
-    if worst < numbers[_N.min_transmission]:
-        return SERIAL, leg, worst
-    rod_lines(legs, lines)
-    ratio = line_conditioning(robot, lines)
-    if not ratio >= numbers[_N.min_conditioning]:
-        return PARALLEL, -1, ratio
+    status, leg, ratio = usable_legs(
+        robot, numbers[_N.min_transmission], numbers[_N.min_conditioning], pose, legs, lines
+    )
+    if status != OK:
+        return status, leg, ratio
     rotation(pose[:3], turn)
     blocks = np.empty(4)
     for k in range(4):
@@ -198,21 +218,14 @@ def lqi_tick(
 
     force = np.zeros(6)
     if feedforward == 3:
-        twist, twist_rate = np.empty(6), np.empty(6)
         at = reference[:12] if choices[_C.at_reference] == 1 else measurement
-        angular_velocity(at[:3], at[6:9], twist[:3])
-        angular_velocity(at[:3], reference[12:15], twist_rate[:3])
-        euler_drift(at[:3], at[6:9], column[:3, 0])
-        for k in range(3):
-            twist[3 + k], twist_rate[3 + k] = at[9 + k], reference[15 + k]
-            twist_rate[k] += column[k, 0]
         if choices[_C.at_reference] == 1:
             bad = leg_vectors(robot, at[:6], legs)
             if bad >= 0:
                 return AT_REFERENCE + UNREACHABLE, bad, legs[bad, 13]
             rod_lines(legs, lines)
             rotation(at[:3], turn)
-        if not inverse_dynamics(robot, legs, lines, turn, twist, twist_rate, gravity, force):
+        if not motion_torque(robot, legs, lines, turn, at, reference[12:], gravity, force):
             return PARALLEL + (AT_REFERENCE if choices[_C.at_reference] == 1 else 0), -1, 0.0
     elif feedforward > 0:
         if gravity != 0.0:

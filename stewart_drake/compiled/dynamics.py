@@ -16,6 +16,8 @@ from stewart_drake.compiled.mechanism import (
     ROD_INERTIA,
     ROD_LENGTH,
     ROD_MASS,
+    angular_velocity,
+    euler_drift,
     scalar,
 )
 
@@ -193,3 +195,29 @@ def inverse_dynamics(
     for i in range(6):
         torque[i] += robot[i, CRANK_LENGTH] * legs[i, 12] * wrench[i, 0]
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def motion_torque(
+    robot: np.ndarray,
+    legs: np.ndarray,
+    lines: np.ndarray,
+    turn: np.ndarray,
+    motion: np.ndarray,
+    acceleration: np.ndarray,
+    gravity: float,
+    torque: np.ndarray,
+) -> bool:
+    """`inverse_dynamics` for pose and rate (12,) and acceleration (6,) in Euler angles; torque (6,) out [N m].
+
+    Returns:
+        False at a parallel singularity.
+    """
+    twist, twist_rate, drift = np.empty(6), np.empty(6), np.empty(3)
+    angular_velocity(motion[:3], motion[6:9], twist[:3])
+    angular_velocity(motion[:3], acceleration[:3], twist_rate[:3])
+    euler_drift(motion[:3], motion[6:9], drift)
+    for k in range(3):
+        twist[3 + k], twist_rate[3 + k] = motion[9 + k], acceleration[3 + k]
+        twist_rate[k] += drift[k]
+    return inverse_dynamics(robot, legs, lines, turn, twist, twist_rate, gravity, torque)

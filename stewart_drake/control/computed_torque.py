@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -36,6 +37,11 @@ class ComputedTorqueOptions(OwnControllerOptions):
     saturation: Literal["none", "clamp"] = "clamp"
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
+
+    @property
+    def compiles(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
 
 
 class ComputedTorqueMemory(NamedTuple):
@@ -98,15 +104,21 @@ def computed_torque_tick(
 
 def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
     """`computed_torque_tick` as a part of a loop."""
+    if not site.compiled:
+        return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism, tracking
+
     numbers = filled(
         COMPUTED_TORQUE_NUMBERS,
         period=options.period,
         gravity=site.gravity,
         min_transmission=options.min_transmission,
         min_conditioning=options.min_conditioning,
-        natural_frequency=options.natural_frequency,
+        frequency=options.natural_frequency,
         damping=options.damping,
         integral_frequency=options.integral_frequency,
-        clamp=options.saturation == "clamp",
+        limit=site.robot.effort_limits if options.saturation == "clamp" else np.full(6, np.inf),
     )
-    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, ("computed_torque_tick", numbers))
+    fast = partial(tracking.computed_torque_tick, mechanism.pack(site.robot), numbers)
+    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, fast)

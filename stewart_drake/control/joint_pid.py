@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple, get_args
+from functools import partial
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,16 @@ class PidOptions(OwnControllerOptions):
     def results(self) -> Sequence[int]:
         """See `ControllerOptions`."""
         return (6,)
+
+    @property
+    def compiles(self) -> bool:
+        """See `ControllerOptions`."""
+        return True
+
+    @property
+    def back_share(self) -> float:
+        """[-] of what was cut off that back_calculation gives back in a tick."""
+        return min(1.0, self.period / self.reset_time)
 
     def limit(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] of the motors' torques."""
@@ -118,12 +129,18 @@ def pid_tick(
         if options.saturation == "clamp":
             growth = np.where(cut == 0.0, growth, 0.0)
         elif options.ki > 0.0:
-            growth = growth + min(1.0, options.period / options.reset_time) * cut / options.ki
+            growth = growth + options.back_share * cut / options.ki
     return PidMemory(torque, integral + growth)
 
 
 def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
     """`pid_tick` as a part of a loop."""
+    if not site.compiled:
+        return law_part(pid_tick, PidMemory, options, site)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled import mechanism, tracking
+
+    back = options.saturation == "back_calculation" and options.ki > 0.0
     numbers = filled(
         PID_NUMBERS,
         period=options.period,
@@ -133,8 +150,8 @@ def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
         kp=options.kp,
         ki=options.ki,
         kd=options.kd,
-        reset_time=options.reset_time,
-        saturation=get_args(Saturation).index(options.saturation),
-        limit=options.limit(site.robot),
+        limit=np.full(6, np.inf) if options.saturation == "none" else options.limit(site.robot),
+        given_back=-1.0 if options.saturation == "clamp" else back and options.back_share / options.ki,
     )
-    return law_part(pid_tick, PidMemory, options, site, ("pid_tick", numbers))
+    fast = partial(tracking.pid_tick, mechanism.pack(site.robot), numbers)
+    return law_part(pid_tick, PidMemory, options, site, fast)

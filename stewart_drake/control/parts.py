@@ -31,12 +31,15 @@ class ControllerSite(NamedTuple):
     compiled: bool = False
 
 
+FlatLaw = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], bool]
+
+
 def law_part(
     law: Callable[..., Any],
     memory: Any,
     options: OwnControllerOptions,
     site: ControllerSite,
-    compiled: tuple[str, np.ndarray],
+    fast: FlatLaw | None = None,
 ) -> Sampled:
     """A pure law of robot, options, gravity, measurement, setpoint and memory, for flat vectors.
 
@@ -45,7 +48,7 @@ def law_part(
         memory: Its NamedTuple of arrays (6,); it begins with the controller's results.
         options: Of the controller.
         site: What it is built for.
-        compiled: Name of the same in `compiled.laws`, and its numbers.
+        fast: The same compiled, of measurement, reference, memory and result; False where the law raises.
 
     Returns:
         Its tick takes measurement (12,), reference (18,) and memory (6 n,).
@@ -55,23 +58,14 @@ def law_part(
         seen = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
         return np.concatenate(law(site.robot, options, site.gravity, *seen, memory(*before.reshape(-1, 6))))
 
-    initial = np.zeros(6 * len(memory._fields))
-    if not site.compiled:
-        return Sampled(initial, tick)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import laws, mechanism
-
-    name, numbers = compiled
-    fast, packed = getattr(laws, name), mechanism.pack(site.robot)
-
-    def fast_tick(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def quick(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
         result = np.empty_like(before)
-        if fast(packed, numbers, measured, wanted, before, result):
+        if fast is not None and fast(measured, wanted, before, result):
             return result
-        # Rare: the reference says what was wrong.
+        # Rare: the law says what was wrong.
         return tick(measured, wanted, before)
 
-    return Sampled(initial, fast_tick)
+    return Sampled(np.zeros(6 * len(memory._fields)), tick if fast is None else quick)
 
 
 class Answer(NamedTuple):

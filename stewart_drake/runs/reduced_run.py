@@ -91,7 +91,7 @@ class ReducedRun:
         # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
         self._unchecked = safety is None and bool(options.code is not None or link.faults)
 
-        applied = self._delayed or self._link or self._safety or self._motors
+        self._applied = bool(self._delayed or self._link or self._safety or self._motors)
         self._places = _places(
             state=_S.size,
             reference=18,
@@ -102,7 +102,7 @@ class ReducedRun:
             innovation=6 if self._estimating.innovates else 0,
             weights=len(self._weights) if self._tuner else 0,
             density=12 if self._density else 0,
-            torque_applied=6 if applied else 0,
+            torque_applied=6 if self._applied else 0,
             disturbance=6 if scenario.disturbances else 0,
             safety=3 if self._safety else 0,
         )
@@ -209,28 +209,26 @@ class ReducedRun:
             friction(time, reference)
         torque = answer.torque if surplus is None else answer.torque + surplus
         torque = torque if friction is None else torque + friction.memory
-        if torque is not answer.torque:
-            answer = answer._replace(torque=np.minimum(np.maximum(torque, -self._limit), self._limit))
-        return answer
+        if torque is answer.torque:
+            return answer
+        return Answer(np.minimum(np.maximum(torque, -self._limit), self._limit), answer.error, answer.integral)
 
     def _write(self, wanted: np.ndarray, answer: Answer) -> None:
         """Completes the row."""
         if self._count == len(self._table):
             self._table = np.concatenate([self._table, np.empty_like(self._table)])
-        row, places = self._table[self._count], self._places
-        row[places["state"]] = self._state
-        row[places["reference"]] = wanted
-        row[places["measurement"]] = self._estimate.measurement
-        row[places["torque"]], row[places["error"]], row[places["integral"]] = answer
-        row[places["torque_applied"]] = self._command[: places["torque_applied"].stop - places["torque_applied"].start]
+        parts = [self._state, wanted, self._estimate.measurement, *answer]
         if self._estimate.innovation is not None:
-            row[places["innovation"]] = self._estimate.innovation
+            parts.append(self._estimate.innovation)
         if self._density is not None:
-            row[places["weights"]], row[places["density"]] = self._weights, self._density.memory[:12]
+            parts += [self._weights, self._density.memory[:12]]
+        if self._applied:
+            parts.append(self._command)
         if self._scenario.disturbances:
-            row[places["disturbance"]] = self._wrench.at(self._now)[1]
+            parts.append(self._wrench.at(self._now)[1])
         if self._safety is not None:
-            row[places["safety"]] = self._safety.memory[6:9]
+            parts.append(self._safety.memory[6:9])
+        np.concatenate(parts, out=self._table[self._count])
         self._count += 1
 
     def _advance(self) -> None:

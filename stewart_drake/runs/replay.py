@@ -52,7 +52,8 @@ def write_replay(log: SimulationLog, path: str | Path, frames_per_second: float 
         DrakeCheckError: Drake could not record, such as for want of a free port.
     """
     check_value("frames_per_second", frames_per_second, Positive)
-    usable = np.flatnonzero(np.isfinite(log["plant_state"]).all(axis=1))
+    # Without a state of Drake's own the robot is assembled at the platform's pose.
+    usable = np.flatnonzero(np.isfinite(log.signals.get("plant_state", log["pose"])).all(axis=1))
     if len(usable) == 0:
         raise ConfigurationError(
             "log", f"{len(log.time)} rows", "a log with at least one row of finite state to replay"
@@ -110,7 +111,9 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
         # Meshcat rounds down to the frame; the middle of one is safe from rounding.
         time = (frame + 0.5) / rate
         context.SetTime(time)
-        stewart.plant.SetPositionsAndVelocities(plant_context, log["plant_state"][row])
+        whole = log.signals.get("plant_state")
+        state = stewart.assemble(log["pose"][row]) if whole is None else whole[row]
+        stewart.plant.SetPositionsAndVelocities(plant_context, state)
         diagram.ForcedPublish(context)
         reference = log["reference"][row]
         meshcat.SetTransform("reference", RigidTransform(RollPitchYaw(reference[:3]), reference[3:]), time)

@@ -7,7 +7,8 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from stewart_drake.errors import (
     drake_guard,
     raised_at,
 )
+from stewart_drake.families import user_sources
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.whole import plain_json
@@ -34,6 +36,7 @@ from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
+from stewart_drake.section import to_plain
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -107,7 +110,7 @@ def _run_engine(
         status="interrupted",
         reason="killed",
         message="the process ended in the midst of the run",
-        versions=collect_versions(),
+        versions=dict(_versions()),
         files=files,
     )
     rows.begin(header)
@@ -158,6 +161,12 @@ def _run_engine(
     return rows.end(log)
 
 
+@cache
+def _versions() -> dict[str, str | None]:
+    """Of what runs in this process: it goes on with the code that it has loaded."""
+    return collect_versions()
+
+
 class _Recorder:
     """Takes an engine's rows: every one into the tally, those of the log period into the log.
 
@@ -194,14 +203,7 @@ def check_scenario(scenario: Scenario) -> None:
         ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers; a
             recording cannot be read; the motion or its start would trip the safety layer.
     """
-    motion_report(scenario).raise_if_infeasible()
-    if scenario.safety is not None:
-        try:
-            with user_code(scenario), quiet():
-                _check_safety(scenario, scenario.safety)
-        except ControllerError as error:
-            names = ", ".join(scenario.safety.monitor_names)
-            raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
+    _check_motion(scenario)
     with quiet():
         try:
             checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])
@@ -210,6 +212,30 @@ def check_scenario(scenario: Scenario) -> None:
             if any(scenario.initial_offset):
                 key, value = "initial_offset", list(scenario.initial_offset)
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
+
+
+_PASSED: set[Any] = set()
+"""Motions that have passed: a search runs the same one a thousand times."""
+
+
+def _check_motion(scenario: Scenario) -> None:
+    """Checks the reference over the whole run, but for one that has passed before; a user's code is asked again."""
+    told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
+    moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
+    subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    known = not user_sources(scenario)
+    if known and subject in _PASSED:
+        return
+    motion_report(scenario).raise_if_infeasible()
+    if scenario.safety is not None:
+        try:
+            with user_code(scenario), quiet():
+                _check_safety(scenario, scenario.safety)
+        except ControllerError as error:
+            names = ", ".join(scenario.safety.monitor_names)
+            raise ConfigurationError("safety.monitors", names, f"monitors that do not raise ({error})") from None
+    if known:
+        _PASSED.add(subject)
 
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:

@@ -143,6 +143,8 @@ def print_run(log: SimulationLog, metrics: dict[str, Any], folder: Path) -> None
         ("status", told(log.status, log.reason)),
         ("simulated time", f"{log.end_time:.3f} s"),
     ]
+    if log.scenario.plant.engine == "reduced":
+        rows.append(("engine", "reduced, not Drake's plant"))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
         # A second half that was not reached is shown as a dash; weights that a run does not have are left out.

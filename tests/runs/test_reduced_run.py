@@ -1,0 +1,268 @@
+"""`plant.engine: reduced`: the runs of Drake's plant, sooner."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.sensor_faults import IdealSensors
+from stewart_drake.logs.log import load_log
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.registry import SENSORS
+from stewart_drake.runs import reduced_run, simulation
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.systems.task_space_sensor import add_ideal_sensor
+
+FAST = ("compiled=true", "plant.engine=reduced")
+ENCODERS = "sensors={kind: encoders, resolution_bits: 0}"
+"""Without counts: a reading that is rounded the other way is a difference that neither engine can help."""
+PUSH = "disturbances=[{kind: step, wrench: [0.02, 0, 0.03, 3, -2, -4], time: 0.2, until: 0.4}]"
+OBSERVER = "estimator={kind: observer}"
+
+
+def both(name, *changes):
+    """Logs of the two engines: the reduced one, and Drake."""
+    scenario = load_scenario(name, ("compiled=true", *changes))
+    return run(scenario.replace({"plant.engine": "reduced"}), check=False), run(scenario, check=False)
+
+
+def apart(one, other):
+    """Largest distance [m] and angle [rad] between poses of two logs, over the rows that both have."""
+    rows = min(len(one.time), len(other.time))
+    between = one["pose"][:rows] - other["pose"][:rows]
+    return [float(np.linalg.norm(part, axis=1).max()) for part in (between[:, 3:], between[:, :3])]
+
+
+CASES = {
+    # Smooth loops at 1 kHz: what is left is the gap of Drake's loops and the order of the method.
+    "breathing": (("exact_breathing", ENCODERS), 1e-7, 1e-6),
+    "heart, friction": (("exact_heart", ENCODERS, "plant.motor_friction=0.01"), 1e-7, 1e-6),
+    "push, payload": (
+        ("exact_breathing", ENCODERS, PUSH, "plant.payload_mass=0.3", "plant.payload_position=[0.02, 0.01, 0.05]"),
+        1e-6,
+        1e-5,
+    ),
+    "delay": (("exact_breathing", ENCODERS, "command_delay=4"), 1e-7, 1e-6),
+    "observer": (
+        ("exact_heart", ENCODERS, OBSERVER, "command_delay=2", "plant.motor_friction=0.01",
+         "friction_compensation={coulomb: 0.01}"),
+        1e-7,
+        1e-6,
+    ),
+    "observer of a pose": (("exact_heart", "sensors={kind: ideal}", OBSERVER), 1e-7, 1e-6),
+    "link, motors": (
+        ("exact_breathing", ENCODERS, "plant.time_step=0.0005", "link={drop_probability: 0.05, late_probability: 0.05}",
+         "motors={ripple: 0.01}"),
+        2e-6,
+        1e-5,
+    ),
+    "late sensor": (
+        ("exact_breathing", "sensors={kind: ideal, faults: [{kind: late, delay: 0.002, time: 0.1}]}", "safety={}"),
+        1e-6,
+        1e-5,
+    ),
+    "pid": (("exact_breathing", ENCODERS, "controller={kind: pid}"), 1e-6, 1e-5),
+    "computed torque": (("exact_breathing", ENCODERS, "controller={kind: computed_torque}"), 1e-6, 1e-5),
+    "network": (("exact_fig7", "tuner={kind: ann}"), 5e-5, 1e-3),
+    # Noise and counts: a reading at the edge of a count falls to the other side, and both go on from there.
+    "noise": (("exact_breathing", "sensors.noise=2.0e-5", "command_delay=1"), 1e-5, 1e-4),
+    # Soft loops at 200 Hz show the first order of both methods.
+    "paper": (("paper_fig7",), 1e-5, 1e-4),
+    "tool path": (("tool_path",), 5e-4, 5e-4),
+    "nod": (("reachy_nod",), 2e-4, 2e-3),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("given", "metres", "radians"), CASES.values(), ids=CASES.keys())
+def test_it_is_the_run_on_drakes_plant(given, metres, radians):
+    """Bounds are some times what is measured; the platform moves by centimetres."""
+    mine, drake = both(given[0], "duration=0.8", *given[1:])
+    assert (mine.status, mine.reason) == (drake.status, drake.reason) == ("completed", None)
+    np.testing.assert_array_equal(mine.time, drake.time)
+    assert set(drake.signals) - set(mine.signals) == {"plant_state"}
+    distance, angle = apart(mine, drake)
+    assert distance < metres
+    assert angle < radians
+    np.testing.assert_allclose(mine["reference"], drake["reference"], rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(mine["crank_angle"], drake["crank_angle"], atol=20.0 * radians)
+    assert mine["loop_gap"].max() == 0.0
+    ours, theirs = run_metrics(mine), run_metrics(drake)
+    for name in ("torque_rms", "rmse_norm_mm", "rmse_norm_deg", "peak_norm_mm", "peak_norm_deg"):
+        # Counts and noise alone make peaks of a few micrometres, which are others in each engine.
+        bound = 0.2 if mine.scenario.sensors.quantum == 0.0 else 0.5
+        assert ours[name] == pytest.approx(theirs[name], rel=bound, abs=2e-4), name
+    for name in ("disturbance", "block_weights"):
+        if name in drake.signals:
+            np.testing.assert_array_equal(mine[name], drake[name])
+
+
+ENDS = {
+    "silent link": ("exact_breathing", ENCODERS, "safety={}", "link={stop_time: 0.2}"),
+    "jump": ("exact_breathing", "safety={}", "sensors.faults=[{leg: 2, kind: jump, size: 0.3, time: 0.2}]"),
+    "nan": ("exact_breathing", "sensors.faults=[{leg: 1, kind: nan, time: 0.2}]"),
+    "torque beyond numbers": ("exact_breathing", "link={faults: [{kind: inf, leg: 0, time: 0.2}]}"),
+    "falls": ("paper_fig7_uncompensated",),
+    "dead motor": ("exact_breathing", ENCODERS, "safety={}", "motors={dead: {leg: 1, time: 0.2}}"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", ENDS.values(), ids=ENDS.keys())
+def test_it_ends_as_the_run_on_drakes_plant_ends(given):
+    mine, drake = both(given[0], "duration=1", *given[1:])
+    assert (mine.status, mine.reason) == (drake.status, drake.reason)
+    assert mine.status in ("failed", "stopped")
+    # A robot that falls does so a step sooner or later.
+    assert mine.end_time == pytest.approx(drake.end_time, abs=0.003)
+    assert mine.outcome_time == pytest.approx(drake.outcome_time, abs=0.003)
+    if drake.safety is None:
+        assert mine.safety is None
+    else:
+        assert {**mine.safety, "leg": 0} == {**drake.safety, "leg": 0}
+
+
+def test_a_log_is_written_read_and_replayed_and_runs_repeat_to_the_last_bit(tmp_path):
+    from stewart_drake.runs.replay import write_replay
+
+    scenario = load_scenario("exact_breathing", (*FAST, "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002"))
+    log = run(scenario)
+    assert (log.status, len(log.time), log.state_names) == ("completed", 51, ())
+    log.save(tmp_path / "log.parquet")
+    again = load_log(tmp_path / "log.parquet")
+    assert again.scenario.plant.engine == "reduced"
+    same = run(scenario, check=False)
+    for name, values in log.signals.items():
+        np.testing.assert_array_equal(again[name], values)
+        np.testing.assert_array_equal(same[name], values, err_msg=name)
+    write_replay(again, tmp_path / "replay.html", frames_per_second=20.0)
+    assert (tmp_path / "replay.html").stat().st_size > 1e6
+
+
+def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
+    changes = (*FAST, "controller.solver=split", "duration=0.05", "tuner={kind: fixed}")
+    coarse, fine = (
+        run(load_scenario("paper_fig7", changes)),
+        run(load_scenario("paper_fig7", (*changes, "log_period=0.001"))),
+    )
+    assert (len(coarse.time), len(fine.time)) == (11, 51)
+    for name in coarse.signals:
+        np.testing.assert_array_equal(coarse[name], fine[name][::5], err_msg=name)
+    np.testing.assert_array_equal(fine["torque"][:50].reshape(10, 5, 6).std(axis=1), 0.0)
+    assert (np.diff(fine["pose"][:, 5]) != 0.0).all()
+
+
+def test_more_rows_than_there_was_place_for(monkeypatch):
+    monkeypatch.setattr(reduced_run, "_ROWS", 7)
+    monkeypatch.setattr(simulation, "CHUNK", 0.03)
+    log = run(load_scenario("exact_breathing", (*FAST, "duration=0.1")), check=False)
+    np.testing.assert_allclose(log.time, 0.001 * np.arange(101), rtol=1e-14)
+    assert (np.diff(log["reference"][:, 5]) != 0.0).all()
+
+
+def test_ctrl_c_keeps_whole_rows():
+    def progress(time):
+        if time >= 0.1:
+            raise KeyboardInterrupt
+
+    log = run(load_scenario("exact_breathing", (*FAST, "duration=1")), progress=progress, check=False)
+    assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.1, 101)
+
+
+class Sampler(LeafSystem):
+    """The robot's weight and a spring, from what it saw at its last tick; counts its ticks."""
+
+    def __init__(self, robot, gravity, period):
+        from stewart_drake.mechanics.dynamics import static_torque
+
+        super().__init__()
+        self.weight = static_torque(robot, robot.home_pose, gravity)
+        self.DeclareVectorInputPort("measurement", 12)
+        self.DeclareVectorInputPort("reference", 18)
+        self.DeclareDiscreteState(7)
+        self.DeclareContinuousState(1)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+        self.DeclareVectorOutputPort("torque", 6, self._calc)
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        derivatives.get_mutable_vector().SetAtIndex(0, 1.0 - context.get_continuous_state_vector().GetAtIndex(0))
+
+    def _update(self, context, state):
+        before = context.get_discrete_state(0).value()
+        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
+        state.set_value(np.append(self.weight - 20.0 * away, before[6] + 1.0))
+
+    def _calc(self, context, output):
+        held, slow = context.get_discrete_state(0).value(), context.get_continuous_state_vector().GetAtIndex(0)
+        output.SetFromVector((self.weight if held[6] == 0.0 else held[:6]) * (1.0 + 0.01 * slow))
+
+
+@pytest.mark.parametrize("period", [0.001, 0.005])
+def test_a_controller_of_ones_own_runs_as_in_the_diagram(period):
+    """Its discrete state is one tick late, its continuous state runs on between ticks; delays see what it says last."""
+    scenario = Scenario.from_dict(
+        {
+            "duration": 0.06,
+            "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.301]},
+            "controller": {"kind": Sampler, "period": period},
+            "command_delay": 1,
+            "log_period": 0.001,
+        }
+    )
+    mine, drake = run(scenario.replace({"plant.engine": "reduced"})), run(scenario)
+    assert (mine.status, drake.status) == ("completed", "completed")
+    for name in ("torque", "torque_applied", "error"):
+        np.testing.assert_allclose(mine[name], drake[name], atol=2e-5, err_msg=name)
+    assert (np.diff(mine["torque"][:, 0]) != 0.0).all()
+
+
+def test_an_error_in_a_controller_of_ones_own_ends_the_run_with_its_name():
+    scenario = load_scenario("exact_breathing", ("duration=0.05", "plant.engine=reduced")).replace(
+        {"controller": {"kind": Broken}}
+    )
+    log = run(scenario)
+    assert (log.status, log.reason) == ("failed", "controller_raised")
+    assert "mine" in log.message
+    assert len(log.time) == 10
+
+
+class Broken(Sampler):
+    def _calc(self, context, output):
+        if context.get_time() > 0.0095:
+            raise ValueError("mine")
+        super()._calc(context, output)
+
+
+class ToySensors(IdealSensors):
+    kind: str = "toy"
+
+
+def test_a_kind_that_runs_in_a_diagram_alone_is_refused_by_name(monkeypatch):
+    monkeypatch.setattr(SENSORS, "_lines", dict(SENSORS._lines))
+    SENSORS.add(ToySensors, add_ideal_sensor)
+    changes = {"plant": {"engine": "reduced"}, "sensors": {"kind": "toy"}, "duration": 0.05}
+    with pytest.raises(
+        ConfigurationError, match=r"^plant\.engine: got 'reduced'; allowed: drake, with sensors\.kind toy"
+    ):
+        run(Scenario.from_dict(changes))
+    from stewart_drake.hardware.sensor_faults import IdealSensing
+
+    SENSORS.add(ToySensors, add_ideal_sensor, IdealSensing)
+    assert run(Scenario.from_dict(changes)).status == "completed"
+    with pytest.raises(ConfigurationError, match="for a live view"):
+        run(Scenario.from_dict({**changes, "sensors": {"kind": "ideal"}}), meshcat=object())
+
+
+def test_options_of_a_controller_without_a_function_are_run_as_the_leafsystem_that_builds_them(monkeypatch):
+    from test_outside_kinds import ToyLaw, ToyLawOptions
+
+    from stewart_drake.registry import CONTROLLERS
+
+    monkeypatch.setattr(CONTROLLERS, "_lines", dict(CONTROLLERS._lines))
+    CONTROLLERS.add(ToyLawOptions, ToyLaw)
+    assert issubclass(ToyLawOptions, ControllerOptions)
+    scenario = Scenario.from_dict({"duration": 0.05, "controller": {"kind": "toy_law"}, "reference": {"kind": "hold"}})
+    mine, drake = run(scenario.replace({"plant.engine": "reduced"})), run(scenario)
+    np.testing.assert_allclose(mine["torque"], drake["torque"], atol=1e-6)
