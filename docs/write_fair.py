@@ -15,17 +15,17 @@ from stewart_drake.logs.cost import mean_cost
 
 TEXT = """# What the LQI itself adds
 
-Four controllers with the same observer, which each may set to its own level, and the same torque against friction. All are
-tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same ten runs:
-J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the plain mean of
-the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search runs on the
-reduced engine; the verdict is Drake's plant with other noise. `make fair` makes all of this page.
+Four controllers with the same observer, whose level is searched for each, and the same torque against friction. All
+are tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same ten runs:
+J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the plain
+mean of the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
+runs on the reduced engine; the verdict is Drake's plant with other noise. `make fair` makes all of this page.
 
 {answer}
 
 {search}
-"verdict: tuned, as searched" is the reduced engine with the verdict's noise: against "verdict: tuned" it is what the engine
-makes of it.
+"verdict: tuned, as searched" is the reduced engine with the verdict's noise: against "verdict: tuned" it is what the
+engine makes of it.
 
 ![Cost over evaluations](fair_search.png)
 

@@ -175,7 +175,9 @@ class Comparison(Plan):
         _check_names(file, parts)
         if file.tuned is not None:
             if robot is not None:
-                raise ConfigurationError("--robot", robot, "no value: the gains in `tuned` are for the scenario's robot")
+                raise ConfigurationError(
+                    "--robot", robot, "no value: the gains in `tuned` are for the scenario's robot"
+                )
             tuned = TunedFile.load((folder or Path()) / file.tuned, parts["controllers"])
             parts["controllers"] = {name: {**keys, **tuned.get(name, {})} for name, keys in file.controllers.items()}
         if robot is not None:

@@ -17,7 +17,6 @@ from stewart_drake.logs.metric_table import columns as run_columns
 
 if TYPE_CHECKING:
     from stewart_drake.campaigns.comparison_file import Comparison
-    from stewart_drake.scenario import Scenario
 
 SMALLEST = 1e-5
 """What is smaller is not written out."""
@@ -247,7 +246,9 @@ def _costs(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
     lines = []
     for controller in dict.fromkeys(key[0] for key in groups):
         of = {key: [row["cost"] for row in group] for key, group in groups.items() if key[0] == controller}
-        each = [[cost for key, costs in of.items() if key[2] == condition for cost in costs] for condition in conditions]
+        each = [
+            [cost for key, costs in of.items() if key[2] == condition for cost in costs] for condition in conditions
+        ]
         everything = [cost for costs in of.values() for cost in costs]
         lines.append((controller, *(number(mean_cost(costs) if costs else None) for costs in (*each, everything))))
     title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"

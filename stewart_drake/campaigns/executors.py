@@ -270,7 +270,7 @@ class Lasting(Workplace):
         """See `Workplace.check`."""
         self._place.check()
 
-    def close(self, executor: Executor, abort: bool) -> None:  # noqa: ARG002 - it is this one's own
+    def close(self, executor: Executor, abort: bool) -> None:
         """See `Workplace.close`."""
         if abort or getattr(executor, "_broken", False):
             self._end(abort=True)

@@ -242,7 +242,14 @@ def _sheet(tuning: Tuning, rows: Sequence[Row], verdict: ComparisonResult) -> Sh
         best = min(own, key=lambda row: row["cost"])
         costs = [own[0]["cost"], best["cost"], *(judged(name, way) for way in (START, TUNED, SEARCHED))]
         lines.append((name, str(len(own)), *map(number, costs), shown(best["setting"])))
-    header = ("controller", "evaluations", "start", "best", *(f"verdict: {way}" for way in (START, TUNED, SEARCHED)), "setting")
+    header = (
+        "controller",
+        "evaluations",
+        "start",
+        "best",
+        *(f"verdict: {way}" for way in (START, TUNED, SEARCHED)),
+        "setting",
+    )
     changed = ", ".join(f"{key} {value}" for key, value in tuning.options.set.items())
     with_ = f" with {changed}" if changed else ""
     title = (

@@ -100,7 +100,7 @@ class Tuning:
         plain = {**data, "tuned": None, "bands": None}
         options = Comparison.from_dict(plain, folder, quick).file.tune
         if options is None:
-            raise ConfigurationError("tune", None, "a section that says what to search, see docs/your_parts.md")
+            raise ConfigurationError("tune", None, "a section that says what to search, as in the comparison `fair`")
         if data.get("cost") is None:
             raise ConfigurationError("cost", None, "scales of what is to be small, such as {position: 0.03}")
         changed = {"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}}
@@ -120,7 +120,9 @@ class Tuning:
         if budget is not None:
             generations = (budget - 1) // options.population
             if generations < 1:
-                raise ConfigurationError("--budget", budget, f"at least {options.population + 1}: the start and a generation")
+                raise ConfigurationError(
+                    "--budget", budget, f"at least {options.population + 1}: the start and a generation"
+                )
         return cls(comparison, options, ranges, generations, data, folder or Path(), quick)
 
     @property
@@ -155,7 +157,8 @@ class Tuning:
         Args:
             tuned: Controller -> what the search has found; the start where it has found nothing.
         """
-        controllers, runs = {}, []
+        controllers: dict[str, Any] = {}
+        runs = []
         for name, ranges in self.ranges.items():
             before = self.data["controllers"][name]
             after = {**before, **tuned.get(name, ranges.start)}

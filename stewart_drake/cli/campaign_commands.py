@@ -111,7 +111,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @_robot
 @_campaign
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
-    """Compare controllers: COMPARISON is a YAML file, or a shipped one: tracking, controllers [default: tracking].
+    """Compare controllers: COMPARISON is a YAML file or a shipped one, tracking, controllers or fair [default: tracking].
 
     Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
     fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
@@ -147,7 +147,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 def tune(
     comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
 ) -> None:
-    """Search the gains of controllers for the least cost: COMPARISON is a file with `tune` in it, or a name such as fair.
+    """Search the gains of controllers for the least cost: COMPARISON is a file with `tune` in it, or a name as fair.
 
     Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
     file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an

@@ -26,7 +26,10 @@ FILE = {
         "torque": {"controller": {"kind": "computed_torque", "natural_frequency": 30.0}},
         "other": {"controller": {"kind": "pid"}},
     },
-    "references": {"off": {"initial_offset": [0.0, 0.0, 0.0, 0.0, 0.0, -0.001]}, "payload": {"plant.payload_mass": 0.1}},
+    "references": {
+        "off": {"initial_offset": [0.0, 0.0, 0.0, 0.0, 0.0, -0.001]},
+        "payload": {"plant.payload_mass": 0.1},
+    },
     "conditions": {"noise": {"sensors": {"kind": "encoders", "noise": 1e-5, "noise_seed": "{seed}"}}},
     "seeds": [7, 8],
     "tune": {
@@ -172,6 +175,10 @@ def test_points_of_the_cube_are_settings_between_the_bounds(low, factor, point):
     np.testing.assert_allclose(ranges.point(setting), point, atol=2e-3)
 
 
+def searched(**keys):
+    return tune_changed(controllers={"pid": {key.replace("__", "."): ends for key, ends in keys.items()}})
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -180,13 +187,13 @@ def test_points_of_the_cube_are_settings_between_the_bounds(low, factor, point):
         ({"cost": {"position": -1.0}}, r"^cost\.position: got -1"),
         (tune_changed(controllers={}), r"^tune\.controllers: got \{\}"),
         (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: got \{\}; allowed: at least one"),
-        (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: got 'none'; allowed: .*pid"),
-        (tune_changed(controllers={"pid": {"controller.kpp": [1, 2]}}), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
-        (tune_changed(controllers={"pid": {"controller.kp": [9, 1]}}), r"^tune\.controllers\.pid\.controller\.kp: got \[9"),
-        (tune_changed(controllers={"pid": {"controller.kp": [0, 1]}}), r"^tune\.controllers.*kp.*: got 0"),
-        (tune_changed(controllers={"pid": {"controller.kp": [5, 9]}}), r"^tune\.controllers\.pid: controller\.kp: got 4"),
-        (tune_changed(controllers={"pid": {"tuner": [5, 9]}}), r"^tune\.controllers\.pid: tuner"),
-        (tune_changed(controllers={"pid": {"duration": [0.1, 1e9]}}), r"^tune\.controllers\.pid: duration: got 1"),
+        (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: got 'none'"),
+        (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
+        (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: got \[9"),
+        (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: got 0"),
+        (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: got 4"),
+        (searched(tuner=[5, 9]), r"^tune\.controllers\.pid: tuner"),
+        (searched(duration=[0.1, 1e9]), r"^tune\.controllers\.pid: duration: got 1"),
         (tune_changed(set={"plant.engin": "reduced"}), r"^tune: set\.plant\.engin"),
         (tune_changed(generation=2), r"^tune\.generation: .*did you mean generations"),
         (tune_changed(population=1), r"^tune\.population: got 1"),
@@ -226,7 +233,10 @@ def test_the_shipped_search_can_be_done():
     plan = load_tuning("fair")
     assert len(plan.ranges) == 4
     # The same runs for all of them, on the fast engine; the comparison itself on Drake's plant.
-    runs = [[(plan.comparison.cells[i].reference, plan.comparison.cells[i].condition) for i in plan.cells(name)] for name in plan.ranges]
+    runs = [
+        [(plan.comparison.cells[i].reference, plan.comparison.cells[i].condition) for i in plan.cells(name)]
+        for name in plan.ranges
+    ]
     assert all(each == runs[0] for each in runs)
     assert {plan.comparison.scenario(i).plant.engine for i in range(plan.comparison.runs)} == {"reduced"}
     assert {each.plant.engine for each in plan.verdict({}).variants()} == {"drake", "reduced"}
@@ -239,11 +249,11 @@ def test_an_executor_that_lasts_is_opened_once_until_it_is_worn():
         def __init__(self):
             pass
 
-        def open(self, most):
+        def open(self, most):  # noqa: ARG002
             type(self).opened += 1
             return SerialExecutor()
 
-        def close(self, executor, abort):
+        def close(self, executor, abort):  # noqa: ARG002
             type(self).closed += 1
 
     place = Place()
