@@ -299,7 +299,7 @@ def identity(
 
 
 def identity_of(plan: Plan, work: Mapping[str, Any], versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What rows of `plan` depend on, in plain values; classes of the user's are loaded: one that is missing shows early.
+    """What rows of `plan` depend on, in plain values; classes of the user's are loaded: one that lacks shows early.
 
     Args:
         plan: Whose scenarios are run.

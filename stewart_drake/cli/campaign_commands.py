@@ -111,7 +111,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @_robot
 @_campaign
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
-    """Compare controllers: COMPARISON is a YAML file or a shipped one, tracking, controllers or fair [default: tracking].
+    """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair [default: tracking].
 
     Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
     fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
