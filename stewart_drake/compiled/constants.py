@@ -59,8 +59,10 @@ OBSERVER_MEMORY = _fields(
     pose=6, rate=6, pose_ahead=6, rate_ahead=6, compensation=6, innovation=6, surplus=6, missed=6, side=1,
 )  # fmt: skip
 """See `observer.ObserverMemory`; its commands come after these."""
-OBSERVER_NUMBERS = _fields("ObserverNumbers", period=1, gravity=1, gains=3, max_innovation=1, hold_ticks=1)
-"""[s], [m/s^2], see `observer.KalmanGains`, [rad], ticks."""
+OBSERVER_NUMBERS = _fields(
+    "ObserverNumbers", period=1, gravity=1, gains=3, max_innovation=1, hold_ticks=1, arrived=1, rests=1
+)
+"""[s], [m/s^2], see `observer.KalmanGains`, [rad], ticks, [rad], [rad/s]."""
 SAFETY_MEMORY = _fields(
     "SafetyMemory",
     torque=6, level=1, monitor=1, leg=1, good=6, weight=6, held=1, at_limit=1, too_fast=1, since=1, side=1, ticks=1,

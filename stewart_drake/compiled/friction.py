@@ -72,6 +72,7 @@ def implicit_torque(
         rigidity = law[DAMPING, i] + step * law[STIFFNESS, i]
         wanted[i] = law[STIFFNESS, i] * (bristles[ANCHOR, i] - angles[i]) / rigidity
     for _ in range(sweeps):
+        shift, largest = 0.0, 0.0
         for i in range(6):
             own = step * mobility[i, i]
             slowed = 1.0 + own * law[VISCOUS, i]
@@ -82,7 +83,11 @@ def implicit_torque(
             change = step * (whole - out[i])
             for k in range(6):
                 rates[k] += mobility[k, i] * change
+            shift, largest = max(shift, abs(whole - out[i])), max(largest, abs(whole))
             out[i] = whole
+        # Further sweeps would change rounding alone; a number that is none goes on to the end.
+        if shift <= 1e-16 * largest:
+            break
 
 
 @njit(cache=True, error_model="numpy")

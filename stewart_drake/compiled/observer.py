@@ -87,6 +87,7 @@ def observe(
     numbers: np.ndarray,
     angles: np.ndarray,
     sent: np.ndarray,
+    reference: np.ndarray,
     memory: np.ndarray,
     result: np.ndarray,
 ) -> int:
@@ -97,6 +98,7 @@ def observe(
         numbers: `OBSERVER_NUMBERS`.
         angles: (6,) [rad].
         sent: (6,) [N m].
+        reference: (18,).
         memory: `OBSERVER_MEMORY` and commands of the tick before.
         result: Out, those of this tick.
 
@@ -134,15 +136,27 @@ def observe(
         lever = robot[i, CRANK_LENGTH] * legs[i, 12]
         turned[i, 0] = lever * numbers[_N.gains] * innovation
         turned[i, 1] = lever * numbers[_N.gains + 1] * innovation
-        surplus[i] += numbers[_N.gains + 2] * innovation
+    kept = lines.copy()
     if solve(lines, turned) == 0.0:
         return NO_CONVERGENCE
     change = np.empty((2, 6))
+    omega, stands = np.empty((2, 3)), numbers[_N.arrived] > 0.0
     for row in range(2):
         change[row] = turned[:, row]
         euler_rates(pose[:3], change[row, :3])
     pose += change[0]
     rate += change[1]
+    angular_velocity(pose[:3], pose[:3] - reference[:3], omega[0])
+    angular_velocity(pose[:3], reference[6:9], omega[1])
+    for i in range(6):
+        off, turning = 0.0, 0.0
+        for k in range(3):
+            off += kept[i, k] * omega[0, k] + kept[i, 3 + k] * (pose[3 + k] - reference[3 + k])
+            turning += kept[i, k] * omega[1, k] + kept[i, 3 + k] * reference[9 + k]
+        lever = abs(robot[i, CRANK_LENGTH] * legs[i, 12])
+        stands = stands and abs(off) <= numbers[_N.arrived] * lever and abs(turning) <= numbers[_N.rests] * lever
+    if not stands:
+        surplus += numbers[_N.gains + 2] * result[_M.innovation : _M.surplus]
 
     ahead, rate_ahead = result[_M.pose_ahead : _M.rate_ahead], result[_M.rate_ahead : _M.compensation]
     ahead[:], rate_ahead[:] = pose, rate

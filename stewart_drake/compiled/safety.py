@@ -117,6 +117,53 @@ def quiet_tick(
     return True
 
 
+@njit(cache=True, error_model="numpy")
+def moving(
+    readings: np.ndarray,
+    compared: np.ndarray,
+    together: bool,
+    limits: np.ndarray,
+    memory: np.ndarray,
+    after: np.ndarray,
+) -> bool:
+    """Reference `safety.frozen_tick`, as long as no sensor may be one that repeats itself.
+
+    Args:
+        readings: (6,) of encoders [rad], or a pose.
+        compared: (6,) the same readings, or the pose that is wanted.
+        together: Whether readings repeat all at once, or each for itself; then it is the last but one that tells.
+        limits: (6,) by which what they are compared with may move meanwhile.
+        memory: (42,) of the tick before.
+        after: (42,) out, of this tick.
+
+    Returns:
+        False where the reference has to look.
+    """
+    same = True
+    for k in range(6):
+        same = same and readings[k] == memory[k]
+    quiet = True
+    for i in range(6):
+        after[i] = readings[i]
+        repeats = same if together else readings[i] == memory[i]
+        most, travel = 0.0, 0.0
+        for k in range(6):
+            anchor = memory[6 + 6 * i + k] if repeats else compared[k]
+            after[6 + 6 * i + k] = anchor
+            moved = abs(compared[k] - anchor)
+            if together:
+                quiet = quiet and not moved > limits[k]
+                continue
+            # What is no number counts as the largest, as a sort has it.
+            moved = moved if moved < np.inf else np.inf
+            if moved > most:
+                most, travel = moved, most
+            elif moved > travel:
+                travel = moved
+        quiet = quiet and not travel > limits[i]
+    return quiet
+
+
 @njit(cache=True, error_model="numpy", inline="always")
 def _angle(trace: float) -> float:
     """Angle [rad] of a rotation with this trace."""

@@ -295,7 +295,13 @@ class DifferenceEstimating:
         """See `Estimating`."""
         return WELL if self._estimate is None else self._estimate.health
 
-    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:  # noqa: ARG002
+    def __call__(
+        self,
+        time: float,
+        reading: np.ndarray,
+        sent: np.ndarray,  # noqa: ARG002
+        reference: np.ndarray,  # noqa: ARG002
+    ) -> Estimate:
         """See `Estimating`."""
         found = reading if self._estimate is None else self._estimate(time, reading)[:12]
         return Estimate(found, found)

@@ -9,6 +9,9 @@ the same for each crank. In the cranks' coordinates noise is alike in all direct
 however the robot stands. Source of the filter's closed form: the spectral factorisation of its Riccati equation, see
 `kalman_gains`; of a disturbance as a further state: C. Johnson, "Accommodation of external disturbances in linear
 regulator and servomechanism problems" (IEEE Trans. Autom. Control 16, 1971).
+
+A motor that sticks makes such a state hunt: it grows until the crank breaks away and jumps too far. So for motors with
+friction it stays as it is while the reference rests and all cranks stand where it wants them, as far as readings tell.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from stewart_drake.errors import RunFailure, SingularPoseError, UnreachablePoseE
 from stewart_drake.mechanics.dynamics import forward_dynamics, task_inertia
 from stewart_drake.mechanics.kinematics import (
     leg_geometry,
+    pose_rate_to_twist,
     rod_lines,
     twist_jacobian,
     twist_to_pose_rate,
@@ -37,6 +41,10 @@ _M = OBSERVER_MEMORY
 
 SMALLEST_NOISE = 1e-5
 """[rad] that readings have at least for the observer: finer than that no model is."""
+ARRIVED = 4.0
+"""Standard deviations of a reading within which a crank stands where it is wanted."""
+RESTS = 1e-4
+"""[rad/s] a crank that is to turn more slowly is to rest."""
 
 
 class EstimatorOptions(Section, key="estimator"):
@@ -164,6 +172,7 @@ class Observer(NamedTuple):
         gravity: [m/s^2].
         period: [s].
         noise: [rad] standard deviation of a reading, see `SensorOptions.reading_noise`.
+        sticks: Whether the motors are believed to have friction.
     """
 
     robot: RobotParameters
@@ -171,11 +180,17 @@ class Observer(NamedTuple):
     gravity: float
     period: float
     noise: float
+    sticks: bool = False
 
     @property
     def gains(self) -> KalmanGains:
         """Of the filter."""
         return kalman_gains(max(self.noise, SMALLEST_NOISE), self.options.disturbance, self.period)
+
+    @property
+    def arrived(self) -> float:
+        """[rad] within which a crank that rests stands where it is wanted; negative for motors without friction."""
+        return ARRIVED * max(self.noise, SMALLEST_NOISE) if self.sticks else -1.0
 
     def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
         """Memory before the first tick, flat.
@@ -206,13 +221,16 @@ def advance(
     return pose + period * (rate + 0.5 * period * acceleration), rate + period * acceleration
 
 
-def observe(observer: Observer, angles: np.ndarray, sent: np.ndarray, memory: ObserverMemory) -> ObserverMemory:
+def observe(
+    observer: Observer, angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, memory: ObserverMemory
+) -> ObserverMemory:
     """One tick, but the first: predicts, corrects by what is believed of the readings, and looks ahead.
 
     Args:
         observer: See there.
         angles: (6,) [rad] readings; NaN for one that is missing.
         sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
+        reference: (18,) wanted now: pose [rad, m], its rate and its acceleration.
         memory: Of the tick before.
 
     Raises:
@@ -235,7 +253,11 @@ def observe(observer: Observer, angles: np.ndarray, sent: np.ndarray, memory: Ob
         jacobian = twist_jacobian(robot, pose)
         turned = np.linalg.solve(jacobian, np.outer(innovation, gains[:2])).T
         pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
-        surplus = memory.surplus + gains.surplus * innovation
+        apart = np.abs(jacobian @ pose_rate_to_twist(pose, np.stack([pose - reference[:6], reference[6:12]])).T).max(
+            axis=0
+        )
+        stands = apart[0] <= observer.arrived and apart[1] <= RESTS
+        surplus = memory.surplus if stands else memory.surplus + gains.surplus * innovation
         return _looking_ahead(
             observer,
             memory._replace(
@@ -268,13 +290,13 @@ def start(observer: Observer, pose: np.ndarray, memory: ObserverMemory) -> Obser
     return _looking_ahead(observer, memory._replace(pose=pose))
 
 
-FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def flat_observer(
     observer: Observer, first_pose: Callable[[np.ndarray, np.ndarray], np.ndarray], compiled: bool
 ) -> FlatObserver:
-    """A tick as a function of angles (6,), last command (6,) and memory alone, compiled or not.
+    """A tick as a function of angles (6,), last command (6,), reference (18,) and memory alone, compiled or not.
 
     Args:
         observer: See there.
@@ -282,14 +304,14 @@ def flat_observer(
         compiled: See `Scenario.compiled`.
     """
 
-    def reference(angles: np.ndarray, sent: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    def in_numpy(angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, flat: np.ndarray) -> np.ndarray:
         memory = ObserverMemory.from_flat(flat)
         if memory.side[0] == 0.0:
             return start(observer, first_pose(angles, memory.pose), memory).flat()
-        return observe(observer, angles, sent, memory).flat()
+        return observe(observer, angles, sent, reference, memory).flat()
 
     if not compiled:
-        return reference
+        return in_numpy
     # numba takes half a second to import, and compiles on first use.
     from stewart_drake.compiled import mechanism
     from stewart_drake.compiled import observer as fast
@@ -302,13 +324,17 @@ def flat_observer(
         gains=observer.gains,
         max_innovation=observer.options.max_innovation,
         hold_ticks=observer.options.hold_ticks,
+        arrived=observer.arrived,
+        rests=RESTS,
     )
 
-    def tick(angles: np.ndarray, sent: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    def tick(angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, flat: np.ndarray) -> np.ndarray:
         result = np.empty_like(flat)
-        if flat[_M.side] != 0.0 and fast.observe(packed, numbers, angles, sent, flat, result) == mechanism.OK:
-            return result
-        # Rare: the reference says what was wrong.
-        return reference(angles, sent, flat)
+        if flat[_M.side] != 0.0:
+            ended = fast.observe(packed, numbers, angles, sent, reference, flat, result)
+            if ended == mechanism.OK:
+                return result
+        # Rare: numpy says what was wrong.
+        return in_numpy(angles, sent, reference, flat)
 
     return tick

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +28,7 @@ def observer_part(observer: Observer, initial: np.ndarray, size: int, compiled: 
         compiled: See `Scenario.compiled`.
 
     Returns:
-        Its tick takes a reading, `sent` as `observer.observe` does, and the memory.
+        Its tick takes a reading, `sent` and `reference` as `observer.observe` does, and the memory.
     """
 
     def first_pose(angles: np.ndarray, guess: np.ndarray) -> np.ndarray:
@@ -37,12 +38,27 @@ def observer_part(observer: Observer, initial: np.ndarray, size: int, compiled: 
     if size == 6:
         return Sampled(initial, observe)
 
-    def tick(reading: np.ndarray, sent: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    def tick(reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, memory: np.ndarray) -> np.ndarray:
         finite = np.isfinite(reading[:6]).all()
         angles = inverse_kinematics(observer.robot, reading[:6]) if finite else np.full(6, np.nan)
-        return observe(angles, sent, memory)
+        return observe(angles, sent, reference, memory)
 
     return Sampled(initial, tick)
+
+
+class PlacedObserver(NamedTuple):
+    """An observer in its loop: its memory before the first tick, and the ticks by which it looks ahead."""
+
+    observer: Observer
+    initial: np.ndarray
+    ahead: int
+
+
+def observer_at(options: ObserverOptions, site: LoopSite, sensors: SensorOptions) -> PlacedObserver:
+    """The observer of a loop."""
+    ahead = site.delay if options.delay is None else options.delay
+    observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise, site.sticks)
+    return PlacedObserver(observer, observer.initial(site.pose, site.pose_rate, site.still, ahead), ahead)
 
 
 class ObserverEstimating:
@@ -52,9 +68,7 @@ class ObserverEstimating:
     innovates = True
 
     def __init__(self, options: ObserverOptions, site: LoopSite, sensors: SensorOptions, size: int) -> None:
-        self.ahead = site.delay if options.delay is None else options.delay
-        observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise)
-        initial = observer.initial(site.pose, site.pose_rate, site.still, self.ahead)
+        observer, initial, self.ahead = observer_at(options, site, sensors)
         self._observe = Running(observer_part(observer, initial, size, site.compiled), site.guarded)
 
     @property
@@ -62,8 +76,8 @@ class ObserverEstimating:
         """See `Estimating`."""
         return self._observe.health
 
-    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:
+    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray) -> Estimate:
         """See `Estimating`."""
-        told = self._observe(time, reading, sent)
+        told = self._observe(time, reading, sent, reference)
         parts = (_M.pose, _M.pose_ahead, _M.compensation, _M.innovation, _M.surplus)
         return Estimate(*(told[start:end] for start, end in itertools.pairwise(parts)))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from stewart_drake.hardware.command_link import standing_torque
 from stewart_drake.robot import RobotParameters
 
 
@@ -20,6 +21,7 @@ class LoopSite(NamedTuple):
         pose_rate: (6,) [rad/s, m/s] likewise.
         still: (6,) [N m] at the motors until the first command arrives.
         delay: [ticks] of the commands.
+        sticks: Whether the motors are believed to have dry friction.
         guarded: Whether a tick that fails does not end the run, see `sampling.ill`.
         compiled: See `Scenario.compiled`.
     """
@@ -31,8 +33,27 @@ class LoopSite(NamedTuple):
     pose_rate: np.ndarray
     still: np.ndarray
     delay: int = 0
+    sticks: bool = False
     guarded: bool = False
     compiled: bool = False
+
+    @classmethod
+    def of(cls, scenario: Any) -> LoopSite:
+        """That of a scenario."""
+        robot, friction = scenario.believed_robot, scenario.friction_compensation
+        pose, rate = scenario.start()
+        return cls(
+            robot,
+            scenario.gravity,
+            scenario.controller.period,
+            pose,
+            rate,
+            standing_torque(robot, pose, scenario.gravity),
+            scenario.command_delay,
+            friction is not None and friction.dry,
+            scenario.safety is not None and scenario.safety.failures,
+            scenario.compiled,
+        )
 
 
 class Sensing(Protocol):
@@ -83,5 +104,12 @@ class Estimating(Protocol):
     innovates: bool
     health: tuple[float, float]
 
-    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray) -> Estimate:
-        """The estimate at a time [s]; `sent` (6,) [N m] is the last command less what of it the friction takes."""
+    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray) -> Estimate:
+        """The estimate at a time [s].
+
+        Args:
+            time: [s].
+            reading: Of the sensors.
+            sent: (6,) [N m] the last command less what of it the friction takes.
+            reference: (18,) now.
+        """

@@ -13,7 +13,7 @@ from stewart_drake.compiled.constants import CHAIN_STATE
 from stewart_drake.control.density import density_part
 from stewart_drake.control.parts import Answer, ControllerSite, TickedControl
 from stewart_drake.errors import ConfigurationError, NotFiniteError, RunFailure, StewartDrakeError
-from stewart_drake.hardware.command_link import command_link, standing_torque
+from stewart_drake.hardware.command_link import command_link
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.friction_feedforward import feedforward_part
 from stewart_drake.hardware.sensing import Estimate, LoopSite
@@ -56,10 +56,8 @@ class ReducedRun:
         self._reference = in_blocks(scenario.reference, time_step)
         self._wrench = InBlocks(lambda times: total_wrench(scenario.disturbances, times), time_step)
 
-        guarded = scenario.safety is not None and scenario.safety.failures
-        start, rate = scenario.start()
-        still = standing_torque(believed, start, scenario.gravity)
-        at = LoopSite(believed, scenario.gravity, period, start, rate, still, scenario.command_delay, guarded, compiled)
+        at = LoopSite.of(scenario)
+        still = at.still
         self._sensing = _plain(scenario, "sensors", SENSORS)(scenario.sensors, at)
         estimating = _plain(scenario, "estimator", ESTIMATORS)
         self._estimating = estimating(scenario.estimator, at, scenario.sensors, self._sensing.size)
@@ -70,7 +68,7 @@ class ReducedRun:
         self._against = None if friction is None else Running(feedforward_part(believed, friction, compiled))
         self._limit = believed.effort_limits
         self._sent = still
-        site = ControllerSite(believed, scenario.gravity, len(scenario.tuner.weights), guarded, compiled)
+        site = ControllerSite(believed, scenario.gravity, len(scenario.tuner.weights), at.guarded, compiled)
         self._control = _control(scenario, site)
         self._tuner, self._density = None, None
         self._weights = np.array(scenario.tuner.weights)
@@ -177,7 +175,7 @@ class ReducedRun:
         tick, within = divmod(self._now, self._per_tick)
         ticks = within == 0
         if ticks or self._live:
-            self._estimate = self._estimating(time, self._sensing(time, tick, self._state), self._sent)
+            self._estimate = self._estimating(time, self._sensing(time, tick, self._state), self._sent, wanted)
         measured, seen = self._estimate.measurement, self._estimate.seen
         ahead = self._ahead.at(self._now + self._estimating.ahead * self._per_tick)[1]
         say = self._control.tick if ticks else self._control.between

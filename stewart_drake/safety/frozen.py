@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from stewart_drake.mechanics import kinematics_core as core
@@ -56,11 +59,43 @@ def frozen_tick(
         return None, after
     # Two others: one that jumps would make all that stand still look frozen.
     travel = np.sort(moved, axis=1)[:, -2]
-    limit = options.frozen_encoder + 50.0 * quantum
+    limit = _travel(options.frozen_encoder, quantum)
     suspect = travel > limit
     if suspect.any():
         suspect &= ~(_apart(robot, angles, reference) <= 0.25 * limit)
     return (int(np.where(suspect, travel, 0.0).argmax()) if suspect.any() else None), after
+
+
+FrozenTick = Callable[[np.ndarray | None, np.ndarray, np.ndarray, np.ndarray], tuple[int | None, np.ndarray]]
+
+
+def flat_frozen(robot: RobotParameters, options: SafetyOptions, quantum: float, compiled: bool) -> FrozenTick:
+    """`frozen_tick` as a function of angles, pose, reference and memory alone, compiled or not."""
+    if not compiled:
+        return partial(frozen_tick, robot, options, quantum)
+    # numba takes half a second to import, and compiles on first use.
+    from stewart_drake.compiled.safety import moving
+
+    none = np.full(6, np.inf)
+    encoder, pose_limits = options.frozen_encoder, options.frozen_pose
+    of_angles = none if encoder is None else np.full(6, _travel(encoder, quantum))
+    of_poses = none if pose_limits is None else np.repeat(pose_limits, 3)
+
+    def tick(
+        angles: np.ndarray | None, pose: np.ndarray, reference: np.ndarray, memory: np.ndarray
+    ) -> tuple[int | None, np.ndarray]:
+        after = np.empty(FROZEN_SIZE)
+        seen = (pose, reference, True, of_poses) if angles is None else (angles, angles, False, of_angles)
+        if moving(*seen, memory, after):
+            return None, after
+        return frozen_tick(robot, options, quantum, angles, pose, reference, memory)
+
+    return tick
+
+
+def _travel(bound: float, quantum: float) -> float:
+    """[rad] that two others may turn while a reading in counts of `quantum` [rad] stays the same."""
+    return bound + 50.0 * quantum
 
 
 def _apart(robot: RobotParameters, angles: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stewart_drake.errors import failure_code
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.frozen import FROZEN_SIZE, frozen_tick
+from stewart_drake.safety.frozen import FROZEN_SIZE, flat_frozen
 from stewart_drake.safety.memory import MEMORY_SIZE, SafetyInputs, initial_memory
 from stewart_drake.safety.monitors import surprise
 from stewart_drake.safety.safety_options import SafetyOptions
@@ -41,6 +41,7 @@ def safety_part(
         leg or -1.
     """
     tick = flat_tick(robot, options, gravity, period, compiled)
+    look = flat_frozen(robot, options, quantum, compiled)
 
     def whole(
         command: np.ndarray,
@@ -54,7 +55,7 @@ def safety_part(
         memory: np.ndarray,
     ) -> np.ndarray:
         wanted, seen = reference[:6], memory[MEMORY_SIZE:]
-        frozen, seen = frozen_tick(robot, options, quantum, angles, measured[:6], wanted, seen)
+        frozen, seen = look(angles, measured[:6], wanted, seen)
         if frozen is not None:
             sensor = failure_code("frozen"), frozen
         surprised = WELL if innovation is None else surprise(innovation, quantum)

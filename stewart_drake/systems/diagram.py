@@ -19,7 +19,7 @@ from pydrake.systems.primitives import (
 
 from stewart_drake.control.parts import ControllerSite
 from stewart_drake.errors import drake_guard
-from stewart_drake.hardware.command_link import standing_torque
+from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.registry import CONTROLLERS, ESTIMATORS, SENSORS, TUNERS
 from stewart_drake.sampling import on_grid, steps_per
@@ -76,8 +76,8 @@ class ClosedLoop(Diagram):
         self.scenario = scenario
         wiring = _Wiring(scenario, meshcat)
         wiring.add_disturbances()
-        wiring.add_sensors()
         wiring.add_reference()
+        wiring.add_sensors()
         wiring.add_controller()
         wiring.add_compensation()
         wiring.add_tuner()
@@ -145,18 +145,18 @@ class _Wiring:
             ApplyVisualizationConfig(config, builder=self.builder, meshcat=meshcat)
         self.signals: dict[str, OutputPort] = {"plant_state": self.plant.state_output_port}
         # Behind a safety layer a tick that fails says so in its result.
-        self.guarded = scenario.safety is not None and scenario.safety.failures
+        self.site = LoopSite.of(scenario)
+        self.guarded = self.site.guarded
         self.health: dict[str, OutputPort] = {}
         self.angles: OutputPort | None = None
         self.age: OutputPort | None = None
         self.safety: SafetyLayer | None = None
         self.seen: dict[str, OutputPort] = {}
-        self.ahead = 0
         self.compensations: list[OutputPort] = []
         self.sent: ZeroOrderHold | None = None
         self.holds: list[ZeroOrderHold] = []
         # Holds the robot at the start, until the first command is there.
-        self.still = standing_torque(self.believed, scenario.start()[0], scenario.gravity)
+        self.still = self.site.still
 
     def add(self, name: str, system: _System, **inputs: OutputPort) -> _System:
         """Adds a system and connects its input ports, by name."""
@@ -181,15 +181,27 @@ class _Wiring:
             self.builder.Connect(push.spatial_force, self.plant.plant.get_applied_spatial_force_input_port())
             self.signals["disturbance"] = push.wrench
 
+    def add_reference(self) -> None:
+        """Where the platform should be."""
+        self.signals["reference"] = self.add("reference", self._reference(0)).reference
+
+    def _reference(self, ticks: int) -> ReferenceSource:
+        """The reference so many ticks ahead."""
+        step = self.scenario.plant.time_step
+        return ReferenceSource(self.scenario.reference, step, ticks * on_grid(self.period))
+
     def add_sensors(self) -> None:
         """From the plant's state to what is read of it, and to what the controller sees."""
         sensors, estimator = self.scenario.sensors, self.scenario.estimator
         reading = SENSORS.system(sensors.kind)(self, sensors)
         self.signals["measurement"] = ESTIMATORS.system(estimator.kind)(self, estimator, reading)
+        self.seen = {name: self.signals[name] for name in ("measurement", "reference")} | self.seen
 
     def look_ahead(self, measurement: OutputPort, ticks: int) -> None:
         """Lets the controller see this measurement, and the reference so many ticks ahead."""
-        self.seen["measurement"], self.ahead = measurement, ticks
+        self.seen["measurement"] = measurement
+        if ticks > 0:
+            self.seen["reference"] = self.add("reference_ahead", self._reference(ticks)).reference
 
     def last_command(self) -> OutputPort:
         """The command of the tick before, (6,) [N m], less what friction takes of it."""
@@ -213,15 +225,6 @@ class _Wiring:
         faulty = FaultySensor(faults, reading.size(), self.period)
         self.add("faulty_sensor", faulty, reading=reading)
         return self.parts("reading", faulty, reading.size())[0]
-
-    def add_reference(self) -> None:
-        """Where the platform should be."""
-        made = self.scenario.reference, self.scenario.plant.time_step
-        self.signals["reference"] = self.add("reference", ReferenceSource(*made)).reference
-        self.seen = {name: self.signals[name] for name in ("measurement", "reference")} | self.seen
-        if self.ahead > 0:
-            ahead = ReferenceSource(*made, self.ahead * on_grid(self.period))
-            self.seen["reference"] = self.add("reference_ahead", ahead).reference
 
     def add_controller(self) -> None:
         """From measurement and reference to torques, and what else the controller tells of itself."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.framework import InputPort, OutputPort
 
 from stewart_drake.hardware.observer import Observer, ObserverOptions
-from stewart_drake.hardware.observing import observer_part
+from stewart_drake.hardware.observing import observer_at, observer_part
 from stewart_drake.systems.ticked import SampledSystem
 
 
@@ -25,6 +25,7 @@ class PlatformObserver(SampledSystem):
     Ports:
         reading: in (6,) or (12,).
         sent: in (6,) [N m], the command of the tick before less what friction takes of it.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] now.
         ahead: out (12,), likewise when the command of this tick acts.
         compensation: out (6,) [N m], against what the model does not explain.
@@ -33,6 +34,7 @@ class PlatformObserver(SampledSystem):
 
     reading: InputPort
     sent: InputPort
+    reference: InputPort
     measurement: OutputPort
     ahead: OutputPort
     compensation: OutputPort
@@ -46,24 +48,20 @@ class PlatformObserver(SampledSystem):
         compiled: bool = False,
         guarded: bool = False,
     ) -> None:
+        inputs = {"reading": reading, "sent": 6, "reference": 18}
         outputs = {"measurement": 12, "ahead": 12, "compensation": 6, "innovation": 6}
         part = observer_part(observer, initial, reading, compiled)
-        super().__init__(observer.period, part, {"reading": reading, "sent": 6}, outputs, guarded)
+        super().__init__(observer.period, part, inputs, outputs, guarded)
 
 
 def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> OutputPort:
     """Adds the observer to a closed loop, on readings of any sensor; the measurement (12,)."""
-    scenario = wiring.scenario
-    delay = scenario.command_delay if options.delay is None else options.delay
-    noise = scenario.sensors.reading_noise
-    observer = Observer(wiring.believed, options, scenario.gravity, wiring.period, noise)
-    pose, rate = scenario.start()
-    memory = observer.initial(pose, rate, wiring.still, delay)
-    made = PlatformObserver(observer, memory, reading.size(), scenario.compiled, wiring.guarded)
+    made = observer_at(options, wiring.site, wiring.scenario.sensors)
+    observer = PlatformObserver(*made[:2], reading.size(), wiring.site.compiled, wiring.guarded)
     sent = wiring.last_command()
-    added = wiring.add("estimator", made, reading=reading, sent=sent)
+    added = wiring.add("estimator", observer, reading=reading, sent=sent, reference=wiring.signals["reference"])
     now, ahead, compensation, innovation = wiring.parts("estimate", added, 12, 12, 6, 6)
-    wiring.look_ahead(ahead, delay)
+    wiring.look_ahead(ahead, made.ahead)
     wiring.compensations.append(compensation)
     wiring.signals["innovation"] = innovation
     return now

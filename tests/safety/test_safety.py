@@ -36,6 +36,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_tick,
 )
+from stewart_drake.safety.frozen import flat_frozen
 from stewart_drake.safety.monitors import broken, see
 
 PERIOD = 0.001
@@ -421,7 +422,10 @@ def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
     for k, reading in enumerate(readings):
         angles = reading if reference is None else None
         pose = reference[k] if wanted is None else wanted[k]
+        fast = flat_frozen(ROBOT, options, quantum, compiled=True)(angles, reading, pose, memory)
         said, memory = frozen_tick(ROBOT, options, quantum, angles, reading, pose, memory)
+        assert fast[0] == said
+        np.testing.assert_array_equal(fast[1], memory)
     return said
 
 
