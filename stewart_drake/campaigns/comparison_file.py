@@ -226,8 +226,9 @@ class Comparison(Plan):
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
         """See `Plan.tables`."""
+        columns = table_columns(*self.variants(), cost=self.file.cost is not None)
         return {
-            "comparison": (table_columns(self), table_rows(self, rows)),
+            "comparison": (columns, table_rows(self, rows)),
             "bands": (BANDS, band_rows(self, rows)),
         }
 

@@ -46,10 +46,9 @@ BANDS = (
 """Columns of the table of bands."""
 
 
-def table_columns(comparison: Comparison) -> tuple[Column, ...]:
+def table_columns(*scenarios: Scenario, cost: bool = False) -> tuple[Column, ...]:
     """Columns of the table."""
-    cost = () if comparison.file.cost is None else (COST,)
-    return (*NAMES, *run_columns(*comparison.variants()), SETTLING, *cost)
+    return (*NAMES, *run_columns(*scenarios), SETTLING, *((COST,) if cost else ()))
 
 
 @dataclass(frozen=True)
