@@ -1,0 +1,120 @@
+"""The observer and the friction feedforward in the closed loop, on Drake's plant."""
+
+import numpy as np
+import pytest
+
+from stewart_drake.runs.simulation import run
+from stewart_drake.scenario import Scenario, load_scenario
+
+OBSERVER = {"kind": "observer"}
+PUSH = [{"kind": "step", "wrench": [0, 0, 0, 3, -2, -4], "time": 0.3, "until": 0.6}]
+
+
+def made(**changes):
+    """`exact_breathing` for a second, noisy, with an observer."""
+    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    noisy = {} if "sensors" in changes else {"sensors.noise": 2e-5}
+    return load_scenario("exact_breathing").replace({"duration": 1.0, "estimator": OBSERVER, **noisy, **changes})
+
+
+def error(log, since=0.5):
+    """[mm] RMSE of the position from a time on."""
+    signals = log.signals
+    off = (signals["pose"] - signals["reference"])[signals["time"] >= since, 3:]
+    return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def change(log):
+    """[N m] RMS of the torque's change from tick to tick, in the second half."""
+    torque = log.signals["torque"]
+    return float(np.sqrt((np.diff(torque[len(torque) // 2 :], axis=0) ** 2).mean()))
+
+
+def test_it_is_quieter_and_nearer_than_differences():
+    known = {"friction_compensation": {"coulomb": 0.01}}
+    differences, observed = run(made(estimator={"kind": "difference"})), run(made(**known))
+    assert error(observed) < 0.25 * error(differences)
+    assert change(observed) < 0.5 * change(differences)
+
+
+def test_the_level_of_disturbance_trades_quiet_for_stiff():
+    quiet, stiff = (
+        run(made(estimator={**OBSERVER, "disturbance": level}, reference={"kind": "hold"}, disturbances=PUSH))
+        for level in (2.0, 20.0)
+    )
+    assert change(quiet) < 0.5 * change(stiff)
+    assert error(stiff, 0.3) < 0.6 * error(quiet, 0.3)
+
+
+def test_a_pose_that_is_measured_will_do_as_well():
+    ideal = {
+        "sensors": {"kind": "ideal"},
+        "plant": {"motor_friction": 0.01},
+        "friction_compensation": {"coulomb": 0.01},
+    }
+    log = run(made(**ideal))
+    assert log.status == "completed"
+    assert error(log) < 0.005
+    assert "measured_pose" in log.signals
+    assert "innovation" in log.signals
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_it_starts_in_motion_without_a_kick(compiled):
+    # The reference turns and rises at its fastest at t = 0, and nothing is wrong with the model.
+    log = run(made(plant={}, sensors={"kind": "encoders", "resolution_bits": 0}, duration=0.06, compiled=compiled))
+    signals = log.signals
+    assert np.abs(signals["pose_rate"][0]).max() > 0.01
+    assert np.abs(np.diff(signals["torque"], axis=0)).max() < 0.02
+    assert 1e3 * np.abs((signals["pose"] - signals["reference"])[:, 3:]).max() < 0.01
+    assert np.abs(signals["innovation"]).max() < 1e-5
+
+
+def test_a_rod_that_is_lost_is_noticed_within_ticks():
+    lost = {"plant.broken_rod": {"leg": 2, "time": 0.3}, "safety": {}}
+    trips = {
+        kind: run(made(**lost, **{"estimator": {"kind": kind}})).safety["time"] for kind in ("difference", "observer")
+    }
+    assert trips["observer"] - 0.3 <= 0.005
+    assert trips["difference"] - 0.3 > 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0, 1, 4])
+def test_a_delay_that_is_known_costs_little(delay):
+    log = run(made(command_delay=delay, friction_compensation={"coulomb": 0.01}, duration=2.0))
+    assert error(log, 1.0) < 0.004
+
+
+@pytest.mark.slow
+def test_at_100_hz_and_a_tick_late_it_follows():
+    slow = {"controller.period": 0.01, "command_delay": 1, "friction_compensation": {"coulomb": 0.01}, "duration": 3.0}
+    log = run(made(**slow))
+    assert log.status == "completed"
+    assert error(log, 1.5) < 0.05
+
+
+@pytest.mark.slow
+def test_reachy_mini_nods_on_its_bus_of_100_hz():
+    friction = {"coulomb": 0.058, "viscous": 0.095}
+    scenario = load_scenario("reachy_nod").replace(
+        {"controller.period": 0.01, "command_delay": 1, "estimator": OBSERVER, "friction_compensation": friction}
+    )
+    log = run(scenario.replace({"safety": None}))
+    assert log.status == "completed"
+    off = (log.signals["pose"] - log.signals["reference"])[log.signals["time"] >= 2.5, :3]
+    assert np.rad2deg(np.sqrt((off**2).sum(axis=1).mean())) < 0.4
+
+
+def test_gains_follow_period_and_delay():
+    fast = load_scenario("exact_breathing")
+    slow = fast.replace({"controller.period": 0.01})
+    # 1 and 2 ticks of 10 ms against 4.5 ms.
+    ratio = 4.5 / 20.0
+    for name, power in (("q_pose", 4), ("q_rate", 2), ("q_integral", 6)):
+        assert getattr(slow.tuner, name) == pytest.approx(ratio**power * getattr(fast.tuner, name))
+    assert slow.replace({"controller.period": 0.001}).tuner == fast.tuner
+    assert fast.replace({"estimator": OBSERVER, "estimator.delay": 1}).tuner == fast.tuner
+    own = Scenario(controller={"kind": "pid", "period": 0.01, "kp": 20.0}, plant={"time_step": 0.001})
+    assert own.controller.kp == 20.0
+    assert own.controller.ki == pytest.approx(316.0 * 0.45**3)
