@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example plan reproduction montecarlo fair format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -47,6 +47,14 @@ calibration: install
 
 calibration-example: install
 	$(BIN)/python docs/calibration_example.py
+
+# docs/results/margins.md and its picture, five minutes on one core.
+margins: install
+	$(BIN)/python docs/margins_study.py
+
+# docs/results/identification.md: half an hour.
+identification: install
+	$(BIN)/python docs/identification_study.py
 
 # The robots that are shipped, and that of docs/your_robot.md.
 robots: install

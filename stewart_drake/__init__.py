@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from stewart_drake.control.network import load_network as load_network
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.identification.excitation import excite as excite
+    from stewart_drake.identification.identified import Identification as Identification
+    from stewart_drake.identification.identify import identify as identify
+    from stewart_drake.identification.recording import Recording as Recording
     from stewart_drake.logs.log import SimulationLog as SimulationLog
     from stewart_drake.logs.log import load_log as load_log
     from stewart_drake.logs.metric_table import Metric as Metric
@@ -76,6 +80,10 @@ _HOME = {
     "forward_kinematics": "mechanics.kinematics",
     "inverse_kinematics": "mechanics.kinematics",
     "leg_geometry": "mechanics.kinematics",
+    "Identification": "identification.identified",
+    "Recording": "identification.recording",
+    "excite": "identification.excitation",
+    "identify": "identification.identify",
     "Limits": "planning.limits",
     "SimulationLog": "logs.log",
     "load_log": "logs.log",

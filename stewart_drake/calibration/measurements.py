@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import read_checked
+from stewart_drake.files.number_table import read_numbers
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot.leg import LEGS
 from stewart_drake.section import Positive, Section
@@ -126,44 +123,8 @@ def load_measurements(path: str | Path) -> Measurements:
             number; as for `Measurements`.
     """
     source = f"poses file {path}"
-    try:
-        text = read_checked(path, source, MAX_BYTES).decode("utf-8-sig")
-        table = csv.reader(io.StringIO(text))
-        names = [name.strip() for name in next(table, [])]
-        chosen = [_column(names, name, unit, source) for name, unit in QUANTITIES]
-        rows = list(_rows(table, names, [column for column, _ in chosen], source))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigurationError(source, str(error), "a CSV table in UTF-8 with a header") from None
-    values = np.array(rows).reshape(-1, len(chosen)) * np.array([factor for _, factor in chosen])
+    columns = [
+        (name, {f"{name}_{ending}": factor for ending, factor in UNITS[unit].items()}) for name, unit in QUANTITIES
+    ]
+    values = read_numbers(path, source, columns, MAX_BYTES, MAX_ROWS)
     return Measurements(values[:, :6], values[:, 6:], source)
-
-
-def _column(names: list[str], name: str, unit: str, source: str) -> tuple[int, float]:
-    """Place of a quantity's column, and what its unit is of the one that is kept."""
-    ways = {f"{name}_{ending}": factor for ending, factor in UNITS[unit].items()}
-    found = [place for place, each in enumerate(names) if each in ways]
-    if len(found) != 1:
-        have = ", ".join(names[place] for place in found) or f"none among {', '.join(names) or 'no columns'}"
-        raise ConfigurationError(f"{source}: column of {name}", have, f"one of {' and '.join(ways)}")
-    return found[0], ways[names[found[0]]]
-
-
-def _rows(table: Iterable[list[str]], names: list[str], columns: list[int], source: str) -> Iterator[list[float]]:
-    """Numbers of the columns, a list for each row that is not empty."""
-    row = 0
-    for cells in table:
-        if not any(cell.strip() for cell in cells):
-            continue
-        row += 1
-        if row > MAX_ROWS:
-            raise ConfigurationError(source, f"more than {MAX_ROWS} rows", f"at most {MAX_ROWS} rows")
-        if len(cells) != len(names):
-            raise ConfigurationError(f"{source}: row {row}", f"{len(cells)} cells", f"{len(names)}, as the header has")
-        numbers = []
-        for column in columns:
-            try:
-                numbers.append(float(cells[column]))
-            except ValueError:
-                key = f"{source}: row {row}, {names[column]}"
-                raise ConfigurationError(key, cells[column], "a finite number") from None
-        yield numbers

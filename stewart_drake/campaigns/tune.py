@@ -69,7 +69,7 @@ def run_tuning(
     """Searches, judges, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict.
 
     Every run is kept as it comes. A second call takes from there what it would run, so that it goes on where the first
-    ended: also with more generations, or with other controllers of the same file.
+    ended: also with more generations, with other controllers of the same file, or with other bounds for one of them.
 
     Raises:
         ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `plan.run_plan`.
@@ -86,7 +86,7 @@ def run_tuning(
     judged_in = folder / f"verdict-{checksum(tuned)[:8]}"
     judged = run_comparison(verdict, judged_in, where, lambda done: tell(searched + done), restart)
     sheet = _sheet(tuning, rows, judged)
-    about = {"tuning": tuning.work, "versions": collect_versions()}
+    about = {"tune": tuning.options.to_dict(), **tuning.work, "versions": collect_versions()}
     with locked_folder(folder):
         write_table(to_arrow(COLUMNS, rows, "tuning", about), folder, "tune")
         write_atomically(folder / "tune.md", sheet.markdown().encode())

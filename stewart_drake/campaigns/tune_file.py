@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from stewart_drake.campaigns.tune_options import TuneOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import value_at
-from stewart_drake.logs.versions import package_version
 from stewart_drake.section import is_finite
 
 DIGITS = 4
@@ -144,12 +142,10 @@ class Tuning:
         """Runs of an evaluation of a controller, as places in `comparison.cells`."""
         return [place for place, cell in enumerate(self.comparison.cells) if cell.controller == controller]
 
-    @cached_property
+    @property
     def work(self) -> dict[str, Any]:
-        """What the rows depend on, in plain values: not how many generations there are, nor which controllers."""
-        options = self.options.to_dict()
-        del options["generations"]
-        return {"tune": options, "cma": package_version("cma"), **self.comparison.to_dict()}
+        """What the rows depend on, in plain values: the runs, but not what is searched, for each row has its setting."""
+        return self.comparison.to_dict()
 
     def verdict(self, tuned: Mapping[str, Setting]) -> Comparison:
         """The comparison's own runs, with its own seeds, of each controller before and after the search.

@@ -17,6 +17,8 @@ from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
+from stewart_drake.cli.identify_command import excite, identify
+from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
@@ -237,10 +239,13 @@ def schema(out: Path | None) -> None:
 cli.add_command(calibrate)
 cli.add_command(check)
 cli.add_command(compare)
-cli.add_command(tune)
+cli.add_command(excite)
 cli.add_command(faults)
+cli.add_command(margins)
+cli.add_command(identify)
 cli.add_command(robots)
 cli.add_command(sweep)
+cli.add_command(tune)
 cli.add_command(workspace)
 cli.add_command(write_sdf_command)
 cli.add_command(write_mjcf_command)

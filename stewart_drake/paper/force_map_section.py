@@ -22,9 +22,10 @@ from stewart_drake.paper.accelerations import (
     torque_parts,
 )
 from stewart_drake.paper.plots.force_map_plots import plot_rod_force
-from stewart_drake.paper.region import ANNOUNCED, NEAR, sample_poses
+from stewart_drake.paper.region import ANNOUNCED
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import SEED, Study, quantiles
+from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
 

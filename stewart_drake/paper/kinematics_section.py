@@ -12,9 +12,10 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry,
 from stewart_drake.paper import as_printed
 from stewart_drake.paper.kinematics_checks import BRANCHES, branch_of_6, misprint_effect, newton_outcome, rod_spans
 from stewart_drake.paper.plots.kinematics_plots import plot_misprints
-from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, PoseSample, sample_poses
+from stewart_drake.paper.region import ANNOUNCED, WIDE
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import SEED, Study, quantiles
+from stewart_drake.planning.pose_box import NEAR, PoseSample, sample_poses
 from stewart_drake.robot import RobotParameters
 
 EXACT = 1e-11

@@ -1,41 +1,10 @@
-"""Where the sections look: boxes of poses around home, drawn at random, those in reach kept."""
+"""Where the sections look, beside the near box of `planning.pose_box`."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
-
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.kinematics import reach_margin
-from stewart_drake.robot import RobotParameters
-
-_BLOCK = 4096
-_MOST_BLOCKS = 500
-
-
-@dataclass(frozen=True)
-class Region:
-    """A box of poses around home.
-
-    Attributes:
-        name: Short name for tables.
-        half_width: (6,) [rad, rad, rad, m, m, m] to either side of home.
-        words: The box in words.
-    """
-
-    name: str
-    half_width: tuple[float, ...]
-    words: str
-
-
-NEAR = Region(
-    "near",
-    (math.pi / 6.0,) * 3 + (0.06, 0.06, 0.05),
-    "turns up to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z to either side of home, all at once",
-)
-"""Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
+from stewart_drake.planning.pose_box import Region
 
 ANNOUNCED = Region(
     "announced",
@@ -50,48 +19,3 @@ WIDE = Region(
     "turns up to 70, 70 and 80 deg, 200 mm in X and Y and 110 mm in Z to either side of home, all at once",
 )
 """About as far as each coordinate alone can go; its corners lie beyond parallel singularities."""
-
-
-@dataclass(frozen=True)
-class PoseSample:
-    """Random poses of a region that the robot reaches.
-
-    Attributes:
-        region: Where they are from.
-        poses: (n, 6) [rad, m].
-        share: Part of all the poses drawn that was in reach.
-    """
-
-    region: Region
-    poses: np.ndarray
-    share: float
-
-
-def sample_poses(
-    robot: RobotParameters, region: Region, count: int, rng: np.random.Generator, least_margin: float = 1e-6
-) -> PoseSample:
-    """Uniform over the box, out-of-reach poses left out.
-
-    Args:
-        robot: Geometry.
-        region: The box.
-        count: Poses wanted.
-        rng: Source of chance.
-        least_margin: [-] poses nearer to the edge of reach than this, `kinematics.reach_margin`, count as outside.
-
-    Returns:
-        `count` poses, or fewer where hardly any pose of the box can be reached.
-
-    Raises:
-        ConfigurationError: Not one pose can be reached.
-    """
-    kept: list[np.ndarray] = []
-    drawn = reached = 0
-    while reached < count and drawn < _MOST_BLOCKS * _BLOCK:
-        poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_BLOCK, 6)) * region.half_width
-        poses = poses[reach_margin(robot, poses).min(axis=-1) > least_margin]
-        kept.append(poses)
-        drawn, reached = drawn + _BLOCK, reached + len(poses)
-    if not reached:
-        raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box: {region.words}")
-    return PoseSample(region, np.concatenate(kept)[:count], reached / drawn)

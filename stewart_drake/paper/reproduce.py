@@ -14,10 +14,10 @@ from stewart_drake.files.named_files import digest
 from stewart_drake.files.whole import checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.logs.versions import collect_versions, package_version
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.paper.region import NEAR
 from stewart_drake.paper.rendering import render
 from stewart_drake.paper.report import Section, write_report
 from stewart_drake.paper.study import Study
+from stewart_drake.planning.pose_box import NEAR
 from stewart_drake.references import paper_reference
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario

@@ -20,8 +20,8 @@ from stewart_drake.paper.lqi_poles import (
     riccati_residual,
     slowest_decay,
 )
-from stewart_drake.paper.region import NEAR, sample_poses
 from stewart_drake.paper.study import SEED, Study
+from stewart_drake.planning.pose_box import NEAR, sample_poses
 
 ZERO_GAIN = 1e-10
 """Entries of a gain below this are rounding."""

@@ -23,7 +23,7 @@ from stewart_drake.mechanics.force_map import ForceMapKind, force_map
 from stewart_drake.paper.as_printed import matrices_21_22_24
 from stewart_drake.paper.experiments import RATIOS
 from stewart_drake.paper.lqi_poles import closed_loop, gain_of_ratio
-from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, sample_poses
+from stewart_drake.paper.region import ANNOUNCED, WIDE
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.singularities import (
     Singularity,
@@ -34,6 +34,7 @@ from stewart_drake.paper.singularities import (
 )
 from stewart_drake.paper.state_space_lqi import PERIODS, ZERO_GAIN, decay, discretisations, riccati
 from stewart_drake.paper.study import SEED, Study
+from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plotting.panels import COORDINATES, SCALES
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters

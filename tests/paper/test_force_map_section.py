@@ -17,7 +17,7 @@ from stewart_drake.paper.accelerations import (
     rod_force_per_torque,
     torque_parts,
 )
-from stewart_drake.paper.region import NEAR, sample_poses
+from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
 

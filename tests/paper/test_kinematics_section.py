@@ -12,7 +12,8 @@ from stewart_drake.paper.kinematics_checks import (
     rod_spans,
     turn_between,
 )
-from stewart_drake.paper.region import ANNOUNCED, NEAR, WIDE, Region, sample_poses
+from stewart_drake.paper.region import ANNOUNCED, WIDE
+from stewart_drake.planning.pose_box import NEAR, Region, sample_poses
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
@@ -38,7 +39,7 @@ def test_samples_lie_in_their_box_and_within_reach(region):
 
 
 def test_a_box_without_a_pose_in_reach_is_refused(monkeypatch):
-    monkeypatch.setattr("stewart_drake.paper.region._MOST_BLOCKS", 2)
+    monkeypatch.setattr("stewart_drake.planning.pose_box._MOST_BLOCKS", 2)
     with pytest.raises(ConfigurationError, match="nowhere"):
         sample_poses(ROBOT, Region("none", (0.0,) * 6, "nowhere"), 5, np.random.default_rng(0), least_margin=1.0)
 

@@ -89,6 +89,7 @@ TRIPS = [
     ("command_not_finite", inputs(command=[0, 0, 0, np.nan, 0, 0]), HOLD, "finite"),
     ("command_not_finite", inputs(command=[0, 0, 0, -np.inf, 0, 0]), HOLD, "finite"),
     ("deadline", inputs(age=3.0), HOLD, "deadline"),
+    ("innovation", inputs(surprise=(6e-4, 3.0)), HOLD, "innovation"),
     ("torque_limit", inputs(command=[0, 0, 0, 0, 1e6, 0]), HOLD, "torque_limit"),
     ("workspace", inputs(pose=at(x=0.13)), RAMP, "workspace"),
     ("workspace", inputs(pose=at(yaw=1.25)), RAMP, "workspace"),

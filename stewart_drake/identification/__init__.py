@@ -1,0 +1,1 @@
+"""Masses, inertias, friction and torque constants of a robot from logs of its crank angles and torques."""

@@ -1,0 +1,219 @@
+"""The parameters that make the measured torques most likely, how well they are known, and which are not.
+
+Generalised least squares: rows are weighed by the covariance of what the six torques leave, found again in each pass.
+What is left is correlated in time, by the filter if by nothing else; the intervals go by the long-run covariance of
+the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the number of rows.
+
+Base parameters: a direction in which the parameters may change by a good part of their own size and no torque
+notices is not told. Its largest parameter then keeps the value of the guess, and all others mean a sum with it: base
+parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.identification.parameters import GAIN, PARAMETERS, Kind, free_directions, of_robot, scales
+from stewart_drake.identification.samples import Samples
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
+
+ASKED: tuple[Kind, ...] = ("platform_mass", "coulomb", "viscous")
+"""What a motion must tell, unless it is held."""
+LARGEST = 0.3
+"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told: what is drawn or
+weighed is seldom off by more."""
+MEMORY = 0.5
+"""[s] over which what is left may be correlated."""
+_PASSES = 6
+_KEEP_FIRST = np.array([5.0 if own.kind == "rod_mass" else 1.0 for own in PARAMETERS])
+"""Where several could keep the guess's value it is the rods' mass, which a scale tells."""
+_NORMAL_95 = 1.959964
+_BLIND = 1e-9
+"""[-] of the largest singular value below which a direction is that of rounding."""
+_UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
+"""[-] of the torques' changes that may be left, unless it is less than so much of the torques, and by which they may
+differ from the guess's. A log of the same robot leaves some hundredths; units are wrong by 57 or 1000."""
+
+
+@dataclass(frozen=True)
+class Untold:
+    """A parameter that keeps the guess's value.
+
+    Attributes:
+        at: Its place in `PARAMETERS`.
+        deviation: [-] standard deviation, in `scales`, of the direction; infinite if no motion tells it.
+        direction: (`SIZE`,) change of all parameters per unit of this one that no torque notices.
+        share: (`SIZE`,) [-] the same in `scales`.
+    """
+
+    at: int
+    deviation: float
+    direction: np.ndarray
+    share: np.ndarray
+
+    def told(self, change: np.ndarray) -> np.ndarray:
+        """What a motion tells of a change (`SIZE`,) of the parameters: that which leaves this one alone."""
+        return change - change[self.at] * self.direction
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the least squares leave.
+
+    Attributes:
+        values: (`SIZE`,) parameters.
+        ways: (`SIZE`, k) directions in which they were free, in units of the parameters.
+        covariance: (k, k) of the estimate along them.
+        information: (k, k) of the weighed rows along them, as if each were for itself.
+        untold: What the motion does not tell.
+        noise: (6, 6) [N^2 m^2] covariance of what is left.
+    """
+
+    values: np.ndarray
+    ways: np.ndarray
+    covariance: np.ndarray
+    information: np.ndarray
+    untold: tuple[Untold, ...]
+    noise: np.ndarray
+
+    def told(self, change: np.ndarray) -> np.ndarray:
+        """What the motion tells of a change (`SIZE`,) of the parameters."""
+        for each in self.untold:
+            change = each.told(change)
+        return change
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """(`SIZE`,) of the 95 % intervals; 0 for what kept its value."""
+        variance = np.einsum("ij,jk,ik->i", self.ways, self.covariance, self.ways)
+        return _NORMAL_95 * np.sqrt(np.maximum(variance, 0.0))
+
+
+def estimate(
+    guess: RobotParameters, samples: Samples, held: Collection[Kind] = (), asked: Collection[Kind] = ASKED
+) -> Estimate:
+    """Fits the parameters of a robot to samples.
+
+    Args:
+        guess: Geometry, and what is held or not told.
+        samples: Equations.
+        held: Kinds that keep the guess's value; friction is none there.
+        asked: Kinds that the motion must tell.
+
+    Raises:
+        ConfigurationError: Nothing is free; what is asked is not told; the torques do not belong to the motion.
+    """
+    size, values = scales(guess), of_robot(guess)
+    untold: list[Untold] = []
+    noise = np.eye(LEGS) * np.mean(samples.torque**2)
+    for turn in range(_PASSES):
+        kept = {each.at for each in untold}
+        ways = size[:, None] * free_directions(held, kept)
+        slope, left, white = _whitened(samples, values, ways, noise)
+        step = np.linalg.lstsq(slope, left, rcond=_BLIND)[0]
+        values = values + ways @ step
+        # A first pass from a crude guess may leave the logarithms of gains far off.
+        values[GAIN] = np.clip(values[GAIN], -3.0, 3.0)
+        noise = _noise(samples, values)
+        if turn == 1:
+            _refuse_other(guess, samples, values)
+            slope = _whitened(samples, values, size[:, None] * free_directions(held), noise)[0]
+            untold = _untold(slope, samples, held, size)
+            _refuse_untold(samples, untold, set(asked) - set(held))
+            values = of_robot(guess) if untold else values
+    slope, left, white = _whitened(samples, values, ways, noise)
+    information = slope.T @ slope
+    inverse = np.linalg.inv(information)
+    rows = int(white.any(axis=-1).sum())
+    covariance = inverse @ _long_run(samples, slope * left[:, None]) @ inverse * rows / (rows - len(inverse))
+    return Estimate(values, ways, covariance, information, tuple(untold), noise)
+
+
+def _whitened(
+    samples: Samples, values: np.ndarray, ways: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives (6 n, k) of whitened torques, what is left of these (6 n,), and the whitening (n, 6, 6)."""
+    white = np.zeros((*samples.used.shape, LEGS))
+    patterns, which = np.unique(samples.used, axis=0, return_inverse=True)
+    for at, pattern in enumerate(patterns):
+        inside = np.flatnonzero(pattern)
+        if inside.size:
+            block = np.zeros((LEGS, LEGS))
+            # W' W is the inverse of the covariance of those rows that have a say.
+            block[np.ix_(inside, inside)] = np.linalg.inv(np.linalg.cholesky(noise[np.ix_(inside, inside)]))
+            white[which.ravel() == at] = block
+    slope = (white @ (samples.derivative(values) @ ways)).reshape(-1, ways.shape[1])
+    left = np.einsum("nij,nj->ni", white, samples.torque - samples.predicted(values)).ravel()
+    return slope, left, white
+
+
+def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
+    """Covariance (6, 6) [N^2 m^2] of what is left, by the rows that both of two motors have."""
+    used = samples.used.astype(float)
+    left = (samples.torque - samples.predicted(values)) * used
+    both = np.maximum(used.T @ used, 1.0)
+    covariance = left.T @ left / both
+    # Pairs seldom in motion together could make it indefinite; half of what is common is on the safe side.
+    covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
+    floor = 1e-12 * float(np.mean(samples.torque**2))
+    return covariance + floor * np.eye(LEGS)
+
+
+def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) of the scores' sum, those (6 n, k) of six rows at a time correlated over `MEMORY`."""
+    of_instant = scores.reshape(len(samples.time), LEGS, -1).sum(axis=1)
+    lags = max(1, round(MEMORY / samples.step))
+    total = of_instant.T @ of_instant
+    for piece in samples.pieces:
+        own = of_instant[piece]
+        for lag in range(1, min(lags + 1, len(own))):
+            part = (1.0 - lag / (lags + 1.0)) * own[lag:].T @ own[:-lag]
+            total = total + part + part.T
+    return total
+
+
+def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: np.ndarray) -> list[Untold]:
+    """Which parameters to keep, one after the other, until all directions that are left are told."""
+    found: list[Untold] = []
+    # Rows closer than half a period of the filter say the same again.
+    rows = np.linalg.qr(slope @ free_directions(held).T, mode="r") / np.sqrt(samples.repeats)
+    while True:
+        free = free_directions(held, {each.at for each in found})
+        _, sigma, directions = np.linalg.svd(rows @ free)
+        if len(directions) == 0 or sigma[-1] * LARGEST >= 1.0:
+            return found
+        direction = free @ directions[-1]
+        at = int((np.abs(direction) * _KEEP_FIRST).argmax())
+        deviation = np.inf if sigma[-1] <= _BLIND * sigma[0] else 1.0 / sigma[-1]
+        share = direction / direction[at]
+        found.append(Untold(at, float(deviation), share * size / size[at], share))
+
+
+def _refuse_untold(samples: Samples, untold: Collection[Untold], asked: Collection[Kind]) -> None:
+    for each in untold:
+        own = PARAMETERS[each.at]
+        if own.kind in asked:
+            got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
+            raise ConfigurationError(
+                f"{samples.source}: {own}", got, "a motion that tells it, as `excite` designs them"
+            )
+
+
+def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:
+    def size(torque: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(torque[samples.used] ** 2))) if samples.used.any() else 0.0
+
+    measured, expected = size(samples.torque), size(samples.predicted(of_robot(guess)))
+    left, changes = size(samples.torque - samples.predicted(values)), size(samples.torque - samples.torque.mean(axis=0))
+    allowed = "a log of the robot that is guessed, angles in rad, torques in N m"
+    if left > max(_UNLIKE * changes, _NOISY * measured):
+        got = f"torques of whose changes no parameters explain {min(100.0, 100.0 * left / changes):.0f} %"
+        raise ConfigurationError(samples.source, got, allowed)
+    if expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
+        got = f"torques of {measured:.3g} N m where the guess has {expected:.3g} N m (RMS)"
+        raise ConfigurationError(samples.source, got, allowed)

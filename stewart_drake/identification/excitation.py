@@ -1,0 +1,137 @@
+"""A motion that tells the parameters: a finite Fourier series within the limits, of least condition number.
+
+J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997). Each
+axis has a sine at each of a few harmonics. Begun with the best of many random series, each as large as the limits let
+it be; then amplitudes and phases are changed at random, by steps that adapt, and what is better stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.identification.parameters import Kind, free_directions, of_robot, scales
+from stewart_drake.identification.samples import samples_of_motion
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.planning.feasibility import bisect
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.references.basic import SineReference
+from stewart_drake.references.combined import AdjustedReference, SumReference
+from stewart_drake.robot import RobotParameters
+
+HARMONICS = (2, 3, 5, 8, 13, 21, 31)
+PERIOD = 19.937
+"""[s] of the whole motion; with it sines of 0.1 to 1.55 Hz. No multiple of usual sample times, so that the steps of
+coarse encoders err anew in each period."""
+ROOM = 1.15
+"""[-] by which the motion could be larger within the limits: the robot is not quite the guess."""
+_SAMPLES = 240
+_BEGINNINGS, _CHANGES = 20, 400
+_FADE = 2.0
+_BLIND = 1e-9
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A motion for a robot.
+
+    Attributes:
+        reference: It, begun from rest.
+        condition: [-] condition number of the torques' derivatives by the parameters, each in its own size.
+        random_condition: [-] the median of that of the random motions.
+    """
+
+    reference: AdjustedReference
+    condition: float
+    random_condition: float
+
+
+def excite(
+    robot: RobotParameters,
+    limits: Limits | None = None,
+    hold: Collection[Kind] = (),
+    period: float = PERIOD,
+    gravity: float = STANDARD_GRAVITY,
+    seed: int = 0,
+    changes: int = _CHANGES,
+) -> Excitation:
+    """Designs a motion.
+
+    Args:
+        robot: The guess.
+        limits: What the motion keeps to, with `ROOM` to spare.
+        hold: As for `identify`.
+        period: [s] after which the motion comes again.
+        gravity: [m/s^2].
+        seed: Of the random motions.
+        changes: How many to try.
+
+    Raises:
+        ConfigurationError: No motion at all is within the limits.
+    """
+    limits = Limits() if limits is None else limits
+    rng = np.random.default_rng(seed)
+    size, values = scales(robot), of_robot(robot)
+    ways = size[:, None] * free_directions(hold)
+    time = np.linspace(0.0, period, _SAMPLES, endpoint=False)
+
+    def motion(waves: np.ndarray, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return _reference(robot, scale * waves, period).evaluate(time)
+
+    def feasible(waves: np.ndarray, scale: float) -> bool:
+        margins = limit_margins(robot, limits, *motion(waves, ROOM * scale), gravity)
+        return not any((values < 0.0).any() or np.isnan(values).any() for values in margins.values())
+
+    def condition(waves: np.ndarray) -> float:
+        samples = samples_of_motion(robot, time, motion(waves), gravity)
+        rows = (samples.derivative(values) * samples.used[..., None] @ ways).reshape(-1, ways.shape[1])
+        sigma = np.linalg.svd(rows, compute_uv=False)
+        return float(sigma[0] / sigma[sigma > _BLIND * sigma[0]][-1])
+
+    length = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
+    found: list[tuple[float, np.ndarray]] = []
+    for _ in range(_BEGINNINGS if feasible(np.zeros((2, len(HARMONICS), 6)), 0.0) else 0):
+        waves = rng.standard_normal((2, len(HARMONICS), 6)) * length / np.sqrt(HARMONICS)[:, None]
+        largest = bisect(partial(feasible, waves), 0.0, 1.0)
+        if largest > 0.0:
+            found.append((condition(largest * waves), largest * waves))
+    if not found:
+        raise ConfigurationError("limits", "no motion within them", "limits that leave room about home")
+    random_condition = float(np.median([each[0] for each in found]))
+    best, waves = min(found, key=lambda each: each[0])
+    spread = 0.3
+    for _ in range(changes):
+        other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
+        other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
+        other *= np.exp(0.3 * spread * rng.standard_normal())
+        better = feasible(other, 1.0) and (now := condition(other)) < best
+        if better:
+            best, waves = now, other
+        # One success in five keeps the steps as they are.
+        spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
+    return Excitation(_faded(_reference(robot, waves, period)), best, random_condition)
+
+
+def _reference(robot: RobotParameters, waves: np.ndarray, period: float) -> SumReference:
+    """The series of sine and cosine amplitudes (2, harmonics, 6) [rad, m] about home."""
+    sine, cosine = waves
+    parts: list[Any] = []
+    for at, harmonic in enumerate(HARMONICS):
+        parts.append(
+            SineReference(
+                center=tuple(robot.home_pose.tolist()),
+                amplitude=tuple(np.hypot(sine[at], cosine[at]).tolist()),
+                angular_frequency=(2.0 * np.pi * harmonic / period,) * 6,
+                phase=tuple(np.arctan2(cosine[at], sine[at]).tolist()),
+            )
+        )
+    return SumReference(parts=tuple(parts))
+
+
+def _faded(motion: SumReference) -> AdjustedReference:
+    return AdjustedReference(motion=motion, fade_in=_FADE)

@@ -1,0 +1,192 @@
+"""What logs of a robot can change: thirty-two numbers as one vector, in which its torques are nearly linear.
+
+    torque_i = exp(-gain_i) (Y_i(motion) bodies + coulomb_i sign(rate_i) + viscous_i rate_i)
+
+The bodies are the first fourteen. Gains are those of the amplifiers, or of the torque constants: gain_i is the natural
+logarithm of what motor i gives over what its log says that it gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.arrays import Robot, numpy_robot
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
+
+Kind = Literal[
+    "platform_mass",
+    "platform_moment",
+    "platform_inertia",
+    "rod_mass",
+    "rod_inertia",
+    "crank_mass",
+    "rotor_inertia",
+    "coulomb",
+    "viscous",
+    "torque_constant",
+]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+class Parameter(NamedTuple):
+    """One number.
+
+    Attributes:
+        kind: One of `KINDS`.
+        part: Which of its components, or which motor; empty where there is one.
+        unit: Of the number.
+    """
+
+    kind: Kind
+    part: str
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.part}".strip()
+
+
+_MOTORS = tuple(f"motor {leg}" for leg in range(LEGS))
+PARAMETERS = (
+    Parameter("platform_mass", "", "kg"),
+    *(Parameter("platform_moment", axis, "kg m") for axis in "xyz"),
+    *(Parameter("platform_inertia", axes, "kg m^2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    Parameter("rod_mass", "", "kg"),
+    Parameter("rod_inertia", "", "kg m^2"),
+    Parameter("crank_mass", "", "kg"),
+    Parameter("rotor_inertia", "", "kg m^2"),
+    *(Parameter("coulomb", motor, "N m") for motor in _MOTORS),
+    *(Parameter("viscous", motor, "N m s/rad") for motor in _MOTORS),
+    *(Parameter("torque_constant", motor, "") for motor in _MOTORS),
+)
+"""Moment: mass times centre of mass, in P; inertia: about the origin of P, the tensor's entries. Of a crank the moment
+of inertia about its own middle stays that of the guess: it and the rotor's only act as their sum."""
+SIZE = len(PARAMETERS)
+COULOMB, VISCOUS, GAIN = slice(14, 20), slice(20, 26), slice(26, 32)
+BODIES = slice(0, 14)
+PLATFORM = slice(0, 10)
+_MASS, _MOMENT, _INERTIA, _ROD_MASS, _ROD_INERTIA, _CRANK_MASS, _ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
+_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def of_robot(robot: RobotParameters) -> np.ndarray:
+    """Parameters (`SIZE`,) of a robot without friction whose torques are what its log says."""
+    values = np.zeros(SIZE)
+    inertia = robot.platform_inertia_about_origin
+    values[_MASS], values[_MOMENT] = robot.platform_mass, robot.platform_moment
+    values[_INERTIA] = [inertia[at] for at in _ENTRIES]
+    values[_ROD_MASS], values[_ROD_INERTIA] = robot.rod_mass, robot.rod_inertia[0]
+    values[_CRANK_MASS], values[_ROTOR] = robot.crank_mass, robot.rotor_inertia
+    return values
+
+
+def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
+    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot.
+
+    Raises:
+        ConfigurationError: They are not those of bodies.
+    """
+    mass, moment = float(values[_MASS]), values[_MOMENT]
+    centre = moment / mass
+    central = inertia_matrix(values[PLATFORM]) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
+    changes: dict[str, Any] = {
+        "platform_mass": mass,
+        "platform_center_of_mass": tuple(centre.tolist()),
+        "platform_inertia": tuple(np.diag(central).tolist()),
+        "platform_products": tuple(float(central[at]) for at in _ENTRIES[3:]),
+        "rod_mass": float(values[_ROD_MASS]),
+        "rod_inertia": (float(values[_ROD_INERTIA]),) * 2 + (guess.rod_inertia[2],),
+        "crank_mass": float(values[_CRANK_MASS]),
+        "rotor_inertia": float(values[_ROTOR]),
+    }
+    return guess.replace(**changes)
+
+
+def with_payload(values: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
+    """Parameters (`SIZE`,) with a point of a mass [kg] at a place (3,) [m] in P on the platform."""
+    inertia = mass * ((place @ place) * np.eye(3) - np.outer(place, place))
+    changed = values.copy()
+    changed[_MASS] += mass
+    changed[_MOMENT] += mass * place
+    changed[_INERTIA] += [inertia[at] for at in _ENTRIES]
+    return changed
+
+
+def inertia_matrix(platform: np.ndarray) -> Any:
+    """Inertia (3, 3) about the origin of P of the platform's ten parameters, numbers or expressions."""
+    xx, yy, zz, xy, xz, yz = platform[_INERTIA]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def unit_robots(guess: RobotParameters) -> list[Robot]:
+    """Robots of the guess's geometry with one of the bodies' parameters 1 and the others 0: columns of the model.
+
+    The last has the cranks' own inertia instead, the part of the torques that is known.
+    """
+    whole = numpy_robot(guess)
+    half = 0.5 * whole.cranks
+    nothing = whole._replace(
+        axis_inertias=0.0 * half,
+        **dict.fromkeys(("rod_mass", "rod_inertia", "crank_mass", "platform_mass"), np.array(0.0)),
+        platform_moment=np.zeros(3),
+        platform_inertia=np.zeros((3, 3)),
+    )
+    one = np.array(1.0)
+    robots = [nothing._replace(platform_mass=one)]
+    robots += [nothing._replace(platform_moment=row) for row in np.eye(3)]
+    robots += [nothing._replace(platform_inertia=inertia_matrix(row)) for row in np.eye(10)[4:]]
+    robots += [
+        nothing._replace(rod_mass=one),
+        nothing._replace(rod_inertia=one),
+        nothing._replace(crank_mass=one, axis_inertias=half * half),
+        nothing._replace(axis_inertias=np.ones(LEGS)),
+        nothing._replace(axis_inertias=np.full(LEGS, guess.crank_inertia[1])),
+    ]
+    return robots
+
+
+def scales(guess: RobotParameters) -> np.ndarray:
+    """Change (`SIZE`,) of each parameter that counts as 1: as much again as the guess has, or could well have.
+
+    Friction counts in hundredths of the motors' limit, at 1 rad/s; gains by a tenth.
+    """
+    length = guess.characteristic_length
+    mass = guess.platform_mass
+    effort = float(guess.effort_limits.mean())
+    return np.array(
+        [mass]
+        + [mass * length] * 3
+        + [mass * length**2] * 6
+        + [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
+        + [0.01 * effort] * 12
+        + [0.1] * 6
+    )
+
+
+def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.ndarray:
+    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
+
+    No torque tells a heavier robot from stronger motors: unless the platform's mass is held, the geometric mean of the
+    torque constants is.
+
+    Args:
+        held: Kinds that keep their value.
+        kept: Places of single parameters that do.
+
+    Raises:
+        ConfigurationError: Nothing is left to change.
+    """
+    from scipy.linalg import null_space
+
+    if set(KINDS) <= set(held):
+        raise ConfigurationError("hold", sorted(held), f"some of {', '.join(KINDS)}, not all")
+    rows = [np.eye(SIZE)[at] for at, own in enumerate(PARAMETERS) if own.kind in held or at in kept]
+    if "torque_constant" not in held and "platform_mass" not in held:
+        mean = np.zeros(SIZE)
+        mean[GAIN] = 1.0
+        rows.append(mean)
+    return null_space(np.array(rows)) if rows else np.eye(SIZE)

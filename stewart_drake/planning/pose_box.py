@@ -1,0 +1,107 @@
+"""Boxes of poses around home, drawn at random, those in reach kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import reach_margin
+from stewart_drake.planning.limits import Limits, limit_margins
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_scale import PAPER
+
+_BLOCK = 4096
+_MOST_BLOCKS = 500
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box of poses around home.
+
+    Attributes:
+        name: Short name for tables.
+        half_width: (6,) [rad, rad, rad, m, m, m] to either side of home.
+        words: The box in words.
+    """
+
+    name: str
+    half_width: tuple[float, ...]
+    words: str
+
+    def around(self, robot: RobotParameters) -> Region:
+        """The box of a robot, whose shifts grow with its size; the paper's own is as it stands."""
+        size = robot.characteristic_length / PAPER.characteristic_length
+        if size == 1.0:
+            return self
+        shifts = tuple(size * each for each in self.half_width[3:])
+        return Region(self.name, (*self.half_width[:3], *shifts), f"{self.words}; shifts times {size:.3g}, by its size")
+
+
+NEAR = Region(
+    "near",
+    (math.pi / 6.0,) * 3 + (0.06, 0.06, 0.05),
+    "turns up to 30 deg about each axis, 60 mm in X and Y and 50 mm in Z to either side of home, all at once",
+)
+"""Where the controlled motions are: the paper's largest angle, the Z of (38), and room to the sides."""
+
+
+@dataclass(frozen=True)
+class PoseSample:
+    """Random poses of a region that the robot reaches.
+
+    Attributes:
+        region: Where they are from.
+        poses: (n, 6) [rad, m].
+        share: Part of all the poses drawn that was in reach.
+    """
+
+    region: Region
+    poses: np.ndarray
+    share: float
+
+
+def sample_poses(
+    robot: RobotParameters,
+    region: Region,
+    count: int,
+    rng: np.random.Generator,
+    least_margin: float = 1e-6,
+    limits: Limits | None = None,
+    gravity: float = STANDARD_GRAVITY,
+) -> PoseSample:
+    """Uniform over the box, out-of-reach poses left out.
+
+    Args:
+        robot: Geometry.
+        region: The box.
+        count: Poses wanted.
+        rng: Source of chance.
+        least_margin: [-] poses nearer to the edge of reach than this, `kinematics.reach_margin`, count as outside.
+        limits: Poses that break one of them at rest count as outside too; None for none.
+        gravity: [m/s^2] for the motors' torque at rest.
+
+    Returns:
+        `count` poses, or fewer where hardly any pose of the box can be reached.
+
+    Raises:
+        ConfigurationError: Not one pose can be reached.
+    """
+    kept: list[np.ndarray] = []
+    drawn = reached = 0
+    while reached < count and drawn < _MOST_BLOCKS * _BLOCK:
+        poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_BLOCK, 6)) * region.half_width
+        poses = poses[reach_margin(robot, poses).min(axis=-1) > least_margin]
+        if limits is not None:
+            still = np.zeros_like(poses)
+            margins = limit_margins(robot, limits, poses, still, still, gravity)
+            poses = poses[np.all([(each >= 0.0).all(axis=-1) for each in margins.values()], axis=0)]
+        kept.append(poses)
+        drawn, reached = drawn + _BLOCK, reached + len(poses)
+    if not reached:
+        within = "" if limits is None else ", within its limits"
+        raise ConfigurationError("robot", robot, f"a robot that reaches some pose of this box{within}: {region.words}")
+    return PoseSample(region, np.concatenate(kept)[:count], reached / drawn)

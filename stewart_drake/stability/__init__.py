@@ -1,0 +1,1 @@
+"""How far a linear loop is from instability: loops at poses, structured singular values, margins."""

@@ -1,0 +1,131 @@
+"""The linear loop against closed forms, and against Drake's plant."""
+
+import numpy as np
+import pytest
+
+from stewart_drake import run
+from stewart_drake.control.lqi import lqi_gain
+from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
+from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.scenario import load_scenario
+from stewart_drake.stability.linear_loop import linear_loops, plant_at
+
+POSE = np.array([0.2, -0.1, 0.15, 0.02, -0.01, 0.31])
+IDEAL = ["sensors={kind: ideal}", "command_delay=0"]
+OBSERVER = ["estimator.kind=observer"]
+
+
+def scenario(*changes):
+    return load_scenario("exact_breathing", list(changes))
+
+
+def radius(loops):
+    return np.abs(np.linalg.eigvals(loops.closed)).max(axis=-1)
+
+
+def test_the_plant_moves_as_the_exact_model_does():
+    robot, period = scenario().robot, 0.005
+    plant = plant_at(robot, POSE[None], 9.81, period)
+    start, push = 1e-5 * np.random.default_rng(0).normal(size=(2, 12))
+    pose, rate, steps = POSE + start[:6], start[6:].copy(), 100
+    for _ in range(steps):
+        # Midpoints: of second order.
+        step = period / steps
+        torque = plant.torque[0] + push[:6]
+        half = rate + 0.5 * step * forward_dynamics(robot, pose, rate, torque, 9.81)
+        rate = rate + step * forward_dynamics(robot, pose + 0.5 * step * rate, half, torque, 9.81)
+        pose = pose + step * half
+    after = plant.a[0] @ start + plant.b[0] @ push[:6]
+    np.testing.assert_allclose(pose - POSE, after[:6], atol=1e-9)
+    np.testing.assert_allclose(rate, after[6:], atol=1e-7)
+
+
+def test_the_regulator_with_ideal_sensors_is_its_gain_and_an_integral():
+    made = scenario(*IDEAL)
+    loops = linear_loops(made, POSE[None])
+    gain = lqi_gain(pose_acceleration_map(made.robot, POSE), made.lqi, np.array(made.tuner.weights))
+    expected = -np.hstack([gain[:, POSITION], gain[:, RATE], gain[:, INTEGRAL]])
+    np.testing.assert_allclose(loops.c[0], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    plant = plant_at(made.robot, POSE[None], made.gravity, 0.001)
+    np.testing.assert_allclose(loops.a[0, :12, :12], plant.a[0])
+    np.testing.assert_allclose(loops.a[0, 12:], np.hstack([1e-3 * np.eye(6), np.zeros((6, 6)), np.eye(6)]), atol=1e-9)
+
+
+@pytest.mark.parametrize("changes", [[], OBSERVER])
+def test_a_delay_is_a_chain_of_states(changes):
+    short, long = (linear_loops(scenario(*changes, f"command_delay={n}"), POSE[None]) for n in (1, 3))
+    assert long.a.shape[-1] > short.a.shape[-1]
+    assert radius(long) < 1.0
+    # From the torque to what comes back: no sooner than the delay says, and first what moves in a tick.
+    for loops, ticks in ((short, 1), (long, 3)):
+        echo = [loops.c[0] @ np.linalg.matrix_power(loops.a[0], k) @ loops.b[0] for k in range(ticks + 1)]
+        assert np.abs(echo[:-1]).max() == 0.0
+        assert np.abs(echo[-1]).max() > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes", [[], IDEAL, OBSERVER, [*OBSERVER, "command_delay=3"], ["controller={kind: pid}"]], ids=str
+)
+def test_the_linear_loop_answers_a_small_push_as_drakes_plant_does(changes):
+    wrench = np.array([0.001, 0.002, -0.001, 0.03, -0.02, 0.04])
+    push = np.linalg.solve(twist_jacobian(scenario().robot, POSE).T, wrench)
+    off = []
+    for time_step in (0.001, 0.0001):
+        made = scenario(
+            f"reference={{kind: hold, pose: {POSE.tolist()}}}",
+            f"disturbances=[{{kind: step, wrench: {wrench.tolist()}, time: 0.01}}]",
+            f"plant={{time_step: {time_step}}}",
+            "sensors.resolution_bits=0",
+            "duration=0.1",
+            *changes,
+        )
+        moved = run(made)["pose"] - POSE
+        loops = linear_loops(made, POSE[None])
+        state, linear = np.zeros(loops.a.shape[-1]), []
+        for tick in range(len(moved)):
+            linear.append(state[:6])
+            state = loops.closed[0] @ state + loops.b[0] @ (push if tick >= 10 else 0.0 * push)
+        off.append((np.abs(moved - linear).max(axis=0) / np.abs(linear).max(axis=0)).max())
+    # The loop is exact in time, the plant of first order in its step.
+    assert off[1] < 0.02
+    assert off[1] < 0.2 * off[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["controller.feedforward=none"],
+        [*OBSERVER, "controller.feedforward=none"],
+        ["model_robot={platform_mass: 2.0}"],
+        [*OBSERVER, "model_robot={platform_mass: 2.0}"],
+        [*OBSERVER, "model_robot={rod_length: 0.405}"],
+        ["controller={kind: computed_torque, integral_frequency: 0}"],
+        ["controller={kind: pid, ki: 0}"],
+    ],
+    ids=str,
+)
+def test_it_stands_still_where_the_model_is_wrong_or_the_integral_holds_the_robot(changes):
+    made = scenario(*changes)
+    poses = sample_poses(made.robot, NEAR, 3, np.random.default_rng(1)).poses
+    loops = linear_loops(made, poses)
+    assert len(loops.poses) == 3
+    assert (radius(loops) < 1.0).all()
+
+
+def test_a_pose_that_cannot_be_held_is_left_out():
+    # Nothing holds the weight of a robot under a law without integral and without its model.
+    weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")
+    with pytest.raises(ConfigurationError, match="stands still at some pose"):
+        linear_loops(weak, POSE[None])
+
+
+def test_kinds_that_have_no_linear_loop_are_named(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text("from stewart_drake.systems import LqiController as Mine\n")
+    monkeypatch.chdir(tmp_path)
+    own = scenario("controller={kind: 'mine.py:Mine'}")
+    with pytest.raises(ConfigurationError, match=r"controller\.kind: got 'python'; allowed: lqi, pid or"):
+        linear_loops(own, POSE[None])

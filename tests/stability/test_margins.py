@@ -1,0 +1,173 @@
+"""Margins against python-control, against loops that are perturbed, and against themselves."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.scenario import load_scenario
+from stewart_drake.stability.linear_loop import LinearLoops, linear_loops
+from stewart_drake.stability.margins import gain_of_disk, loop_margins
+
+SETTINGS = {"difference": [], "observer": ["estimator.kind=observer"], "pid": ["controller={kind: pid}"]}
+
+
+@pytest.fixture(scope="module", params=SETTINGS, ids=str)
+def loops(request):
+    made = load_scenario("exact_breathing", SETTINGS[request.param])
+    return linear_loops(made, sample_poses(made.robot, NEAR, 5, np.random.default_rng(2)).poses)
+
+
+@pytest.fixture(scope="module")
+def found(loops):
+    return loop_margins(loops)
+
+
+def radius(matrices):
+    return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+
+
+def single_loop(loops, pose, motor):
+    """A, B, C of one motor's loop, the others closed, with the sign of negative feedback."""
+    others = [k for k in range(6) if k != motor]
+    a, b, c = loops.a[pose], loops.b[pose], loops.c[pose]
+    return a + b[:, others] @ c[others], b[:, [motor]], -c[[motor]]
+
+
+@pytest.mark.slow
+def test_one_motor_at_a_time_is_what_python_control_finds(loops, found):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import control
+    for pose, motor in ((0, 0), (1, 3), (2, 5)):
+        system = control.ss(*single_loop(loops, pose, motor), 0.0, loops.period)
+        with warnings.catch_warnings():
+            # It forms the transfer function of 36 states and more, and says that this is delicate.
+            warnings.simplefilter("ignore")
+            disk, gain_db, phase_deg = control.disk_margins(system, found.frequencies, skew=0.0)
+            answer = control.frequency_response(system, found.frequencies)
+            gain, phase, _, _, at_gain, _ = control.stability_margins(
+                (answer.magnitude.ravel(), np.degrees(np.unwrap(answer.phase.ravel())), found.frequencies),
+                returnall=True,
+            )
+        one = found.single
+        assert one.disk[pose, motor] == pytest.approx(disk, rel=1e-6)
+        assert 20.0 * np.log10(gain_of_disk(one.disk[pose, motor])) == pytest.approx(gain_db, rel=1e-6)
+        assert 2.0 * np.degrees(np.arctan(0.5 * one.disk[pose, motor])) == pytest.approx(phase_deg, rel=1e-6)
+        gain = np.asarray(gain)
+        assert one.gain_high[pose, motor] == pytest.approx(gain[gain > 1.0].min(), rel=2e-3)
+        assert one.gain_low[pose, motor] == pytest.approx(gain[gain < 1.0].max(), rel=2e-3)
+        phase, at = np.radians(np.asarray(phase)), np.asarray(at_gain)
+        assert one.phase[pose, motor] == pytest.approx(np.abs(phase).min(), rel=2e-3)
+        lags = np.mod(phase, 2.0 * np.pi)
+        assert one.delay[pose, motor] == pytest.approx((lags / at).min(), rel=5e-3)
+
+
+def test_one_motor_alone_becomes_unstable_at_its_gain_margins(loops, found):
+    for pose, motor in ((0, 1), (3, 4)):
+        for margin in (found.single.gain_low, found.single.gain_high):
+            factor = margin[pose, motor]
+            inside, beyond = 1.0 + 0.99 * (factor - 1.0), 1.0 + 1.01 * (factor - 1.0)
+            after = []
+            for each in (inside, beyond):
+                factors = np.ones(6)
+                factors[motor] = each
+                after.append(radius(loops.a[pose] + loops.b[pose] @ (factors[:, None] * loops.c[pose])))
+            assert after[0] < 1.0 < after[1]
+
+
+def with_ticks(loops, pose, motors, ticks):
+    """The closed loop with so many ticks more at some motors."""
+    a, b, c = loops.a[pose], loops.b[pose], loops.c[pose]
+    for _ in range(ticks):
+        n, k = len(a), len(motors)
+        a = np.block([[a, np.zeros((n, k))], [c[motors], np.zeros((k, k))]])
+        b = np.vstack([b, np.zeros((k, 6))])
+        c = np.hstack([c, np.zeros((6, k))])
+        c[motors] = 0.0
+        c[motors, n + np.arange(k)] = 1.0
+    return a + b @ c
+
+
+def test_one_motor_alone_bears_the_whole_ticks_within_its_delay_margin(loops, found):
+    for pose, motor in ((0, 0), (4, 2)):
+        ticks = int(found.single.delay[pose, motor] / loops.period)
+        assert radius(with_ticks(loops, pose, [motor], ticks)) < 1.0
+        assert radius(with_ticks(loops, pose, [motor], ticks + 1)) > 1.0
+
+
+def test_all_motors_bear_delays_within_the_margin_of_all_at_once(loops, found):
+    for pose in range(len(loops.a)):
+        ticks = int(found.all_at_once.delay[pose] / loops.period)
+        for motors in ([0, 1, 2, 3, 4, 5], [0, 2, 4], [1, 5]):
+            assert radius(with_ticks(loops, pose, motors, ticks)) < 1.0
+
+
+@settings(max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_gains_within_the_disk_make_a_loop_unstable(loops, found, seed):
+    rng = np.random.default_rng(seed)
+    pose = rng.integers(len(loops.a))
+    delta = 0.999 * found.all_at_once.disk[pose] * np.exp(2j * np.pi * rng.uniform(size=6))
+    factors = (1.0 + 0.5 * delta) / (1.0 - 0.5 * delta)
+    assert radius(loops.a[pose] + loops.b[pose] @ (factors[:, None] * loops.c[pose])) < 1.0
+
+
+def test_the_bounds_of_mu_meet_for_these_loops(found):
+    # So the margin is not cautious: some gains just beyond it bring a pole onto the circle.
+    np.testing.assert_allclose(found.not_above, found.all_at_once.disk, rtol=1e-3)
+    assert (found.not_above >= found.all_at_once.disk * (1.0 - 1e-9)).all()
+
+
+def test_all_at_once_is_never_more_than_one_at_a_time(found):
+    one, together = found.single, found.all_at_once
+    assert (together.disk <= one.disk.min(axis=-1) * (1.0 + 1e-9)).all()
+    assert (together.delay <= one.delay.min(axis=-1) * (1.0 + 1e-6)).all()
+    for name in ("gain_high", "phase"):
+        assert (getattr(together, name) <= getattr(one, name).min(axis=-1) * 1.01).all()
+    assert (together.gain_low >= one.gain_low.max(axis=-1) * 0.99).all()
+
+
+def test_a_finer_grid_of_frequencies_finds_the_same(loops, found):
+    fine = loop_margins(loops, 3000)
+    np.testing.assert_allclose(found.all_at_once.disk, fine.all_at_once.disk, rtol=1e-3)
+    np.testing.assert_allclose(found.all_at_once.delay, fine.all_at_once.delay, rtol=1e-2)
+    np.testing.assert_allclose(found.single.phase, fine.single.phase, rtol=1e-2)
+
+
+def test_an_unstable_loop_has_no_margin(loops):
+    doubled = loops._replace(c=4.0 * loops.c)
+    found = loop_margins(doubled)
+    assert (found.radius > 1.0).all()
+    for margins in (found.single, found.all_at_once):
+        assert (margins.disk == 0.0).all()
+        assert (margins.delay == 0.0).all()
+        assert (margins.gain_high == 1.0).all()
+    assert (found.curves == 0.0).all()
+
+
+def lags(c):
+    """Six equal motors, each a lag of 0.5 a tick, followed by two delays."""
+    eye, none = np.eye(6), np.zeros((6, 6))
+    a = np.block([[0.5 * eye, none, none], [eye, none, none], [none, eye, none]])
+    return LinearLoops(a[None], np.vstack([eye, none, none])[None], np.kron(c, eye)[None], 0.001, np.zeros((1, 6)), ())
+
+
+@pytest.mark.parametrize("heard", [0, 2], ids=["delays that nobody hears", "delays in the loop"])
+def test_a_loop_is_what_its_formula_says_even_where_modes_coincide(heard):
+    # A chain of two delays has one mode for two poles at zero.
+    found = loop_margins(lags(-0.1 * np.eye(3)[[heard]]))
+    z = np.exp(1j * found.frequencies * 0.001)
+    sensitivity = 1.0 / (1.0 + 0.1 / (z**heard * (z - 0.5)))
+    np.testing.assert_allclose(found.curves[0], 1.0 / np.abs(sensitivity - 0.5), rtol=1e-6)
+
+
+def test_without_feedback_nothing_makes_it_unstable():
+    found = loop_margins(lags(np.zeros((1, 3))))
+    np.testing.assert_allclose(found.curves, 2.0)
+    assert (found.all_at_once.gain_high == np.inf).all()
+    for delay in (found.single.delay, found.all_at_once.delay, found.single.phase):
+        assert (delay == np.inf).all()

@@ -1,0 +1,72 @@
+"""Bounds of the structured singular value under diagonal perturbations."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
+
+
+def random_matrices(seed, count, spread=1.0):
+    rng = np.random.default_rng(seed)
+    matrices = rng.normal(size=(count, 6, 6)) + 1j * rng.normal(size=(count, 6, 6))
+    return np.exp(spread * rng.normal(size=(count, 6, 1))) * matrices
+
+
+def bounds(matrices):
+    logs = refined(matrices, balanced(matrices))
+    return lower_bound(matrices, logs), upper_bound(matrices, logs)
+
+
+@settings(max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.0, 5.0))
+def test_bounds_are_in_order_and_refinement_never_loosens(seed, spread):
+    matrices = random_matrices(seed, 2, spread)
+    start = balanced(matrices)
+    low, high = bounds(matrices)
+    assert (low <= high * (1.0 + 1e-9)).all()
+    assert (high <= upper_bound(matrices, start) * (1.0 + 1e-12)).all()
+    assert (upper_bound(matrices, start) <= np.linalg.norm(matrices, axis=(-2, -1))).all()
+
+
+def test_bounds_meet_for_most_matrices():
+    # Nothing says that they must: six scalar blocks are more than the three for which they always do.
+    low, high = bounds(random_matrices(0, 100))
+    assert np.quantile(high / low, 0.5) < 1.0 + 1e-6
+    assert np.quantile(high / low, 0.8) < 1.001
+
+
+def test_a_diagonal_matrix_has_its_largest_element():
+    matrices = np.array([np.diag([1.0, 2j, -3.0, 0.5, 0.0, 1.0 + 1j])])
+    low, high = bounds(matrices)
+    assert low == pytest.approx(3.0)
+    assert high == pytest.approx(3.0)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_of_a_product_of_two_vectors_it_is_known(seed):
+    # det(I - a b' Delta) = 1 - sum a_i b_i delta_i, so that mu = sum |a_i b_i|.
+    rng = np.random.default_rng(seed)
+    a, b = (rng.normal(size=6) + 1j * rng.normal(size=6) for _ in range(2))
+    low, high = bounds((a[:, None] * b)[None])
+    assert low == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
+    assert high == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
+
+
+def test_units_change_nothing():
+    matrices = random_matrices(2, 50)
+    units = np.exp(np.random.default_rng(3).normal(size=(50, 6)))
+    changed = units[:, :, None] * matrices / units[:, None, :]
+    np.testing.assert_allclose(bounds(changed)[1], bounds(matrices)[1], rtol=2e-3)
+
+
+def test_no_diagonal_perturbation_below_the_margin_is_singular():
+    matrices = random_matrices(4, 20)
+    _, high = bounds(matrices)
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        size = rng.uniform(size=(20, 6)) / high[:, None]
+        delta = size * np.exp(2j * np.pi * rng.uniform(size=(20, 6)))
+        eigenvalues = np.linalg.eigvals(matrices * delta[:, None, :])
+        assert (np.abs(eigenvalues).max(axis=-1) <= 1.0).all()
