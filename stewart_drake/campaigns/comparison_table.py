@@ -17,6 +17,7 @@ from stewart_drake.logs.metric_table import columns as run_columns
 
 if TYPE_CHECKING:
     from stewart_drake.campaigns.comparison_file import Comparison
+    from stewart_drake.scenario import Scenario
 
 SMALLEST = 1e-5
 """What is smaller is not written out."""

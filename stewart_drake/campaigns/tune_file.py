@@ -144,7 +144,7 @@ class Tuning:
 
     @property
     def work(self) -> dict[str, Any]:
-        """What the rows depend on, in plain values: the runs, but not what is searched, for each row has its setting."""
+        """What the rows depend on, in plain values: the runs, but not what is searched: each row has its setting."""
         return self.comparison.to_dict()
 
     def verdict(self, tuned: Mapping[str, Setting]) -> Comparison:

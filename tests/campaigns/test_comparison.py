@@ -291,7 +291,10 @@ def test_numbers_have_three_digits(value, text):
 
 @pytest.mark.slow
 def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
-    runs = [{"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal", "noise"]}, SMALL["runs"][2]]
+    runs = [
+        {"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal", "noise"]},
+        SMALL["runs"][2],
+    ]
     comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
     result = run_comparison(comparison, tmp_path, SerialExecutor())
     for row in result.rows:
@@ -305,6 +308,9 @@ def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
              (("pid", "nominal"), ("pid", "noise"), ("paper", "nominal"))}  # fmt: skip
     everything = costs["pid", "nominal"] + costs["pid", "noise"]
     assert result.sheets[0].rows == (
-        ("pid", *(number(float(np.mean(each))) for each in (costs["pid", "nominal"], costs["pid", "noise"], everything))),
+        (
+            "pid",
+            *(number(float(np.mean(each))) for each in (costs["pid", "nominal"], costs["pid", "noise"], everything)),
+        ),
         ("paper", "1000", "-", "1000"),
     )
