@@ -66,7 +66,7 @@ OBSERVER_NUMBERS = _fields(
 SAFETY_MEMORY = _fields(
     "SafetyMemory",
     torque=6, level=1, monitor=1, leg=1, good=6, weight=6, held=1, at_limit=1, too_fast=1, since=1, side=1, ticks=1,
-    first=5, worst=1, command=6,
+    first=5, worst=1, command=6, surprised=1,
 )  # fmt: skip
 """See `safety.SafetyMemory`."""
 SAFETY_NUMBERS = _fields(

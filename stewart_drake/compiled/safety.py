@@ -113,6 +113,7 @@ def quiet_tick(
     result[_M.held] = max(0.0, memory[_M.held] - numbers[_N.refill])
     result[_M.at_limit] = max(0.0, memory[_M.at_limit] - 1.0)
     result[_M.too_fast] = max(0.0, memory[_M.too_fast] - 1.0)
+    result[_M.surprised] = max(0.0, memory[_M.surprised] - 1.0)
     result[_M.side], result[_M.ticks] = side, memory[_M.ticks] + 1.0
     return True
 

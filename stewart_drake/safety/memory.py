@@ -73,6 +73,7 @@ class SafetyMemory(NamedTuple):
         first: (5,) monitor, level, leg, tick and cause (number in `FAILURES`) of the first trip; zeros before.
         worst: Highest level so far.
         command: (6,) [N m] that came in the last tick, if it was finite.
+        surprised: Ticks with innovations that were too large, less good ones.
     """
 
     torque: np.ndarray
@@ -90,9 +91,10 @@ class SafetyMemory(NamedTuple):
     first: np.ndarray
     worst: float
     command: np.ndarray
+    surprised: float
 
     def flat(self) -> np.ndarray:
-        """All in one vector (39,), in the order of the attributes."""
+        """All in one vector (40,), in the order of the attributes."""
         return np.concatenate([np.atleast_1d(value) for value in self])
 
     @classmethod
@@ -106,7 +108,7 @@ class SafetyMemory(NamedTuple):
 def initial_memory(torque: np.ndarray) -> SafetyMemory:
     """Memory before the first tick; `torque` (6,) [N m] is what holds the robot at its start."""
     torque = np.asarray(torque, dtype=float)
-    return SafetyMemory(torque, 0.0, 0.0, -1.0, torque, torque, *(0.0,) * 6, np.zeros(5), 0.0, torque)
+    return SafetyMemory(torque, 0.0, 0.0, -1.0, torque, torque, *(0.0,) * 6, np.zeros(5), 0.0, torque, 0.0)
 
 
 def first_trip(memory: SafetyMemory, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:

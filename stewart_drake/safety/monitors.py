@@ -177,10 +177,6 @@ def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tu
     return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
 
 
-def _surprised(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    return (int(inputs.surprise[1]), 0) if surprising(options, inputs) else None
-
-
 def surprising(options: SafetyOptions, inputs: SafetyInputs) -> bool:
     """Whether the robot does what the model of its observer does not explain."""
     return options.innovation is not None and inputs.surprise[0] > options.innovation
@@ -199,9 +195,9 @@ CONTROLLER = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.c
 COMMAND = Monitor(trips=_no_number)
 DEADLINE = Monitor(trips=_late)
 TORQUE_LIMIT = Monitor(trips=_absurd)
-"""What is at the limit for too long `tick` sees, which cuts it."""
+"""What is at the limit for too long `tick` sees, which cuts it; likewise what comes after this."""
 TORQUE_RATE = Monitor()
-INNOVATION = Monitor(trips=_surprised)
+INNOVATION = Monitor()
 
 
 def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> Trip | None:

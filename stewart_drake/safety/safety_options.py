@@ -37,7 +37,9 @@ class SafetyOptions(Section, key="safety"):
     stays the same to the last bit."""
     innovation: Positive | None = 5.0e-4
     """[rad] by which a reading may differ, beyond two counts, from what an observer expected of it: a rod that is lost,
-    a load that appears, a blow, an encoder that lies. Held at first, as a blow passes."""
+    a heavy load that appears, an encoder that lies."""
+    innovation_time: NotNegative = 0.01
+    """[s] for which innovations may be that large, in sum: a blow passes. Good ticks take away from the sum."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] of the motors' limit; commands are cut there."""
     torque_limit_time: NotNegative = 0.1

@@ -174,11 +174,14 @@ def safety_tick(
         command=command,
         at_limit=max(0.0, memory.at_limit + (1.0 if full.any() else -1.0)),
         too_fast=max(0.0, memory.too_fast + (1.0 if steep.any() else -1.0)),
+        surprised=max(0.0, memory.surprised + (1.0 if surprising(options, inputs) else -1.0)),
     )
     if memory.at_limit * period > options.torque_limit_time + 1e-9:
         trip = Trip(MONITORS.index("torque_limit"), RAMP, int((np.abs(command) / limit).argmax()))
     elif memory.too_fast * period > options.torque_rate_time + 1e-9:
         trip = Trip(MONITORS.index("torque_rate"), RAMP, int(np.abs(change).argmax()))
+    elif memory.surprised * period > options.innovation_time + 1e-9:
+        trip = Trip(MONITORS.index("innovation"), RAMP, int(inputs.surprise[1]))
     if trip is not None:
         return layer.react(seen, memory, trip)
     good = memory.good if full.any() or steep.any() or np.any(led != torque) else torque
@@ -193,7 +196,7 @@ FlatTick = Callable[[SafetyInputs, np.ndarray], np.ndarray]
 def flat_tick(
     robot: RobotParameters, options: SafetyOptions, gravity: float, period: float, compiled: bool
 ) -> FlatTick:
-    """`safety_tick` as a function of inputs and memory (39,) alone, its quiet ticks compiled or not."""
+    """`safety_tick` as a function of inputs and memory (40,) alone, its quiet ticks compiled or not."""
 
     def reference(inputs: SafetyInputs, memory: np.ndarray) -> np.ndarray:
         before = SafetyMemory.from_flat(memory)

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
+from stewart_drake.mechanics.arrays import AnyRobot
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.planning.pose_box import NEAR, sample_poses
-from stewart_drake.robot import RobotParameters
+from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.scenario import Scenario
-from stewart_drake.stability.loop_parts import CONTROLLERS, ESTIMATORS, READINGS, Part, part_of
+from stewart_drake.stability.loop_parts import ESTIMATORS, READINGS, Part, controller_part, part_of
 
 _STEP = 1e-5
 """Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
@@ -80,11 +81,11 @@ class PlantAt(NamedTuple):
     torque: np.ndarray
 
 
-def plant_at(robot: RobotParameters, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
+def plant_at(robot: AnyRobot, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
     """The robot under torques that are held over a period.
 
     Args:
-        robot: The true one.
+        robot: The true one, with what it carries.
         poses: (m, 6) [rad, m].
         gravity: [m/s^2].
         period: [s].
@@ -118,9 +119,9 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
     """
     reading_of = part_of(READINGS, "sensors", scenario.sensors.kind)
     estimator_of = part_of(ESTIMATORS, "estimator", scenario.estimator.kind)
-    controller = part_of(CONTROLLERS, "controller", scenario.controller.kind)(scenario)
+    controller = controller_part(scenario)
     period, delay = scenario.controller.period, scenario.command_delay
-    plants = plant_at(scenario.robot, poses, scenario.gravity, period)
+    plants = plant_at(loaded(scenario.robot, scenario.plant), poses, scenario.gravity, period)
     readings = reading_of(scenario.robot, poses)
     found, kept, left_out = [], [], []
     for k, pose in enumerate(poses):

@@ -10,19 +10,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, LQI_MEMORY, OBSERVER_MEMORY
-from stewart_drake.control.computed_torque import ComputedTorqueMemory, computed_torque_tick
-from stewart_drake.control.inputs import Measurement, Setpoint
-from stewart_drake.control.joint_pid import PidMemory, pid_tick
-from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
+from stewart_drake.compiled.constants import ESTIMATOR_MEMORY, OBSERVER_MEMORY
+from stewart_drake.control.parts import ControllerSite
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.estimator import flat_estimate, initial_memory
-from stewart_drake.hardware.observer import Observer, flat_observer
+from stewart_drake.hardware.observer import Observer
+from stewart_drake.hardware.observing import observer_part
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
+from stewart_drake.registry import CONTROLLERS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
 from stewart_drake.wording import either
+
+_STEP, _NOTHING = 1e-5, 1e-4
+"""By which entries of a memory are moved, and the share of it that counts as no effect: rounding."""
 
 _E, _O = ESTIMATOR_MEMORY, OBSERVER_MEMORY
 
@@ -84,47 +86,46 @@ def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part
     robot, sensors = scenario.believed_robot, scenario.sensors
     options: Any = scenario.estimator
     observer = Observer(robot, options, scenario.gravity, scenario.controller.period, sensors.reading_noise)
-    tick = flat_observer(observer, lambda angles, guess: forward_kinematics(robot, angles, guess), compiled=True)
-
-    def from_reading(read: np.ndarray, sent: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        return tick(inverse_kinematics(robot, read[:6]) if len(read) == 12 else read, sent, at_rest, memory)
-
-    # Without friction, what is wanted says nothing to it.
-    at_rest = np.concatenate([pose, np.zeros(12)])
     still = static_torque(robot, pose, scenario.gravity)
     delay = scenario.command_delay if options.delay is None else options.delay
-    memory = observer.initial(pose, np.zeros(6), still, delay)
+    memory, observe = observer_part(observer, observer.initial(pose, np.zeros(6), still, delay), len(reading), True)
+
+    def tick(read: np.ndarray, sent: np.ndarray, before: np.ndarray) -> np.ndarray:
+        # Without friction, what is wanted says nothing to it.
+        return observe(read, sent, at_rest, before)
+
+    at_rest = np.concatenate([pose, np.zeros(12)])
     moving = np.arange(_O.pose_ahead), np.arange(_O.surplus, _O.missed), np.arange(_O.size, len(memory))
     says = np.arange(_O.pose_ahead, _O.compensation), np.arange(_O.compensation, _O.innovation)
-    return Part(from_reading(reading, still, memory), from_reading, np.concatenate(moving), says)
+    return Part(tick(reading, still, memory), tick, np.concatenate(moving), says)
 
 
-def _lqi(scenario: Scenario) -> Part:
-    options: Any = scenario.controller
-    tick = flat_tick(scenario.believed_robot, options, scenario.gravity, compiled=True)
-    weights = np.array(scenario.tuner.weights)
+def controller_part(scenario: Scenario) -> Part:
+    """The controller as a run has it; its inputs are measurement (12,) and reference (18,).
 
-    def with_weights(measured: np.ndarray, wanted: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        return tick(measured, wanted, weights, memory)
+    Raises:
+        ConfigurationError: It is a user's own, which may keep its state where nobody sees it.
+    """
+    options, robot, weights = scenario.controller, scenario.believed_robot, np.array(scenario.tuner.weights)
+    made = CONTROLLERS.plain(options.kind)
+    if made is None:
+        known = [kind for kind in CONTROLLERS.kinds if CONTROLLERS.plain(kind) is not None]
+        raise _no_loop("controller", options.kind, known)
+    memory, law = made(options, ControllerSite(robot, scenario.gravity, len(weights), compiled=True))
+    more = (weights,) if options.weighted else ()
 
-    return Part(np.zeros(MEMORY_SIZE), with_weights, np.arange(LQI_MEMORY.integral, LQI_MEMORY.gain), (np.arange(6),))
+    def tick(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
+        return law(measured, wanted, *more, before)
+
+    at_home = np.concatenate([robot.home_pose, np.zeros(12)])
+    return Part(memory, tick, _kept(tick, (at_home[:12], at_home), memory), (np.arange(6),))
 
 
-def _by_law(law: Callable[..., Any], memory: Any) -> Callable[[Scenario], Part]:
-    """A controller that is one law of (6,) arrays with an integral among them."""
-
-    def made(scenario: Scenario) -> Part:
-        own = scenario.believed_robot, scenario.controller, scenario.gravity
-
-        def tick(measured: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
-            seen = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
-            return np.concatenate(law(*own, *seen, memory(*before.reshape(-1, 6))))
-
-        integral = 6 * memory._fields.index("integral")
-        state = np.arange(integral, integral + 6)
-        return Part(np.zeros(6 * len(memory._fields)), tick, state, (np.arange(6),))
-
-    return made
+def _kept(tick: Callable[..., np.ndarray], inputs: tuple[np.ndarray, ...], memory: np.ndarray) -> np.ndarray:
+    """Entries of a memory on which the next tick depends, at a point where it may stand still."""
+    before = tick(*inputs, memory)
+    after, steps = tick(*inputs, before), _STEP * np.eye(len(memory))
+    return np.flatnonzero([np.abs(tick(*inputs, before + step) - after).max() > _NOTHING * _STEP for step in steps])
 
 
 READINGS: Mapping[str, Callable[[RobotParameters, np.ndarray], Reading]] = {
@@ -137,12 +138,6 @@ ESTIMATORS: Mapping[str, Callable[[Scenario, np.ndarray, np.ndarray], Part]] = {
     "observer": _observer,
 }
 """Kind of estimator -> the part at a pose (6,) with a reading there; its inputs are reading and last command."""
-CONTROLLERS: Mapping[str, Callable[[Scenario], Part]] = {
-    "lqi": _lqi,
-    "pid": _by_law(pid_tick, PidMemory),
-    "computed_torque": _by_law(computed_torque_tick, ComputedTorqueMemory),
-}
-"""Kind of controller -> the part; its inputs are measurement (12,) and reference (18,)."""
 
 
 def part_of(table: Mapping[str, Any], key: str, kind: str) -> Any:
@@ -152,5 +147,9 @@ def part_of(table: Mapping[str, Any], key: str, kind: str) -> Any:
         ConfigurationError: The kind has no line in the table.
     """
     if kind not in table:
-        raise ConfigurationError(f"{key}.kind", kind, f"{either(list(table))}, for a linear loop")
+        raise _no_loop(key, kind, list(table))
     return table[kind]
+
+
+def _no_loop(key: str, kind: str, known: list[str]) -> ConfigurationError:
+    return ConfigurationError(f"{key}.kind", kind, f"{either(known)}, for a linear loop")

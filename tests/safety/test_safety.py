@@ -89,7 +89,6 @@ TRIPS = [
     ("command_not_finite", inputs(command=[0, 0, 0, np.nan, 0, 0]), HOLD, "finite"),
     ("command_not_finite", inputs(command=[0, 0, 0, -np.inf, 0, 0]), HOLD, "finite"),
     ("deadline", inputs(age=3.0), HOLD, "deadline"),
-    ("innovation", inputs(surprise=(6e-4, 3.0)), HOLD, "innovation"),
     ("torque_limit", inputs(command=[0, 0, 0, 0, 1e6, 0]), HOLD, "torque_limit"),
     ("workspace", inputs(pose=at(x=0.13)), RAMP, "workspace"),
     ("workspace", inputs(pose=at(yaw=1.25)), RAMP, "workspace"),
@@ -126,8 +125,20 @@ def test_a_monitor_trips_by_name_and_level_and_not_where_it_is_off(monitor, bad,
         assert without[-1].monitor != MONITORS.index(monitor)
 
 
+def test_innovations_may_be_large_for_a_blow_and_no_longer():
+    odd = inputs(surprise=(6e-4, 3.0))
+    done, stop = run([GOOD, *[odd] * 10, *[GOOD] * 20, *[odd] * 11])
+    assert stop is None
+    assert all(memory.level == 0.0 for memory in done[:-1])
+    trip = first_trip(done[-1], PERIOD)
+    assert (trip["monitor"], trip["level"], trip["leg"], trip["time"]) == ("innovation", "ramp", 3, 0.041)
+    for options in (SafetyOptions(innovation=None), SafetyOptions(innovation=7e-4)):
+        done, _ = run([GOOD, *[odd] * 50], options)
+        assert done[-1].monitor == 0.0
+
+
 def test_every_monitor_is_tested_here():
-    assert {t[0] for t in TRIPS} | {"none", "torque_rate"} == set(MONITORS)
+    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation"} == set(MONITORS)
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
