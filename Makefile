@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -77,6 +77,11 @@ reproduction: install
 montecarlo: install
 	$(BIN)/stewart-drake sweep monte_carlo --out runs/monte_carlo
 	$(BIN)/python docs/write_monte_carlo.py runs/monte_carlo
+
+# Four controllers searched and judged alike, an hour on one core; docs/results/fair_comparison.md, and the settings found.
+fair: install
+	$(BIN)/stewart-drake tune fair --out runs/fair-tune
+	$(BIN)/python docs/write_fair.py runs/fair-tune
 
 format: install
 	$(BIN)/ruff check --fix .

@@ -43,6 +43,8 @@ references:
 conditions:
   nominal: {}
   far: {initial_offset: [0.0, 0.0, 0.0, 0.0, 0.0, 0.3]}
+cost: {}
+tune: {controllers: {soft: {tuner.omega_q: [0.01, 10.0]}}, population: 4, generations: 1, set: {plant.engine: reduced}}
 """
 MAIN = """
 if __name__ == "__main__":
@@ -91,6 +93,7 @@ for key in reproduce.SECTIONS:
 CAMPAIGNS = {
     "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
     "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
+    "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
     "faults": (FEW_FAULTS, ["faults", "--quick", "--workers", "2"]),
     "reproduce": (
         FEW_SECTIONS,
@@ -137,7 +140,9 @@ def results(folder):
     """What a campaign leaves, without what is incidental, and without what it only keeps for itself."""
     files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
     found = {
-        name: path.read_bytes() for name, path in files.items() if name.partition("/")[0] not in ("rows.jsonl", "runs")
+        name: path.read_bytes()
+        for name, path in files.items()
+        if path.name != "rows.jsonl" and name.partition("/")[0] != "runs"
     }
     found.pop("sweep.csv", None)  # the same with what is incidental
     if "sweep.parquet" in found:

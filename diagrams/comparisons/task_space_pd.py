@@ -3,8 +3,8 @@
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.mechanics.dynamics import static_torque, task_inertia
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
+from stewart_drake.mechanics.dynamics import static_torque_of_legs, task_inertia
+from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, rod_lines
 
 
 class TaskSpacePd(LeafSystem):
@@ -32,5 +32,8 @@ class TaskSpacePd(LeafSystem):
         error = pose_rate_to_twist(pose, pose - wanted[:6])
         error_rate = pose_rate_to_twist(pose, rate - wanted[6:12])
         wrench = -self._stiffness * error - self._damping * error_rate
-        by_springs = np.linalg.solve(twist_jacobian(self._robot, pose).T, wrench)
-        output.SetFromVector(by_springs + static_torque(self._robot, pose, self._gravity))
+        legs = leg_geometry(self._robot, pose)
+        # Forces along the rods that make this wrench, each with its crank's lever.
+        forces = np.linalg.solve(rod_lines(legs).T, wrench)
+        by_springs = self._robot.crank_lengths * legs.transmission * forces
+        output.SetFromVector(by_springs + static_torque_of_legs(self._robot, legs, self._gravity))

@@ -9,6 +9,7 @@ import numpy as np
 
 from stewart_drake.campaigns.one_run import measure, outcome
 from stewart_drake.campaigns.tables import Row
+from stewart_drake.logs.cost import CostScales, run_cost
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import error_norms, settling_time, sine_response
 
@@ -16,17 +17,21 @@ TRACE_POINTS = 240
 """Of the error over time that is kept; each the largest error of its share of the run."""
 
 
-def measure_run(log: SimulationLog, band: float) -> Row:
+def measure_run(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
     """Figures of a run: those of every sweep, and see `comparison_table.table_columns`.
 
     Args:
         log: The run.
         band: [mm] of pose error within which it counts as settled.
+        scales: Of its cost; None for none.
     """
     rotation, position = error_norms(log)
     pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
+    figures = measure(log)
+    if scales is not None:
+        figures["cost"] = run_cost(figures, log.status, log.scenario.controller.period, scales)
     return {
-        **measure(log),
+        **figures,
         "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
         "trace": {"time": _thinned(log.time, np.max), "pose_mm": _thinned(pose, np.max)},
     }

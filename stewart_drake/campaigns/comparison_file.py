@@ -22,8 +22,10 @@ from stewart_drake.campaigns.one_run import Measure
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.campaigns.sized import sized
 from stewart_drake.campaigns.tables import Row
+from stewart_drake.campaigns.tune_options import TunedFile, TuneOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.logs.cost import CostScales
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
@@ -100,6 +102,13 @@ class CompareFile(PlanFile):
     """Reference whose error over time is drawn; null for the first."""
     bands: Bands | None = None
     """Tracked frequencies; null for none."""
+    cost: CostScales | None = None
+    """Scales of the cost of a run; null for no cost."""
+    tune: TuneOptions | None = None
+    """What `stewart-drake tune` searches; null for nothing."""
+    tuned: Text | None = None
+    """File, relative to this one, with values for keys of controllers, as `stewart-drake tune` writes it; `tune` itself
+    starts without them. Null for none."""
     quick: Positive = 1.5
     """[s] longest run under `--quick`, which also leaves but two of the frequencies."""
 
@@ -164,6 +173,13 @@ class Comparison(Plan):
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in _KINDS}
         _check_names(file, parts)
+        if file.tuned is not None:
+            if robot is not None:
+                raise ConfigurationError(
+                    "--robot", robot, "no value: the gains in `tuned` are for the scenario's robot"
+                )
+            tuned = TunedFile.load((folder or Path()) / file.tuned, parts["controllers"])
+            parts["controllers"] = {name: {**keys, **tuned.get(name, {})} for name, keys in file.controllers.items()}
         if robot is not None:
             base = base.replace({"robot": robot})
             base = base.replace(sized({"reference": to_plain(base.reference)}, base))
@@ -197,7 +213,7 @@ class Comparison(Plan):
         """See `Plan.measure`."""
         cell = self.cells[index]
         if cell.frequency is None:
-            return partial(measure_run, band=self.file.band)
+            return partial(measure_run, band=self.file.band, scales=self.file.cost)
         return partial(measure_band, frequency=cell.frequency, axis=AXIS_NUMBERS[cell.reference], window=cell.window)
 
     def variants(self) -> list[Scenario]:
@@ -210,8 +226,9 @@ class Comparison(Plan):
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
         """See `Plan.tables`."""
+        columns = table_columns(*self.variants(), cost=self.file.cost is not None)
         return {
-            "comparison": (table_columns(*self.variants()), table_rows(self, rows)),
+            "comparison": (columns, table_rows(self, rows)),
             "bands": (BANDS, band_rows(self, rows)),
         }
 
@@ -224,6 +241,7 @@ class Comparison(Plan):
         return {
             "scenario": self.base.to_dict(),
             "band": self.file.band,
+            "cost": None if self.file.cost is None else self.file.cost.to_dict(),
             "cells": [dataclasses.asdict(cell) for cell in self.cells],
         }
 

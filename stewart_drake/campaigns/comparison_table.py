@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stewart_drake.campaigns.tables import Row, flat, markdown
+from stewart_drake.logs.cost import FAILED, mean_cost
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns
 
@@ -32,6 +33,7 @@ NAMES = (
 """First columns of both tables."""
 
 SETTLING = Column("settling_s", "s", "after which the pose error stays within the comparison's band; null: it does not")
+COST = Column("cost", "1", f"J, see `cost` in the comparison; {FAILED:g} for a run that was not completed")
 
 BANDS = (
     *NAMES,
@@ -45,9 +47,9 @@ BANDS = (
 """Columns of the table of bands."""
 
 
-def table_columns(*scenarios: Scenario) -> tuple[Column, ...]:
+def table_columns(*scenarios: Scenario, cost: bool = False) -> tuple[Column, ...]:
     """Columns of the table."""
-    return (*NAMES, *run_columns(*scenarios), SETTLING)
+    return (*NAMES, *run_columns(*scenarios), SETTLING, *((COST,) if cost else ()))
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,9 @@ def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
         rows: See `one_run.execute`.
     """
     runs = _named(comparison, rows, bands=False)
+    if comparison.file.cost is not None:
+        # A run that was refused or broke has no figures at all.
+        runs = [{"cost": FAILED, **row} for row in runs]
     found: list[Row] = []
     for name, best in comparison.file.best_of.items():
         groups: dict[tuple[str, str, int], list[Row]] = {}
@@ -122,6 +127,8 @@ def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) ->
             if name == key[0] and (key in asked if asked else name not in hidden):
                 groups.setdefault(key, []).append(row)
     made = [_list(comparison, groups)] if comparison.file.layout == "rows" else _grids(groups)
+    if comparison.file.cost is not None:
+        made.insert(0, _costs(groups))
     return made + [_band_sheet(axis, bands) for axis in dict.fromkeys(row["reference"] for row in bands)]
 
 
@@ -220,16 +227,32 @@ _WORST_OF_ALL: Sequence[tuple[str, str, _Show]] = (
 
 
 def _list(comparison: Comparison, groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
+    shown = _LIST if comparison.file.cost is None else (*_LIST, ("cost", "cost", number))
     lines = []
     for key, group in groups.items():
         failure = _failure(group)
-        figures = [show(_worst(group, name)) for _, name, show in _LIST]
+        figures = [show(_worst(group, name)) for _, name, show in shown]
         if failure is not None:
-            figures = [failure] + (figures[1:] if _only_lost(group) else ["-"] * (len(_LIST) - 1))
+            figures = [failure] + (figures[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))
         lines.append((key[0] + _chosen(group), *key[1:], *figures))
     title = f"{comparison.name}: RMSE and peak of the length of the error, {_LATE}"
-    header = ("controller", "motion", "condition", *(heading for heading, _, _ in _LIST))
+    header = ("controller", "motion", "condition", *(heading for heading, _, _ in shown))
     return Sheet(title, header, tuple(lines), (0, 1, 2, 3, 4, 8))
+
+
+def _costs(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> Sheet:
+    """Mean cost of each controller, under each condition and over all runs."""
+    conditions = list(dict.fromkeys(key[2] for key in groups))
+    lines = []
+    for controller in dict.fromkeys(key[0] for key in groups):
+        of = {key: [row["cost"] for row in group] for key, group in groups.items() if key[0] == controller}
+        each = [
+            [cost for key, costs in of.items() if key[2] == condition for cost in costs] for condition in conditions
+        ]
+        everything = [cost for costs in of.values() for cost in costs]
+        lines.append((controller, *(number(mean_cost(costs) if costs else None) for costs in (*each, everything))))
+    title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
+    return Sheet(title, ("controller", *conditions, "all"), tuple(lines), (0, *range(1, len(conditions) + 2)))
 
 
 def _grids(groups: Mapping[tuple[str, str, str], Sequence[Row]]) -> list[Sheet]:

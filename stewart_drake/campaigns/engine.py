@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from stewart_drake.campaigns.executors import ATTEMPTS, Given, LocalProcesses, Workplace, worker_deaths
+from stewart_drake.campaigns.executors import ATTEMPTS, Workplace, worker_deaths, workplace
 from stewart_drake.errors import StewartDrakeError
 from stewart_drake.logs import versions
 from stewart_drake.logs.metric_table import METRICS
@@ -51,8 +51,7 @@ def carry_out(
         KeyboardInterrupt: What is done has been kept.
         BaseException: Whatever a piece of work raises.
     """
-    place = Given(where) if isinstance(where, Executor) else where or LocalProcesses()
-    _Job(place, list(keys), work, keep, crashed).run()
+    _Job(workplace(where), list(keys), work, keep, crashed).run()
 
 
 def warm_up(source: str, metrics: Iterable[str] = ()) -> None:

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.runs.terminal import quiet_libraries
@@ -227,6 +227,58 @@ class Given(Workplace):
     def close(self, executor: Executor, abort: bool) -> None:  # noqa: ARG002 - it stays open
         """See `Workplace.close`."""
         self._broken = bool(getattr(executor, "_broken", False))
+
+
+def workplace(where: Workplace | Executor | None) -> Workplace:
+    """What a caller says of where the work goes; None for processes of this machine."""
+    return Given(where) if isinstance(where, Executor) else where or LocalProcesses()
+
+
+class Lasting(Workplace):
+    """A workplace whose executor stays from one piece of a campaign to the next: opening it takes seconds.
+
+    A context manager; at its end all is closed.
+
+    Args:
+        place: The workplace.
+    """
+
+    def __init__(self, place: Workplace) -> None:
+        self._place, self._left = place, 0
+        self._executor: Executor | None = None
+        self.workers = place.workers
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._end(abort=kind is not None)
+        self._place.leave()
+
+    def open(self, most: int) -> Executor:
+        """See `Workplace.open`."""
+        if self._executor is None or (self._place.worn and self._left < most):
+            self._end()
+            # Not for `most`: the next piece may have more.
+            self._executor = self._place.open(self.workers)
+            self.workers = self._place.workers
+            self._left = self.workers * (self._place.worn or 0)
+        self._left -= most
+        return self._executor
+
+    def check(self) -> None:
+        """See `Workplace.check`."""
+        self._place.check()
+
+    def close(self, executor: Executor, abort: bool) -> None:
+        """See `Workplace.close`."""
+        if abort or getattr(executor, "_broken", False):
+            self._end(abort=True)
+
+    def _end(self, abort: bool = False) -> None:
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            self._place.close(executor, abort)
 
 
 class SerialExecutor(Executor):

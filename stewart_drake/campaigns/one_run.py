@@ -84,6 +84,11 @@ def simulate_figures(scenario: Scenario) -> SimulationLog:
     return simulate(scenario, rows=NoRows())
 
 
+def simulate_unchecked(scenario: Scenario) -> SimulationLog:
+    """The same without the check of its motion, for one that has been checked before."""
+    return simulate(scenario, rows=NoRows(), check=False)
+
+
 def execute(function: RunFunction, task: Task) -> Row:
     """Runs `task` and turns whatever comes of it into a row; what ends the process is beyond it.
 

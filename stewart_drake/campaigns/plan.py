@@ -228,7 +228,7 @@ def run_plan(
         text = "its worker process died, also with this run alone in it: killed, out of memory, or a crash below Python"
         return empty_row(plan.task(index), "crashed", "worker_died", text)
 
-    with RowStore(folder, _identity_of(plan, versions), restart, plan.products) as store:
+    with RowStore(folder, identity_of(plan, plan.work, versions), restart, plan.products) as store:
         kept = store.rows()
         rows = {index: kept[index] for index in indices if index in kept}
 
@@ -298,9 +298,18 @@ def identity(
     }
 
 
-def _identity_of(plan: Plan, versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What the rows of a plan depend on; classes of the user's are loaded, so that one that is missing shows early."""
+def identity_of(plan: Plan, work: Mapping[str, Any], versions: Mapping[str, str | None]) -> dict[str, Any]:
+    """What rows of `plan` depend on, in plain values; classes of the user's are loaded: one that lacks shows early.
+
+    Args:
+        plan: Whose scenarios are run.
+        work: What is done with them, in plain values.
+        versions: From `collect_versions`.
+
+    Raises:
+        ConfigurationError: A weights file, or a class, that cannot be read.
+    """
     variants = plan.variants()
     for source in {source.path: source for variant in variants for source in user_sources(variant)}.values():
         source.load()
-    return identity(plan.work, variants, versions)
+    return identity(work, variants, versions)

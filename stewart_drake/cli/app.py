@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.cli.calibrate_command import calibrate
-from stewart_drake.cli.campaign_commands import compare, faults, sweep
+from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
 from stewart_drake.cli.identify_command import excite, identify
@@ -245,6 +245,7 @@ cli.add_command(margins)
 cli.add_command(identify)
 cli.add_command(robots)
 cli.add_command(sweep)
+cli.add_command(tune)
 cli.add_command(workspace)
 cli.add_command(write_sdf_command)
 cli.add_command(write_mjcf_command)

@@ -1,4 +1,4 @@
-"""The commands `sweep`, `compare` and `faults`: many runs, whose rows are kept as they come."""
+"""The commands `sweep`, `compare`, `tune` and `faults`: many runs, whose rows are kept as they come."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from stewart_drake.runs.terminal import ProgressBar, console, print_columns, pri
 if TYPE_CHECKING:
     from stewart_drake.campaigns.executors import Workplace
     from stewart_drake.campaigns.plan import Plan
+    from stewart_drake.campaigns.tune_file import Tuning
 
 WIDE = 150
 """Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
@@ -47,7 +48,7 @@ _robot = click.option(
 
 @contextmanager
 def _under_way(
-    plan: Plan, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
+    plan: Plan | Tuning, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
 ) -> Iterator[tuple[Path, Workplace, Callable[[float], None]]]:
     """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
     from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses
@@ -110,7 +111,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @_robot
 @_campaign
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
-    """Compare controllers: COMPARISON is a YAML file, or a shipped one: tracking, controllers [default: tracking].
+    """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair [default: tracking].
 
     Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
     fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.
@@ -134,6 +135,40 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
     if result.engine is not None:
         click.echo(result.engine)
     click.echo(f"tables and pictures in {folder}")
+
+
+@click.command()
+@click.argument("comparison")
+@out_folder()
+@click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
+@click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
+@click.option("--quick", is_flag=True, help="Short runs and two generations: to see that all is well.")
+@_campaign
+def tune(
+    comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
+) -> None:
+    """Search the gains of controllers for the least cost: COMPARISON is a file with `tune` in it, or a name as fair.
+
+    Every controller gets the same search (CMA-ES) over the same runs; then those before and after are compared as the
+    file says, in OUT/verdict-*. Writes tuned.yaml (for `tuned` of the comparison), tune.parquet and .csv (a row an
+    evaluation), tune.md and tune.png. What is done is kept in OUT, and an interrupted search goes on from it; with
+    another --budget or --controller too.
+
+    Exit status: 0 all is searched, 2 bad input, 3 no workers are left, 130 interrupted.
+    """
+    from stewart_drake.campaigns.tune import run_tuning, write_picture
+    from stewart_drake.campaigns.tune_file import load_tuning
+
+    loaded = load_tuning(comparison, controllers, budget, quick)
+    with _under_way(loaded, **options, ending="-tune-quick" if quick else "-tune") as (folder, where, progress):
+        result = run_tuning(loaded, folder, where, progress, restart)
+        line = write_picture(result, folder)
+        if line is not None:
+            click.echo(f"stewart-drake: {line}", err=True)
+    if options["quiet"]:
+        return
+    print_columns(result.sheet.title, result.sheet.header, result.sheet.rows, result.sheet.brief[1:])
+    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.judged_in}")
 
 
 @click.command()

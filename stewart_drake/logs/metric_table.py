@@ -245,7 +245,7 @@ _SHIPPED = len(METRICS)
 _TAKEN = (
     *("scenario", "safety", "real_time_factor", "git_revision", "versions", "files"),
     *("index", "seed", "values", "wall_s", "simulation_s", "host", "worker"),
-    *("controller", "chosen", "reference", "condition", "settling_s"),
+    *("controller", "chosen", "reference", "condition", "settling_s", "cost"),
     *("frequency_hz", "amplitude", "ratio", "phase_deg", "rest"),
     *("fault", "motion", "reaction", "safety_cause", "safety_leg", "latency_ms", "peak_error_deg", "peak_error_mm"),
     *("travel_deg", "travel_mm", "peak_torque", "holds_weight", "support_newton", "force_newton"),

@@ -15,6 +15,7 @@ from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
+from stewart_drake.logs.cost import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.plotting import comparison_plots as plotting
 from stewart_drake.runs.simulation import run
@@ -286,3 +287,30 @@ def test_what_is_done_is_not_run_again_and_another_comparison_is_refused(done):
 )  # fmt: skip
 def test_numbers_have_three_digits(value, text):
     assert number(value) == text
+
+
+@pytest.mark.slow
+def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
+    runs = [
+        {"controllers": ["pid"], "references": ["sine", "hold"], "conditions": ["nominal", "noise"]},
+        SMALL["runs"][2],
+    ]
+    comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
+    result = run_comparison(comparison, tmp_path, SerialExecutor())
+    for row in result.rows:
+        if row["status"] == "completed":
+            parts = row["rmse_norm_deg"] / 0.03, row["rmse_norm_mm"] / 0.5, row["torque_change_rms"] / 2.0
+            assert row["cost"] == pytest.approx(math.hypot(*parts))
+        else:
+            assert row["cost"] == FAILED
+    assert result.table["cost"].to_pylist() == [row["cost"] for row in result.rows]
+    costs = {key: [r["cost"] for r in result.rows if (r["controller"], r["condition"]) == key] for key in
+             (("pid", "nominal"), ("pid", "noise"), ("paper", "nominal"))}  # fmt: skip
+    everything = costs["pid", "nominal"] + costs["pid", "noise"]
+    assert result.sheets[0].rows == (
+        (
+            "pid",
+            *(number(float(np.mean(each))) for each in (costs["pid", "nominal"], costs["pid", "noise"], everything)),
+        ),
+        ("paper", "1000", "-", "1000"),
+    )

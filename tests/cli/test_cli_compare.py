@@ -30,3 +30,40 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(compare, tmp_path, monk
     status, out, _ = compare("mine.yaml", "--quiet", "--quick", "--workers", 1)
     assert (status, out) == (0, "")
     assert (tmp_path / "runs" / "mine-quick").is_dir()
+
+
+TUNE = """
+cost: {position: 0.1}
+tune: {controllers: {weak: {controller.kp: [1.0, 100.0]}}, population: 4, set: {plant.engine: reduced}}
+"""
+
+
+@pytest.mark.slow
+def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
+    (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
+    status, out, _ = call("tune", "mine.yaml", "--workers", 1, "--budget", 8)
+    assert status == 0
+    assert all(word in out for word in ("weak", "verdict: tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
+    made = tmp_path / "runs" / "mine-tune"
+    names = {path.name for path in made.iterdir()}
+    assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png"} <= names
+    (tmp_path / "mine.yaml").write_text(TEXT + TUNE + f"tuned: {made / 'tuned.yaml'}\n")
+    status, out, _ = call("compare", "mine.yaml", "--workers", 1)
+    assert status == 0
+    assert "cost" in out
+    status, out, _ = call("tune", "mine.yaml", "--workers", 1, "--quick", "--quiet")
+    assert (status, out) == (0, "")
+
+
+def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
+    (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
+    for args, why in (
+        (("tune", "mine.yaml", "--controller", "strong"), "--controller: got 'strong'; allowed: one of weak"),
+        (("tune", "mine.yaml", "--budget", 3), "--budget: got 3; allowed: at least 5"),
+        (("tune", "tracking"), "tune: got None; allowed: a section"),
+    ):
+        status, out, err = call(*args)
+        assert (status, out) == (2, "")
+        assert err.startswith(f"stewart-drake: {why}")
+        assert err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
