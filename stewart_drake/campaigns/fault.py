@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -89,14 +89,15 @@ class Fault(Section):
         return changes
 
 
-def base(robot: str | None = None) -> Scenario:
+def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
     """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default.
 
     Args:
         robot: Name or YAML file; None for the paper's.
+        overrides: `key=value` texts, see `load_scenario`.
     """
     named = () if robot is None else (f"robot={robot}",)
-    return load_scenario("exact_fig7", named).replace({"duration": DURATION, "safety": {}})
+    return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
 
 
 FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())

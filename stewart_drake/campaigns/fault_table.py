@@ -79,11 +79,15 @@ class FaultPlan(Plan):
 
     @classmethod
     def of(
-        cls, pairs: Sequence[tuple[Fault, str]], motions: Sequence[str] = tuple(MOTIONS), robot: str | None = None
+        cls,
+        pairs: Sequence[tuple[Fault, str]],
+        motions: Sequence[str] = tuple(MOTIONS),
+        robot: str | None = None,
+        overrides: Sequence[str] = (),
     ) -> FaultPlan:
-        """The plan of some rows; robot: name or file, None for the paper's."""
+        """The plan of some rows; robot and overrides as in `fault.base`."""
         runs = sum(motion in motions for _, motion in pairs)
-        return cls(catalogue.base(robot), pairs, motions, runs=runs, name="faults")
+        return cls(catalogue.base(robot, overrides), pairs, motions, runs=runs, name="faults")
 
     @property
     def indices(self) -> Iterable[int]:
@@ -133,9 +137,9 @@ class FaultPlan(Plan):
         return markdown_table(tables["faults"])
 
 
-def table_plan(quick: bool = False, robot: str | None = None) -> FaultPlan:
-    """The plan of the whole table; quick: of the held platform alone; robot: name or file, None for the paper's."""
-    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot)
+def table_plan(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultPlan:
+    """The plan of the whole table; quick: of the held platform alone; robot and overrides as in `fault.base`."""
+    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot, overrides)
 
 
 def make_table(
@@ -145,6 +149,7 @@ def make_table(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
     robot: str | None = None,
+    overrides: Sequence[str] = (),
 ) -> Made:
     """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `plan.run_plan`.
 
@@ -155,8 +160,9 @@ def make_table(
         progress: Called with the number of rows done.
         restart: Throw away the rows that an earlier call left in the folder.
         robot: Name or YAML file; None for the paper's.
+        overrides: `key=value` texts, such as `estimator.kind=observer`.
     """
-    return run_plan(table_plan(quick, robot), Path(folder), where, progress, restart)["faults"]
+    return run_plan(table_plan(quick, robot, overrides), Path(folder), where, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, quiet_flag
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, overrides, quiet_flag
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
 
@@ -175,8 +175,9 @@ def tune(
 @out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @_robot
+@overrides("estimator.kind=observer")
 @_campaign
-def faults(quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
+def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
 
     What is done is kept in OUT, and an interrupted table goes on from it.
@@ -185,9 +186,9 @@ def faults(quick: bool, robot: str | None, restart: bool, **options: Any) -> Non
     """
     from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
 
-    plan = table_plan(quick, robot)
+    plan = table_plan(quick, robot, overrides)
     with _under_way(plan, **options) as (folder, where, progress):
-        made = make_table(folder, quick, where, progress, restart, robot)
+        made = make_table(folder, quick, where, progress, restart, robot, overrides)
     if options["quiet"]:
         return
     numbers = [TERSE_HEADERS.index(name) for name in ("ms", "deg", "mm", "N m")]

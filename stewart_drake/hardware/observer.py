@@ -76,7 +76,7 @@ class ObserverOptions(EstimatorOptions):
     """A Kalman filter with the exact model in it, see the text of `hardware.observer`."""
 
     kind: Literal["observer"] = "observer"
-    disturbance: Positive = 20.0
+    disturbance: Positive = 16.0
     """[rad/s^2 per sqrt(s)] by which the unexplained part of each crank's acceleration is expected to change in a
     second: low is quiet, high is stiff. With the noise of the readings it sets the bandwidth."""
     delay: Annotated[Natural, Field(le=100)] | None = None

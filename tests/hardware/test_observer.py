@@ -26,7 +26,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME = ROBOT.home_pose
-OBSERVER = Observer(ROBOT, ObserverOptions(), GRAVITY, PERIOD, NOISE)
+OBSERVER = Observer(ROBOT, ObserverOptions(disturbance=20.0), GRAVITY, PERIOD, NOISE)
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 few = settings(max_examples=25, deadline=None)
 both = pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "compiled"])

@@ -14,7 +14,16 @@ def made(**changes):
     """`exact_breathing` for a second, noisy, with an observer."""
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     noisy = {} if "sensors" in changes else {"sensors.noise": 2e-5}
-    return load_scenario("exact_breathing").replace({"duration": 1.0, "estimator": OBSERVER, **noisy, **changes})
+    return load_scenario("exact_breathing").replace(
+        {
+            "duration": 1.0,
+            "estimator": OBSERVER,
+            "friction_compensation": None,
+            "tuner": {"kind": "block"},
+            **noisy,
+            **changes,
+        }
+    )
 
 
 def error(log, since=0.5):
@@ -107,7 +116,7 @@ def test_reachy_mini_nods_on_its_bus_of_100_hz():
 
 
 def test_gains_follow_period_and_delay():
-    fast = load_scenario("exact_breathing")
+    fast = load_scenario("exact_breathing", ["tuner={kind: block}"])
     slow = fast.replace({"controller.period": 0.01})
     # 1 and 2 ticks of 10 ms against 4.5 ms.
     ratio = 4.5 / 20.0
