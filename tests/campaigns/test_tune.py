@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.campaigns.comparison_file import Comparison
+from stewart_drake.campaigns.comparison_file import Comparison, load_comparison
 from stewart_drake.campaigns.executors import Lasting, SerialExecutor, workplace
 from stewart_drake.campaigns.tune import measure_cost, run_tuning, write_picture
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Ranges, Tuning, load_tuning
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
+from stewart_drake.keys import value_at
 from stewart_drake.logs.cost import FAILED, CostScales, mean_cost
 from stewart_drake.runs.simulation import run
 
@@ -265,3 +266,16 @@ def test_an_executor_that_lasts_is_opened_once_until_it_is_worn():
         assert lasting.open(1) is not first
         assert (Place.opened, Place.closed) == (2, 1)
     assert Place.closed == 2
+
+
+def test_what_the_shipped_comparison_takes_is_what_its_search_can_find():
+    plan, compared = load_tuning("fair"), load_comparison("fair")
+    for name, ranges in plan.ranges.items():
+        place = next(place for place, cell in enumerate(compared.cells) if cell.controller == name)
+        found = value_of(compared.scenario(place), ranges.keys)
+        assert found != ranges.start
+        assert all(low <= found[key] <= high for key, (low, high) in ranges.keys.items())
+
+
+def value_of(scenario, keys):
+    return {key: value_at(scenario.in_full(), key) for key in keys}
