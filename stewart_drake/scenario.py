@@ -323,7 +323,7 @@ _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
 
 
-_OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.delay")
+_OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.kind", "estimator.delay")
 
 
 def _latency(data: Mapping[str, Any]) -> float:

@@ -106,7 +106,7 @@ def observe(
         OK, or anything else where the reference raises.
     """
     result[_M.size : -6] = memory[_M.size + 6 :]
-    result[-6:] = sent
+    result[-6:] = sent if np.isfinite(sent).all() else memory[-6:]
     pose, rate, surplus = result[: _M.rate], result[_M.rate : _M.pose_ahead], result[_M.surplus : _M.missed]
     pose[:], rate[:] = memory[: _M.rate], memory[_M.rate : _M.pose_ahead]
     surplus[:] = memory[_M.surplus : _M.missed]
@@ -126,7 +126,7 @@ def observe(
         cosine, sine = np.cos(angles[i]), np.sin(angles[i])
         innovation = np.arctan2(sine * along - cosine * up, cosine * along + sine * up)
         missed = memory[_M.missed + i]
-        if abs(innovation) <= numbers[_N.max_innovation] * (1.0 + missed):
+        if abs(innovation) <= numbers[_N.max_innovation]:
             missed = 0.0
         else:
             innovation, missed = 0.0, missed + 1.0

@@ -281,7 +281,7 @@ class DifferenceEstimating:
     """`DifferenceOptions` in one run; see `Estimating`."""
 
     ahead = 0
-    innovates = False
+    surprise_scale = None
 
     def __init__(self, options: object, site: LoopSite, sensors: Any, size: int) -> None:  # noqa: ARG002 - none matter
         self.live, self._estimate = size == 12, None

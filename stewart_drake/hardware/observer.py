@@ -1,7 +1,7 @@
 """An observer of the platform's motion: pose, rate and what no model explains, from readings of the cranks' angles.
 
-Between two ticks the exact model says what the known torques do. What else happens is a seventh force to each crank: an
-unknown acceleration, which wanders. A reading then corrects all three, by the steady Kalman filter of
+Between two ticks the exact model says what the known torques do. What else happens is one more acceleration of each
+crank, which nobody knows and which wanders. A reading then corrects all three, by the steady Kalman filter of
 
     theta' = rate,  rate' = model + surplus + white noise,  surplus' = white noise,  reading = theta + white noise,
 
@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -46,6 +47,8 @@ ARRIVED = 6.0
 """Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction."""
 SLIP = 4.0
 """[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
+NOISE_AT_MOST = 8.0
+"""Standard deviations of a reading that an innovation of noise and counts alone has at most."""
 SHARE = 1.5
 """[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
 none the loop that feeds the surplus back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake margins`)."""
@@ -79,7 +82,7 @@ class ObserverOptions(EstimatorOptions):
     """A Kalman filter with the exact model in it, see the text of `hardware.observer`."""
 
     kind: Literal["observer"] = "observer"
-    disturbance: Positive = 16.0
+    disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
     """[rad/s^2 per sqrt(s)] by which the unexplained part of each crank's acceleration is expected to change in a
     second: low is quiet, high is stiff. With the noise of the readings it sets the bandwidth."""
     delay: Annotated[Natural, Field(le=100)] | None = None
@@ -205,6 +208,13 @@ class Observer(NamedTuple):
         turn = bandwidth(noise, self.options.disturbance, self.period)
         return max(ARRIVED * noise, SLIP * self.friction * float(np.diag(mobility).max()) / turn**2)
 
+    @property
+    def surprise_scale(self) -> tuple[float, float]:
+        """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
+        noise = max(self.noise, SMALLEST_NOISE)
+        turn = bandwidth(noise, self.options.disturbance, self.period)
+        return NOISE_AT_MOST * noise, 1.0 / turn**2 + self.period**2
+
     def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
         """Memory before the first tick, flat.
 
@@ -251,12 +261,14 @@ def observe(
         SingularPoseError: The robot has come to a singularity.
     """
     robot, options, gains = observer.robot, observer.options, observer.gains
+    # What is not a number no motor gives; the safety layer repeats the last command for it.
+    sent = sent if np.isfinite(sent).all() else memory.commands[-1]
     commands = np.concatenate([memory.commands[1:], sent[None]])
-    try:
+    with _named(memory):
         pose, rate = advance(observer, memory.pose, memory.rate, commands[0], memory.surplus)
         expected = leg_geometry(robot, pose).crank_angles
         innovation = np.remainder(angles - expected + np.pi, 2.0 * np.pi) - np.pi
-        believed = np.abs(innovation) <= options.max_innovation * (1.0 + memory.missed)
+        believed = np.abs(innovation) <= options.max_innovation
         missed = np.where(believed, 0.0, memory.missed + 1.0)
         if missed.max() > options.hold_ticks:
             leg = int(missed.argmax())
@@ -266,17 +278,19 @@ def observe(
         jacobian = twist_jacobian(robot, pose)
         turned = np.linalg.solve(jacobian, np.outer(innovation, gains[:2])).T
         pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
-        apart = np.abs(jacobian @ pose_rate_to_twist(pose, np.stack([pose - reference[:6], reference[6:12]])).T).max(
-            axis=0
-        )
+        wanted = pose_rate_to_twist(pose, np.stack([pose - reference[:6], reference[6:12]]))
+        apart = np.abs(jacobian @ wanted.T).max(axis=0)
         stands = apart[0] <= observer.arrived and apart[1] <= RESTS
         surplus = memory.surplus if stands else memory.surplus + gains.surplus * innovation
-        return _looking_ahead(
-            observer,
-            memory._replace(
-                pose=pose, rate=rate, innovation=innovation, surplus=surplus, missed=missed, commands=commands
-            ),
-        )
+        now = memory._replace(pose=pose, rate=rate, surplus=surplus, missed=missed, commands=commands)
+        return _looking_ahead(observer, now._replace(innovation=innovation))
+
+
+@contextmanager
+def _named(memory: ObserverMemory) -> Iterator[None]:
+    """Names what is wrong with a robot that has come to a singularity, or will before its command acts."""
+    try:
+        yield
     except UnreachablePoseError as error:
         # A crank carried across its dead centre, slightly.
         raise SingularPoseError("serial", error.pose, error.margin, 0.0, error.leg) from None
@@ -299,8 +313,13 @@ def _looking_ahead(observer: Observer, memory: ObserverMemory) -> ObserverMemory
 
 
 def start(observer: Observer, pose: np.ndarray, memory: ObserverMemory) -> ObserverMemory:
-    """The first tick, from the pose (6,) [rad, m] that its readings tell; the rate is that of the memory."""
-    return _looking_ahead(observer, memory._replace(pose=pose))
+    """The first tick, from the pose (6,) [rad, m] that its readings tell; the rate is that of the memory.
+
+    Raises:
+        SingularPoseError: The robot comes to a singularity before its first command acts.
+    """
+    with _named(memory):
+        return _looking_ahead(observer, memory._replace(pose=pose))
 
 
 FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stewart_drake.compiled.constants import OBSERVER_MEMORY
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
 from stewart_drake.hardware.observer import Observer, ObserverOptions, flat_observer
 from stewart_drake.hardware.sensing import Estimate, LoopSite
@@ -16,6 +17,9 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.sampling import Running, Sampled
 
 _M = OBSERVER_MEMORY
+
+FARTHEST = 0.3
+"""[s] beyond which a prediction says nothing any more; assumed."""
 
 
 def observer_part(observer: Observer, initial: np.ndarray, size: int, compiled: bool) -> Sampled:
@@ -55,8 +59,17 @@ class PlacedObserver(NamedTuple):
 
 
 def observer_at(options: ObserverOptions, site: LoopSite, sensors: SensorOptions) -> PlacedObserver:
-    """The observer of a loop."""
+    """The observer of a loop.
+
+    Raises:
+        ConfigurationError: A delay that is too long.
+    """
     ahead = site.delay if options.delay is None else options.delay
+    if ahead * site.period > FARTHEST:
+        key, value = ("command_delay", site.delay) if options.delay is None else ("estimator.delay", options.delay)
+        most = int(FARTHEST / site.period)
+        allowed = f"at most {most} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
+        raise ConfigurationError(key, value, allowed)
     observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise, site.friction)
     return PlacedObserver(observer, observer.initial(site.pose, site.pose_rate, site.still, ahead), ahead)
 
@@ -65,10 +78,10 @@ class ObserverEstimating:
     """`ObserverOptions` in one run; see `Estimating`."""
 
     live = False
-    innovates = True
 
     def __init__(self, options: ObserverOptions, site: LoopSite, sensors: SensorOptions, size: int) -> None:
         observer, initial, self.ahead = observer_at(options, site, sensors)
+        self.surprise_scale = observer.surprise_scale
         self._observe = Running(observer_part(observer, initial, size, site.compiled), site.guarded)
 
     @property

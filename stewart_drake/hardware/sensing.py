@@ -95,13 +95,13 @@ class Estimating(Protocol):
     Attributes:
         ahead: [ticks] of what the controller sees.
         live: Whether it passes on what is read between ticks too.
-        innovates: Whether there are innovations.
+        surprise_scale: Of innovations, see `Observer.surprise_scale`; None where there are none.
         health: What was wrong in the last tick, see `sampling.ill`.
     """
 
     ahead: int
     live: bool
-    innovates: bool
+    surprise_scale: tuple[float, float] | None
     health: tuple[float, float]
 
     def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray) -> Estimate:

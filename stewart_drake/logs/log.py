@@ -66,7 +66,11 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "reference": _axes("rad", "m", "reference pose"),
     "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
     "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
-    "error": _axes("rad", "m", "measured pose minus reference at the latest tick"),
+    "error": _axes(
+        "rad",
+        "m",
+        "pose minus reference at the latest tick; with an observer, when its command acts",
+    ),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
     "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
     "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
@@ -79,8 +83,8 @@ SIGNALS: Mapping[str, SignalSpec] = {
         (*(f"error_{a}" for a in AXIS_NAMES), *(f"torque_{i}" for i in LEG_NAMES)), ("1",) * 12, "", "density features"
     ),
     "loop_gap": _legs("m", "a length", "distance from rod end to platform joint"),
-    "measured_pose": _axes("rad", "m", "pose that the controller sees; the true one without this signal"),
-    "measured_pose_rate": _axes("rad/s", "m/s", "rate of the pose that the controller sees"),
+    "measured_pose": _axes("rad", "m", "pose that is measured or estimated; the true one without this signal"),
+    "measured_pose_rate": _axes("rad/s", "m/s", "its rate"),
     "innovation": _legs("rad", "about the motor axis", "readings less what the observer expected"),
     "disturbance": SignalSpec(
         ("mx", "my", "mz", "fx", "fy", "fz"), ("N m",) * 3 + ("N",) * 3, "P in B", "wrench from outside on the platform"
@@ -97,8 +101,9 @@ SIGNALS: Mapping[str, SignalSpec] = {
 of the plant's state, named by Drake."""
 
 OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety")
-"""block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders or a
-sensor that fails, the disturbance where there is one, safety where that layer is on."""
+"""block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders, an
+observer or a sensor that fails, innovation where there is an observer, the disturbance where there is one, safety where
+that layer is on."""
 
 
 def _state_column(name: str) -> tuple[str, str, str]:

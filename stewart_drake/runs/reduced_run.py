@@ -83,7 +83,16 @@ class ReducedRun:
         self._safety = None
         if safety is not None:
             quantum = scenario.sensors.quantum
-            part = safety_part(believed, safety, scenario.gravity, period, still, compiled, quantum)
+            part = safety_part(
+                believed,
+                safety,
+                scenario.gravity,
+                period,
+                still,
+                compiled,
+                quantum,
+                self._estimating.surprise_scale or (0.0, 1.0),
+            )
             self._safety = Running(part)
         self._motors = None if scenario.motors.perfect else scenario.motors
         # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
@@ -97,7 +106,7 @@ class ReducedRun:
             torque=6,
             error=6,
             integral=6,
-            innovation=6 if self._estimating.innovates else 0,
+            innovation=6 if self._estimating.surprise_scale else 0,
             weights=len(self._weights) if self._tuner else 0,
             density=12 if self._density else 0,
             torque_applied=6 if self._applied else 0,
@@ -109,7 +118,7 @@ class ReducedRun:
         self._state, self._next = np.zeros(_S.size), np.empty(_S.size)
         self._estimate = Estimate(np.zeros(12), np.zeros(12))
         self._answer = Answer(np.zeros(6), np.zeros(6), np.zeros(6))
-        self._command = still
+        self._command, self._reading = still, np.zeros(12)
 
     def prepare(self) -> None:
         """See `Engine`."""
@@ -175,7 +184,8 @@ class ReducedRun:
         tick, within = divmod(self._now, self._per_tick)
         ticks = within == 0
         if ticks or self._live:
-            self._estimate = self._estimating(time, self._sensing(time, tick, self._state), self._sent, wanted)
+            self._reading = self._sensing(time, tick, self._state)
+            self._estimate = self._estimating(time, self._reading, self._sent, wanted)
         measured, seen = self._estimate.measurement, self._estimate.seen
         ahead = self._ahead.at(self._now + self._estimating.ahead * self._per_tick)[1]
         say = self._control.tick if ticks else self._control.between
@@ -191,7 +201,8 @@ class ReducedRun:
         if self._safety is not None:
             if ticks:
                 healths = self._estimating.health, self._control.health
-                more = self._sensing.angles, self._estimate.innovation
+                pose = self._reading[:6] if self._sensing.angles is None else None
+                more = self._sensing.angles, self._estimate.innovation, pose
                 self._safety(time, command, measured, wanted, age, *healths, *more)
             command = self._safety.memory[:6]
         if self._motors is not None:
@@ -209,7 +220,7 @@ class ReducedRun:
         torque = torque if friction is None else torque + friction.memory
         if torque is answer.torque:
             return answer
-        return Answer(np.minimum(np.maximum(torque, -self._limit), self._limit), answer.error, answer.integral)
+        return Answer(torque, answer.error, answer.integral)
 
     def _write(self, wanted: np.ndarray, answer: Answer) -> None:
         """Completes the row."""
@@ -241,7 +252,8 @@ class ReducedRun:
             self._weights = self._tuner(time, self._density.memory[:12])
         if (self._now + 1) % self._per_tick == 0:
             torque = self._answer.torque
-            self._sent = torque if self._against is None else torque - self._against.memory
+            given = np.minimum(np.maximum(torque, -self._limit), self._limit)
+            self._sent = given if self._against is None else given - self._against.memory
             if self._delayed:
                 self._delayed.append(torque)
                 self._delayed.popleft()

@@ -41,7 +41,7 @@ class SafetyInputs(NamedTuple):
         age: [ticks] of the command.
         sensor: What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
         controller: What is wrong with the controller, likewise.
-        surprise: [rad] largest innovation of an observer, less what counts of an encoder explain, and its leg.
+        surprise: [rad/s^2] acceleration of a crank that the largest innovation of an observer speaks of.
     """
 
     command: np.ndarray
@@ -51,7 +51,7 @@ class SafetyInputs(NamedTuple):
     age: float = 0.0
     sensor: tuple[float, float] = (0.0, -1.0)
     controller: tuple[float, float] = (0.0, -1.0)
-    surprise: tuple[float, float] = (0.0, -1.0)
+    surprise: float = 0.0
 
 
 class SafetyMemory(NamedTuple):

@@ -179,14 +179,12 @@ def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tu
 
 def surprising(options: SafetyOptions, inputs: SafetyInputs) -> bool:
     """Whether the robot does what the model of its observer does not explain."""
-    return options.innovation is not None and inputs.surprise[0] > options.innovation
+    return options.innovation is not None and inputs.surprise > options.innovation
 
 
-def surprise(innovation: np.ndarray, quantum: float) -> tuple[float, float]:
-    """See `SafetyInputs.surprise`, for innovations (6,) [rad] of readings in counts of `quantum` [rad]."""
-    beyond = np.abs(innovation) - 2.0 * quantum
-    leg = int(beyond.argmax())
-    return float(beyond[leg]), float(leg)
+def surprise(innovation: np.ndarray, scale: tuple[float, float]) -> float:
+    """See `SafetyInputs.surprise`, for innovations (6,) [rad] and `Observer.surprise_scale`."""
+    return (float(np.abs(innovation).max()) - scale[0]) / scale[1]
 
 
 MEASUREMENT = Monitor(trips=_unmeasured)

@@ -35,9 +35,9 @@ class SafetyOptions(Section, key="safety"):
     frozen_pose: Annotated[PositivePair | None, LENGTH] = (0.01, 0.001)
     """[rad, m] by which an axis of the reference may move while the measured pose, of a sensor that is no encoder,
     stays the same to the last bit."""
-    innovation: Positive | None = 5.0e-4
-    """[rad] by which a reading may differ, beyond two counts, from what an observer expected of it: a rod that is lost,
-    a heavy load that appears, an encoder that lies."""
+    innovation: Positive | None = 100.0
+    """[rad/s^2] acceleration of a crank that an observer's model does not explain, as its innovations tell beyond their
+    noise: a rod that is lost, a motor that is dead, an encoder that lies."""
     innovation_time: NotNegative = 0.01
     """[s] for which innovations may be that large, in sum: a blow passes. Good ticks take away from the sum."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0

@@ -181,7 +181,7 @@ def safety_tick(
     elif memory.too_fast * period > options.torque_rate_time + 1e-9:
         trip = Trip(MONITORS.index("torque_rate"), RAMP, int(np.abs(change).argmax()))
     elif memory.surprised * period > options.innovation_time + 1e-9:
-        trip = Trip(MONITORS.index("innovation"), RAMP, int(inputs.surprise[1]))
+        trip = Trip(MONITORS.index("innovation"), RAMP)
     if trip is not None:
         return layer.react(seen, memory, trip)
     good = memory.good if full.any() or steep.any() or np.any(led != torque) else torque

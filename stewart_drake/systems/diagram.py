@@ -154,6 +154,8 @@ class _Wiring:
         self.seen: dict[str, OutputPort] = {}
         self.compensations: list[OutputPort] = []
         self.sent: ZeroOrderHold | None = None
+        self.surprise_scale = (0.0, 1.0)
+        self.pose_reading: OutputPort | None = None
         self.holds: list[ZeroOrderHold] = []
         # Holds the robot at the start, until the first command is there.
         self.still = self.site.still
@@ -255,10 +257,11 @@ class _Wiring:
             terms += self.parts("against_friction", made, 6)
             explained = [self.add("less_friction", Gain(-1.0, 6), u0=terms[-1]).get_output_port()]
         if len(terms) > 1:
-            bound = self.add("command_limit", Saturation(-limit, limit), u0=self.sum("command_sum", terms))
-            self.command = self.signals["torque"] = bound.get_output_port()
+            self.command = self.signals["torque"] = self.sum("command_sum", terms)
         if self.sent is not None:
-            self.builder.Connect(self.sum("explained", [self.command, *explained]), self.sent.get_input_port())
+            # What the motors cannot give is cut by them, or by the safety layer, which has to see it.
+            bound = self.add("command_limit", Saturation(-limit, limit), u0=self.command).get_output_port()
+            self.builder.Connect(self.sum("explained", [bound, *explained]), self.sent.get_input_port())
 
     def sum(self, name: str, terms: Sequence[OutputPort]) -> OutputPort:
         """Sum of torques (6,)."""
@@ -297,12 +300,14 @@ class _Wiring:
             return
         quantum = scenario.sensors.quantum
         still, compiled = self.still, scenario.compiled
-        layer = SafetyLayer(self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum)
+        made = self.believed, scenario.safety, scenario.gravity, self.period, still, compiled, quantum
+        layer = SafetyLayer(*made, self.surprise_scale)
         seen = {name: self.signals[name] for name in ("measurement", "reference")}
         self.safety = self.add("safety", layer, command=self.command, **seen)
         for port, source in (
             (layer.angles, self.angles),
             (layer.innovation, self.signals.get("innovation")),
+            (layer.pose_reading, self.pose_reading),
             (layer.age, self.age),
             (layer.sensor_health, self.health.get("estimate")),
             (layer.controller_health, self.health.get("command")),

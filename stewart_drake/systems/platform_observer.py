@@ -63,5 +63,7 @@ def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> 
     now, ahead, compensation, innovation = wiring.parts("estimate", added, 12, 12, 6, 6)
     wiring.look_ahead(ahead, made.ahead)
     wiring.compensations.append(compensation)
-    wiring.signals["innovation"] = innovation
+    wiring.signals["innovation"], wiring.surprise_scale = innovation, made.observer.surprise_scale
+    if reading.size() == 12:
+        wiring.pose_reading = reading
     return now

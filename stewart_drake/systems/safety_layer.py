@@ -26,6 +26,7 @@ class SafetyLayer(TickedSystem):
         initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
         compiled: See `Scenario.compiled`.
         quantum: [rad] of a count of the encoders.
+        surprise_scale: Of the innovations, see `Observer.surprise_scale`.
 
     Ports:
         command: in (6,) [N m], the controller's.
@@ -36,6 +37,8 @@ class SafetyLayer(TickedSystem):
             left unconnected.
         angles: in (6,) [rad], readings of the encoders; may be left unconnected.
         innovation: in (6,) [rad], of an observer; may be left unconnected.
+        pose_reading: in (12,), what a sensor of the pose says, where an observer stands behind it; may be left
+            unconnected.
         torque: out (6,) [N m], for the motors.
         state: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
     """
@@ -49,8 +52,9 @@ class SafetyLayer(TickedSystem):
         initial: np.ndarray,
         compiled: bool = False,
         quantum: float = 0.0,
+        surprise_scale: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        first, self._tick = safety_part(robot, options, gravity, period, initial, compiled, quantum)
+        first, self._tick = safety_part(robot, options, gravity, period, initial, compiled, quantum, surprise_scale)
         super().__init__(period, first)
         self._options, self._nominal = options, period
         self.command = self.DeclareVectorInputPort("command", 6)
@@ -61,6 +65,7 @@ class SafetyLayer(TickedSystem):
         self.controller_health = self.DeclareVectorInputPort("controller_health", 2)
         self.angles = self.DeclareVectorInputPort("angles", 6)
         self.innovation = self.DeclareVectorInputPort("innovation", 6)
+        self.pose_reading = self.DeclareVectorInputPort("pose_reading", 12)
         self._declare_result()
         self.torque = self._declare_output("torque", 0, 6)
         self.state = self._declare_output("state", 6, 3)
@@ -74,8 +79,9 @@ class SafetyLayer(TickedSystem):
         )
         angles = self.angles.Eval(context) if self.angles.HasValue(context) else None
         innovation = self.innovation.Eval(context) if self.innovation.HasValue(context) else None
+        pose = self.pose_reading.Eval(context)[:6] if self.pose_reading.HasValue(context) else None
         seen = (port.Eval(context) for port in (self.command, self.measurement, self.reference))
-        return self._tick(*seen, float(age), sensor, controller, angles, innovation, previous)
+        return self._tick(*seen, float(age), sensor, controller, angles, innovation, pose, previous)
 
     def first_trip(self, context: Context) -> dict[str, Any] | None:
         """See `safety.first_trip`; `context` is that of the whole Diagram.

@@ -111,9 +111,16 @@ NEEDED = {
     "following_error": ("dead_motor_0", {"following_error": None}),
     "torque_limit": ("command_stays_full", {"torque_limit_time": 1e6}),
     "torque_rate": ("command_chatter", {"torque_rate": None}),
+    "innovation": ("dead_motor_observed", {"innovation": None}),
 }
-# Two monitors that no row of the table needs alone.
+# Monitors that no row of the table needs alone.
 OTHERS = {
+    "dead_motor_observed": dataclasses.replace(
+        BY_NAME["dead_motor_0"],
+        name="dead_motor_observed",
+        changes={**BY_NAME["dead_motor_0"].changes, "estimator": {"kind": "observer"}},
+        monitors=("innovation",),
+    ),
     "controller_breaks": dataclasses.replace(
         BY_NAME["to_dead_centre"],
         name="controller_breaks",

@@ -160,7 +160,7 @@ BAD = [
     ("train --epochs 0", ["--epochs", "0"]),
     ("check paper_fig7 --out fit.yaml", ["--out needs one of --scale and --retime"]),
     ("check paper_fig7 --scale --retime --out fit.yaml", ["--out needs one of --scale and --retime"]),
-    ("compare none_of_this_name", ["controllers, tracking"]),
+    ("compare none_of_this_name", ["controllers", "tracking"]),
     ("compare compare.yaml", ["weak, hold, nominal: controller.kpp"]),
     ("sweep", ["SWEEP"]),
     ("sweep initial_ofset", ["sweep file", "'initial_ofset'", "initial_offset"]),
