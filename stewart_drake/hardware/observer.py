@@ -26,9 +26,10 @@ from pydantic import Field
 
 from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, filled
 from stewart_drake.errors import RunFailure, SingularPoseError, UnreachablePoseError, pose_text
-from stewart_drake.mechanics.dynamics import forward_dynamics, task_inertia
+from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import (
     leg_geometry,
+    pose_jacobian,
     pose_rate_to_twist,
     rod_lines,
     twist_jacobian,
@@ -41,8 +42,10 @@ _M = OBSERVER_MEMORY
 
 SMALLEST_NOISE = 1e-5
 """[rad] that readings have at least for the observer: finer than that no model is."""
-ARRIVED = 4.0
-"""Standard deviations of a reading within which a crank stands where it is wanted."""
+ARRIVED = 6.0
+"""Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction."""
+SLIP = 4.0
+"""[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
 SHARE = 1.5
 """[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
 none the loop that feeds the surplus back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake margins`)."""
@@ -177,7 +180,7 @@ class Observer(NamedTuple):
         gravity: [m/s^2].
         period: [s].
         noise: [rad] standard deviation of a reading, see `SensorOptions.reading_noise`.
-        sticks: Whether the motors are believed to have friction.
+        friction: [N m] largest break-away torque that the motors are believed to have.
     """
 
     robot: RobotParameters
@@ -185,7 +188,7 @@ class Observer(NamedTuple):
     gravity: float
     period: float
     noise: float
-    sticks: bool = False
+    friction: float = 0.0
 
     @property
     def gains(self) -> KalmanGains:
@@ -195,7 +198,12 @@ class Observer(NamedTuple):
     @property
     def arrived(self) -> float:
         """[rad] within which a crank that rests stands where it is wanted; negative for motors without friction."""
-        return ARRIVED * max(self.noise, SMALLEST_NOISE) if self.sticks else -1.0
+        if self.friction == 0.0:
+            return -1.0
+        noise, home = max(self.noise, SMALLEST_NOISE), self.robot.home_pose
+        mobility = pose_jacobian(self.robot, home) @ pose_acceleration_map(self.robot, home)
+        turn = bandwidth(noise, self.options.disturbance, self.period)
+        return max(ARRIVED * noise, SLIP * self.friction * float(np.diag(mobility).max()) / turn**2)
 
     def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
         """Memory before the first tick, flat.

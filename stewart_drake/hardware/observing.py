@@ -57,7 +57,7 @@ class PlacedObserver(NamedTuple):
 def observer_at(options: ObserverOptions, site: LoopSite, sensors: SensorOptions) -> PlacedObserver:
     """The observer of a loop."""
     ahead = site.delay if options.delay is None else options.delay
-    observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise, site.sticks)
+    observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise, site.friction)
     return PlacedObserver(observer, observer.initial(site.pose, site.pose_rate, site.still, ahead), ahead)
 
 

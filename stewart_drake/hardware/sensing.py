@@ -21,7 +21,7 @@ class LoopSite(NamedTuple):
         pose_rate: (6,) [rad/s, m/s] likewise.
         still: (6,) [N m] at the motors until the first command arrives.
         delay: [ticks] of the commands.
-        sticks: Whether the motors are believed to have dry friction.
+        friction: [N m] largest break-away torque that the motors are believed to have.
         guarded: Whether a tick that fails does not end the run, see `sampling.ill`.
         compiled: See `Scenario.compiled`.
     """
@@ -33,7 +33,7 @@ class LoopSite(NamedTuple):
     pose_rate: np.ndarray
     still: np.ndarray
     delay: int = 0
-    sticks: bool = False
+    friction: float = 0.0
     guarded: bool = False
     compiled: bool = False
 
@@ -50,7 +50,7 @@ class LoopSite(NamedTuple):
             rate,
             standing_torque(robot, pose, scenario.gravity),
             scenario.command_delay,
-            friction is not None and friction.dry,
+            0.0 if friction is None else max(friction.levels[1]),
             scenario.safety is not None and scenario.safety.failures,
             scenario.compiled,
         )

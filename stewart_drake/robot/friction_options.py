@@ -63,11 +63,6 @@ class FrictionOptions(Section, key="plant.friction"):
                 raise ConfigurationError("break_away", above, f"at least `coulomb`, {below:g} N m")
 
     @property
-    def dry(self) -> bool:
-        """Whether a motor sticks."""
-        return max(self.levels[1]) > 0.0
-
-    @property
     def levels(self) -> tuple[SixNumbers, SixNumbers, SixNumbers, SixNumbers]:
         """Coulomb [N m], break-away [N m], Stribeck rate [rad/s] and viscous [N m s/rad], six of each."""
         break_away = self.coulomb if self.break_away is None else self.break_away

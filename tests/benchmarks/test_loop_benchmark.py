@@ -15,6 +15,8 @@ from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.riccati import riccati_gain
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, discretize, input_matrix, state_matrix
 from stewart_drake.hardware.estimator import flat_estimate, initial_memory
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation, flat_feedforward
+from stewart_drake.hardware.observer import Observer, ObserverOptions, flat_observer
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.sampling import on_grid
@@ -134,8 +136,9 @@ def test_the_same_systems_doing_nothing(compare, monkeypatch):
     compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
 
-def test_mathematics_of_a_tick(compare):
-    """All that the loop computes in a tick, called one after the other without a Diagram."""
+@pytest.mark.parametrize("observed", [False, True], ids=["differences", "observer"])
+def test_mathematics_of_a_tick(compare, observed):
+    """All that the loop computes in a tick, called one after the other without a Diagram; the observer a tick late."""
     options = load_scenario("exact_fig7").controller
     scenario = load_scenario("exact_fig7", ALL)
     estimate = flat_estimate(ROBOT, scenario.sensors, options.period, compiled=True)
@@ -146,20 +149,32 @@ def test_mathematics_of_a_tick(compare):
     # The reference is evaluated some hundred ticks at a time, as `ReferenceSource` does.
     count = 256
     times = np.arange(count) * options.period
-    home = inverse_kinematics(ROBOT, ROBOT.home_pose)
+    home, still = inverse_kinematics(ROBOT, ROBOT.home_pose), static_torque(ROBOT, ROBOT.home_pose)
+    observer = Observer(ROBOT, ObserverOptions(), scenario.gravity, options.period, 2e-5, friction=0.01)
+    observe = flat_observer(observer, lambda _, guess: guess, compiled=True)
+    oppose = flat_feedforward(ROBOT, FrictionCompensation(coulomb=0.01), compiled=True)
 
     def block():
         seen, memory = initial_memory(ROBOT.home_pose), np.zeros(MEMORY_SIZE)
+        if observed:
+            seen = observer.initial(ROBOT.home_pose, np.zeros(6), still, 1)
         window = np.concatenate([np.ones(12), [0.0], np.zeros(12 * (scenario.tuner.window + 1))])
         weights = np.ones(2)
         reference = np.concatenate(scenario.reference.evaluate(times), axis=-1)
         for k in range(count):
-            seen = estimate(scenario.sensors.read(home + 1e-4 * (k % 7)), seen)
-            memory = tick(seen[:12], reference[k], weights, memory)
+            read = scenario.sensors.read(home + 1e-4 * (k % 7))
+            if observed:
+                seen = observe(read, still, reference[k], seen)
+                memory = tick(seen[12:24], reference[k], weights, memory)
+                memory[:6] += seen[24:30] + oppose(reference[k])
+            else:
+                seen = estimate(read, seen)
+                memory = tick(seen[:12], reference[k], weights, memory)
             window = features._tick(memory[6:12], memory[:6], window)
             weights = answer(window[:12])
 
-    compare("mathematics of a tick", block, "plant step", Loop().plant_alone, per=count, base_per=STEPS)
+    name = "mathematics of a tick with an observer" if observed else "mathematics of a tick"
+    compare(name, block, "plant step", Loop().plant_alone, per=count, base_per=STEPS)
 
 
 def test_riccati_equation(compare):

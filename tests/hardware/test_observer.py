@@ -137,7 +137,7 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
 )
 def test_the_compiled_tick_is_that_of_the_arrays(pose, rate, off, surplus, delay, apart):
     reference = np.concatenate([pose + apart * off, apart * off, off])
-    sticky = OBSERVER._replace(sticks=True)
+    sticky = OBSERVER._replace(friction=0.01)
     memory = begun(pose=pose, rate=rate, delay=delay)._replace(surplus=surplus).flat()
     angles, sent = inverse_kinematics(ROBOT, pose) + off, static_torque(ROBOT, pose, GRAVITY) + off
     angles[2] = np.nan if delay == 3 else angles[2] + 2.0 * np.pi

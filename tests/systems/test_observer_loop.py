@@ -6,6 +6,7 @@ import pytest
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 
+HOME = [0, 0, 0, 0, 0, 0.3]
 OBSERVER = {"kind": "observer"}
 PUSH = [{"kind": "step", "wrench": [0, 0, 0, 3, -2, -4], "time": 0.3, "until": 0.6}]
 
@@ -127,3 +128,21 @@ def test_gains_follow_period_and_delay():
     own = Scenario(controller={"kind": "pid", "period": 0.01, "kp": 20.0}, plant={"time_step": 0.001})
     assert own.controller.kp == 20.0
     assert own.controller.ki == pytest.approx(316.0 * 0.45**3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("believed", "level"), [(0.01, 0.01), (0.01, 0.02), (0.05, 0.1)])
+def test_a_robot_with_friction_comes_to_rest_and_stays(believed, level):
+    """Up to twice the friction that is believed; without that rule it hunts by ten counts and more for ever."""
+    rest = {
+        "plant": {"friction": {"coulomb": believed, "break_away": level}, "engine": "reduced"},
+        "friction_compensation": {"coulomb": believed},
+        "reference": {"kind": "minimum_jerk", "poses": [HOME, [0.05, 0, 0, 0.01, 0, 0.31]], "durations": [0.5]},
+        "duration": 6.0,
+        "tuner": load_scenario("exact_breathing").to_dict()["tuner"],
+    }
+    log = run(made(**rest))
+    late = log.signals["time"] >= 3.5
+    count = 2.0 * np.pi / 2**17
+    assert np.ptp(log.signals["crank_angle"][late], axis=0).max() < 4.0 * count
+    assert error(log, 3.5) < 0.01 + 0.5 * level
