@@ -22,7 +22,7 @@ POSES = 100
 TEXT = """# What the LQI itself adds
 
 Four controllers with the same observer, whose level is searched for each, and the same torque against friction. All
-are tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same ten runs:
+are tuned by the same search, CMA-ES with {evaluations} evaluations each, for the same cost over the same {runs} runs:
 J = sqrt((RMSE / 0.03 deg)^2 + (RMSE / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2), the plain
 mean of the runs. Runs, bounds, start and scales are in [fair.yaml](../../diagrams/comparisons/fair.yaml). The search
 runs on the reduced engine; the verdict is Drake's plant with other noise. `make fair` makes all of this page.
@@ -31,7 +31,7 @@ runs on the reduced engine; the verdict is Drake's plant with other noise. `make
 
 What that costs in robustness, which the cost sees but in the runs with a payload and a later tick: disk margin, all six
 motors at once, the least of {poses} poses of the near box (`stewart-drake margins`; 0.45 stands for 25 deg; of a user's
-own controller the linear loop is not known): {margins}.
+own controller the linear loop is not known): {margins}. So none of these settings is a default.
 
 {search}
 "verdict: tuned, as searched" is the reduced engine with the verdict's noise: against "verdict: tuned" it is what the
@@ -60,6 +60,7 @@ def main(folder: Path) -> None:
     page = TEXT.format(
         poses=POSES,
         margins=margins(),
+        runs=len(costs(table, f"{next(iter(tuned))}, tuned")),
         evaluations=max(row["evaluation"] for row in rows) + 1,
         answer=answer({name: costs(table, f"{name}, tuned") for name in tuned}),
         search=(folder / "tune.md").read_text(),

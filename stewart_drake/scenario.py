@@ -388,4 +388,11 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         if old is not None and new is not None:
             for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):
                 section.pop(name, None)
-    section[last] = value
+    section[last] = _own(value)
+
+
+def _own(value: Any) -> Any:
+    """A copy of plain values: a later key may change what is in them, and they are the caller's."""
+    if isinstance(value, dict):
+        return {key: _own(each) for key, each in value.items()}
+    return [_own(each) for each in value] if isinstance(value, list) else value

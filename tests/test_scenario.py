@@ -580,3 +580,9 @@ def test_a_controller_of_an_older_comparison_brings_its_compiled_along():
     with pytest.warns(OlderFileWarning, match="the scenario's own key `compiled`"):
         made = Scenario(duration=0.1).replace({"controller": controller})
     assert (made.compiled, made.controller.solver) == (True, "split")
+
+
+def test_a_change_leaves_what_it_was_given_as_it_was():
+    changes = {"controller": {"kind": "pid", "kp": 4.0}, "controller.kp": 9.0}
+    assert Scenario().replace(changes).controller.kp == 9.0
+    assert changes["controller"] == {"kind": "pid", "kp": 4.0}
