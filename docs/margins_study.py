@@ -15,26 +15,27 @@ from stewart_drake.stability.margins import loop_margins
 
 OUT = Path(__file__).parent / "results"
 POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-OBSERVER = "estimator.kind=observer"
+OBSERVER, BLOCK = "estimator.kind=observer", "tuner={kind: block}"
 MAIN = "observer"
 ROWS = {
-    "difference of readings, low pass of 150 Hz": (),
+    "difference of readings, low pass of 150 Hz; default weights": ("estimator.kind=difference", BLOCK),
     MAIN: (OBSERVER,),
+    "observer, default weights": (OBSERVER, BLOCK),
     **{f"observer, disturbance {level}": (OBSERVER, f"estimator.disturbance={level}") for level in (5, 10, 40)},
     **{f"observer, {ticks} ticks of delay": (OBSERVER, f"command_delay={ticks}") for ticks in (0, 2, 4)},
-    "observer, 10 ms, 1 tick of delay": (OBSERVER, "controller.period=0.01"),
+    "observer, 10 ms, 1 tick of delay, default weights": (OBSERVER, "controller.period=0.01", BLOCK),
     "observer, ideal sensors": (OBSERVER, "sensors={kind: ideal}"),
     "observer, platform believed 30 % too heavy": (OBSERVER, "model_robot={platform_mass: 1.3}"),
     "computed torque, observer": (OBSERVER, "controller={kind: computed_torque}"),
     "joint-space PID, observer": (OBSERVER, "controller={kind: pid}"),
-    "joint-space PID, difference of readings": ("controller={kind: pid}",),
+    "joint-space PID, difference of readings": ("estimator.kind=difference", "controller={kind: pid}"),
 }
 TEXT = """# How far the loop is from instability
 
 `make margins`: the linear loop of `exact_breathing` at {poses} poses of the near box
 ({box}),
 within the limits that a run must keep (seed 0), the robot at rest, broken at the six motors' torques; by the row with
-another estimator, delay, period or controller, whose weights and gains are the defaults for it. A period of 1 ms and a
+another estimator, delay, period or controller, with gains that are the defaults for it. A period of 1 ms and a
 delay of 1 tick where nothing else is said. In the loop: the exact model under held torques, gravity's stiffness,
 encoders without counts, the estimator with its filter, the controller, the delay. Not in it: friction, saturation, the
 network's changes of weights. `stewart-drake margins` does the same for any scenario.
