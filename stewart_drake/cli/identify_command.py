@@ -105,7 +105,9 @@ def excite(
     from stewart_drake.scenario import load_scenario
 
     guess = load_robot(robot)
-    own = ("plant.motor_friction=0", "estimator.kind=difference", f"duration={duration!r}")
+    # Readings are logged as they are without an observer.
+    differences = ("estimator.kind=difference", "friction_compensation=null", "tuner={kind: block}")
+    own = ("plant.motor_friction=0", *differences, f"duration={duration!r}")
     changes = (f"robot={json.dumps(robot)}", *own, *overrides)
     scenario = load_scenario("exact_breathing", changes)
     found = design(guess, scenario.limits, hold, gravity=scenario.gravity, seed=seed)
