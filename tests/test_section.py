@@ -13,7 +13,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family
 from stewart_drake.hardware.disturbances import UserDisturbance
 from stewart_drake.references.user_reference import UserReference
-from stewart_drake.registry import CONTROLLERS, DISTURBANCES, REFERENCES, SENSORS, TUNERS
+from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot.friction_options import FrictionOptions
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import (
@@ -72,7 +72,13 @@ def sections_in(annotation):
         yield from sections_in(part)
 
 
-FAMILIES = {"reference": REFERENCES, "controller": CONTROLLERS, "tuner": TUNERS, "sensors": SENSORS}
+FAMILIES = {
+    "reference": REFERENCES,
+    "controller": CONTROLLERS,
+    "tuner": TUNERS,
+    "sensors": SENSORS,
+    "estimator": ESTIMATORS,
+}
 EVERY = dict.fromkeys(
     found
     for start in (
@@ -152,16 +158,18 @@ ZERO = set(
         CommandFault.leg CommandFault.size CommandFault.time ComputedTorqueOptions.integral_frequency
         DeadMotor.leg DeadMotor.time EncoderFault.leg EncoderFault.size EncoderFault.time
         EncoderOptions.hold_ticks EncoderOptions.noise EncoderOptions.noise_seed EncoderOptions.resolution_bits
+        FrictionCompensation.break_away FrictionCompensation.coulomb FrictionCompensation.viscous
         FrictionOptions.break_away FrictionOptions.coulomb FrictionOptions.viscous
         HeartbeatReference.prematurity HeartbeatReference.respiratory_variation HeartbeatReference.seed
         HeartbeatReference.slow_variation ImpulseWrench.time LinkOptions.drop_probability
         LinkOptions.late_probability LinkOptions.seed LinkOptions.stop_time LqiOptions.hold_ticks MotorFault.leg
         MotorFault.time MotorOptions.resolution MotorOptions.ripple NoiseWrench.low NoiseWrench.seed
+        ObserverOptions.delay ObserverOptions.hold_ticks
         PidOptions.kd PidOptions.ki PidOptions.kp PlantOptions.motor_damping PlantOptions.motor_friction
         PlantOptions.payload_mass PlantOptions.platform_joint_damping PlantOptions.universal_damping
         PoseFault.time RobotParameters.crank_plane_angle RobotParameters.rotor_inertia
         RobotParameters.shaft_height SafetyOptions.damping SafetyOptions.deadline SafetyOptions.hold_ticks
-        SafetyOptions.hold_time SafetyOptions.horizon SafetyOptions.torque_limit_time
+        SafetyOptions.hold_time SafetyOptions.horizon SafetyOptions.innovation_time SafetyOptions.torque_limit_time
         SafetyOptions.torque_rate_time Scenario.command_delay Scenario.gravity SineWrench.phase StepWrench.time
         TremorReference.seed
         """,
@@ -174,7 +182,7 @@ LARGEST = {
     **dict.fromkeys(
         ("Limits.reach", "Limits.conditioning", "Limits.transmission", "HeartbeatReference.slow_variation"), 1.0
     ),
-    **dict.fromkeys((f"{kind}Options.hold_ticks" for kind in ("Lqi", "Encoder")), 1000),
+    **dict.fromkeys((f"{kind}Options.hold_ticks" for kind in ("Lqi", "Encoder", "Observer")), 1000),
     **dict.fromkeys((f"{kind}.window" for kind in ("FixedTuner", "AnnTuner", "BlockTuner")), 100_000),
     **dict.fromkeys((f"PlantOptions.{name}" for name in ("motor_damping", "motor_friction", "payload_mass")), 1e6),
     **dict.fromkeys((f"AdjustedReference.{name}" for name in ("scale", "slowdown", "fade_in")), 1e6),
@@ -184,7 +192,13 @@ LARGEST = {
     **{"SafetyOptions.hold_ticks": 20, "SafetyOptions.hold_time": 0.03, "Limits.euler_pitch": math.pi / 2.0},
     **{"Limits.joint_swing": math.pi, "BreathingReference.order": 3, "HeartbeatReference.prematurity": 0.7},
     **{"RecordedReference.settle": 1e6, "LqiOptions.weight_length": 1e6, "EncoderOptions.resolution_bits": 40},
-    **{"EncoderOptions.noise": 1e6, "TremorReference.seed": MAX_SEED, "BrokenRod.leg": 5},
+    **{
+        "EncoderOptions.noise": 1e6,
+        "ObserverOptions.delay": 100,
+        "ObserverOptions.disturbance": 1e6,
+        "TremorReference.seed": MAX_SEED,
+        "BrokenRod.leg": 5,
+    },
 }
 BELOW_ONE = {
     *(
@@ -240,7 +254,7 @@ def test_a_bad_entry_of_a_vector_is_named_with_its_place(section, name):
         for bad in (value[:-1], (*value, 0.0), 0.3, None, "six"):
             if bad is None and type(None) in get_args(section.__pydantic_fields__[name].annotation):
                 continue
-            if bad == 0.3 and section is FrictionOptions:  # one number for all motors
+            if bad == 0.3 and issubclass(section, FrictionOptions):  # one number for all motors
                 continue
             with pytest.raises(ConfigurationError) as caught:
                 dataclasses.replace(good, **{name: bad})

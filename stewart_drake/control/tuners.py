@@ -86,7 +86,7 @@ class BlockTuner(Tuner):
     """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`.
 
     The defaults are for the paper's robot; for any other a scenario scales them by what a torque does there, so that
-    the loop is as fast. Where commands act later than after 4.5 ms it is slower in proportion.
+    the loop is as fast. Where commands act later than after 5 ms it is slower in proportion.
     """
 
     kind: Literal["block"] = "block"

@@ -12,9 +12,9 @@ from stewart_drake.section import Section, to_plain
 
 PAPER = RobotParameters()
 Measure = Callable[[RobotParameters], float]
-LATENCY = 0.0045
+LATENCY = 0.005
 """[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
-of some 66 rad/s is then 0.3 rad of phase. For a longer one they are as much slower."""
+of some 66 rad/s is then a third of a radian of phase. For a longer one they are as much slower."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from stewart_drake.campaigns import engine, executors, plan
+from stewart_drake.campaigns import executors, plan
 from stewart_drake.campaigns import fault_table as table_module
 from stewart_drake.campaigns.executors import Given, SerialExecutor
 from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
@@ -203,9 +203,7 @@ def told(_, task):
 @pytest.fixture
 def instant(monkeypatch):
     """Rows without runs, in this process."""
-
-    for module in (engine, executors):
-        monkeypatch.setattr(module, "LocalProcesses", lambda *_: Given(SerialExecutor()))
+    monkeypatch.setattr(executors, "LocalProcesses", lambda *_: Given(SerialExecutor()))
     monkeypatch.setattr(plan, "execute", told)
 
 

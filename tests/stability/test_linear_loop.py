@@ -15,11 +15,12 @@ from stewart_drake.stability.linear_loop import linear_loops, plant_at
 
 POSE = np.array([0.2, -0.1, 0.15, 0.02, -0.01, 0.31])
 IDEAL = ["sensors={kind: ideal}", "command_delay=0"]
+PLAIN = ["sensors.noise=0", "estimator.kind=difference", "friction_compensation=null", "tuner={kind: block}"]
 OBSERVER = ["estimator.kind=observer"]
 
 
 def scenario(*changes):
-    return load_scenario("exact_breathing", list(changes))
+    return load_scenario("exact_breathing", [*PLAIN, *changes])
 
 
 def radius(loops):

@@ -17,7 +17,8 @@ SETTINGS = {"difference": [], "observer": ["estimator.kind=observer"], "pid": ["
 
 @pytest.fixture(scope="module", params=SETTINGS, ids=str)
 def loops(request):
-    made = load_scenario("exact_breathing", SETTINGS[request.param])
+    plain = ["estimator.kind=difference", "tuner={kind: block}"]
+    made = load_scenario("exact_breathing", [*plain, *SETTINGS[request.param]])
     return linear_loops(made, sample_poses(made.robot, NEAR, 5, np.random.default_rng(2)).poses)
 
 

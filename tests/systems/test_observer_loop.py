@@ -119,15 +119,15 @@ def test_reachy_mini_nods_on_its_bus_of_100_hz():
 def test_gains_follow_period_and_delay():
     fast = load_scenario("exact_breathing", ["tuner={kind: block}"])
     slow = fast.replace({"controller.period": 0.01})
-    # 1 and 2 ticks of 10 ms against 4.5 ms.
-    ratio = 4.5 / 20.0
+    # 2 ticks of 10 ms against 5 ms.
+    ratio = 5.0 / 20.0
     for name, power in (("q_pose", 4), ("q_rate", 2), ("q_integral", 6)):
         assert getattr(slow.tuner, name) == pytest.approx(ratio**power * getattr(fast.tuner, name))
     assert slow.replace({"controller.period": 0.001}).tuner == fast.tuner
     assert fast.replace({"estimator": OBSERVER, "estimator.delay": 1}).tuner == fast.tuner
     own = Scenario(controller={"kind": "pid", "period": 0.01, "kp": 20.0}, plant={"time_step": 0.001})
     assert own.controller.kp == 20.0
-    assert own.controller.ki == pytest.approx(316.0 * 0.45**3)
+    assert own.controller.ki == pytest.approx(316.0 * 0.5**3)
 
 
 @pytest.mark.slow
