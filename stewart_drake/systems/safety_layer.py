@@ -18,15 +18,7 @@ class SafetyLayer(TickedSystem):
 
     Any controller with a torque port runs behind it: the ports age and health may be left alone.
 
-    Args:
-        robot: As the controller believes it to be.
-        options: Limits and reactions.
-        gravity: [m/s^2].
-        period: [s] tick period.
-        initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
-        compiled: See `Scenario.compiled`.
-        quantum: [rad] of a count of the encoders.
-        surprise_scale: Of the innovations, see `Observer.surprise_scale`.
+    Args: As of `safety.safety_part`.
 
     Ports:
         command: in (6,) [N m], the controller's.
