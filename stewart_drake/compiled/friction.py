@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.compiled.jit import njit
-from stewart_drake.compiled.mechanism import CRANK_LENGTH, angular_velocity, leg_vectors, rod_lines
+from stewart_drake.compiled.mechanism import CRANK_LENGTH, angular_velocity, leg_vectors, rod_lines, speed_along
 
 COULOMB, BREAK_AWAY, STRIBECK_RATE, VISCOUS, STIFFNESS, DAMPING = range(6)
 """Rows of a law (6, 6), `np.stack(law)` of a `friction.FrictionLaw`."""
@@ -107,10 +107,7 @@ def feedforward(robot: np.ndarray, levels: np.ndarray, width: float, reference: 
     rod_lines(legs, lines)
     angular_velocity(reference[:3], reference[6:9], omega)
     for i in range(6):
-        along = 0.0
-        for k in range(3):
-            along += lines[i, k] * omega[k] + lines[i, 3 + k] * reference[9 + k]
-        rates[i] = along / (robot[i, CRANK_LENGTH] * legs[i, 12])
+        rates[i] = speed_along(lines, i, omega, reference[9:12]) / (robot[i, CRANK_LENGTH] * legs[i, 12])
         if not np.isfinite(rates[i]):
             return
     for i in range(6):

@@ -172,6 +172,15 @@ def rod_lines(legs: np.ndarray, out: np.ndarray) -> None:
         out[i, 3], out[i, 4], out[i, 5] = l0, l1, l2
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def speed_along(lines: np.ndarray, leg: int, omega: np.ndarray, velocity: np.ndarray) -> float:
+    """Speed [m/s] of a platform joint along its rod, of `rod_lines`, omega (3,) [rad/s] and velocity (3,) [m/s]."""
+    along = 0.0
+    for k in range(3):
+        along += lines[leg, k] * omega[k] + lines[leg, 3 + k] * velocity[k]
+    return along
+
+
 @njit(cache=True, error_model="numpy")
 def line_conditioning(robot: np.ndarray, lines: np.ndarray) -> float:
     """Reference `kinematics.line_conditioning`."""

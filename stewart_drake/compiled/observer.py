@@ -20,6 +20,7 @@ from stewart_drake.compiled.mechanism import (
     leg_vectors,
     rod_lines,
     rotation,
+    speed_along,
 )
 
 _M, _N = OBSERVER_MEMORY, OBSERVER_NUMBERS
@@ -149,10 +150,8 @@ def observe(
     angular_velocity(pose[:3], pose[:3] - reference[:3], omega[0])
     angular_velocity(pose[:3], reference[6:9], omega[1])
     for i in range(6):
-        off, turning = 0.0, 0.0
-        for k in range(3):
-            off += kept[i, k] * omega[0, k] + kept[i, 3 + k] * (pose[3 + k] - reference[3 + k])
-            turning += kept[i, k] * omega[1, k] + kept[i, 3 + k] * reference[9 + k]
+        off = speed_along(kept, i, omega[0], pose[3:] - reference[3:6])
+        turning = speed_along(kept, i, omega[1], reference[9:12])
         lever = abs(robot[i, CRANK_LENGTH] * legs[i, 12])
         stands = stands and abs(off) <= numbers[_N.arrived] * lever and abs(turning) <= numbers[_N.rests] * lever
     if not stands:

@@ -19,6 +19,7 @@ from stewart_drake.compiled.mechanism import (
     rod_lines,
     rotation,
     scalar,
+    speed_along,
 )
 
 _M, _N = SAFETY_MEMORY, SAFETY_NUMBERS
@@ -84,9 +85,7 @@ def quiet_tick(
     omega = np.empty(3)
     angular_velocity(measured[:3], measured[6:9], omega)
     for i in range(6):
-        along = 0.0
-        for k in range(3):
-            along += lines[i, k] * omega[k] + lines[i, 3 + k] * measured[9 + k]
+        along = speed_along(lines, i, omega, measured[9:])
         if not abs(along / (robot[i, CRANK_LENGTH] * legs[i, 12])) <= numbers[_N.crank_speed]:
             return False
     half = 0.5 * scalar(robot, ROD_MASS) * numbers[_N.gravity]

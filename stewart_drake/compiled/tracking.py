@@ -17,6 +17,7 @@ from stewart_drake.compiled.mechanism import (
     leg_vectors,
     rod_lines,
     rotation,
+    speed_along,
 )
 
 _C, _P = COMPUTED_TORQUE_NUMBERS, PID_NUMBERS
@@ -98,14 +99,13 @@ def pid_tick(
     angular_velocity(measurement[:3], measurement[6:9], spin)
     angular_velocity(reference[:3], reference[6:9], wanted)
     for i in range(6):
-        along, up, far_along, far_up, rate, far_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        along, up, far_along, far_up = 0.0, 0.0, 0.0, 0.0
         for k in range(3):
             along += legs[i, 3 + k] * robot[i, ZERO + k]
             up += legs[i, 3 + k] * robot[i, QUARTER + k]
             far_along += far[i, 3 + k] * robot[i, ZERO + k]
             far_up += far[i, 3 + k] * robot[i, QUARTER + k]
-            rate += lines[i, k] * spin[k] + lines[i, 3 + k] * measurement[9 + k]
-            far_rate += rods[i, k] * wanted[k] + rods[i, 3 + k] * reference[9 + k]
+        rate, far_rate = speed_along(lines, i, spin, measurement[9:]), speed_along(rods, i, wanted, reference[9:12])
         error = np.arctan2(up * far_along - along * far_up, along * far_along + up * far_up)
         rate_error = (rate / legs[i, 12] - far_rate / far[i, 12]) / robot[i, CRANK_LENGTH]
         integral = memory[6 + i]
