@@ -16,7 +16,7 @@ from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
+from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner, TunerSite
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.families import Family, given_again, json_schema, place_users
 from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
@@ -25,7 +25,7 @@ from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.observer import DifferenceOptions, EstimatorOptions
+from stewart_drake.hardware.observer import SMALLEST_NOISE, DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -220,6 +220,18 @@ class Scenario(Section):
             self.compiled,
         )
 
+    def tuner_site(self) -> TunerSite:
+        """What its tuner is built for."""
+        period, robot, noise = self.controller.period, self.believed_robot, self.sensors.reading_noise
+        return TunerSite(
+            period,
+            max(noise, SMALLEST_NOISE),
+            period * (1 + self.estimator.ahead(self.command_delay)),
+            robot.characteristic_length,
+            self.estimator.expected,
+            self.compiled,
+        )
+
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""
         pose, rate, _ = self.reference.evaluate(0.0)
@@ -229,6 +241,9 @@ class Scenario(Section):
         """See `Section.rules`."""
         place_users(self)
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
+        if self.tuner.listens and not self.estimator.expected:
+            allowed = f"observer, for tuner.kind {self.tuner.kind}"
+            raise ConfigurationError("estimator.kind", self.estimator.kind, allowed)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
