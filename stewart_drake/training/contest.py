@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
@@ -20,11 +19,14 @@ from stewart_drake.campaigns.plan import identity
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.search import minimise
 from stewart_drake.campaigns.tables import Row
-from stewart_drake.control.settings import NAMES, disturbance_of, weights_of
+from stewart_drake.control.objective import CostScales
+from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.files.whole import checksum
-from stewart_drake.logs.cost import CostScales, run_cost
+from stewart_drake.hardware.observer import ObserverOptions
+from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.situations import Changes, situation
 
@@ -51,15 +53,15 @@ Contestant = Callable[[Case, Scenario], Changes]
 """What a contestant changes in the scenario of a case, which has the default setting."""
 
 
-def with_setting(setting: Sequence[float]) -> Contestant:
+def with_setting(setting: Sequence[float] | np.ndarray) -> Contestant:
     """A setting (4,) that stays, in decades above the default, see `control.settings`."""
     decades = np.round(np.asarray(setting, dtype=float), DIGITS)
 
     def changes(_: Case, scenario: Scenario) -> Changes:
         weights = weights_of(np.array(scenario.tuner.weights), decades).tolist()
         block = dict(zip(("q_pose", "q_rate", "q_integral", "r"), weights, strict=True))
-        # The text of the section: every estimator that has a level has it under this name.
-        level = float(disturbance_of(scenario.to_dict()["estimator"]["disturbance"], decades))
+        assert isinstance(scenario.estimator, ObserverOptions)
+        level = float(disturbance_of(scenario.estimator.disturbance, decades))
         return {"tuner": {"kind": "block", **block}, "estimator.disturbance": level}
 
     return changes
@@ -157,7 +159,7 @@ class Contest:
     def _task(self, contestant: Contestant, case: Case) -> Task:
         scenario, base = _situation(case)
         changes = {**contestant(case, scenario), "plant.engine": self._engine, "log_period": None}
-        drawn = {"case": list(case), "changes": changes, "network": _network(scenario, changes)}
+        drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
         # Twelve digits are as many as a double holds exactly.
         return Task(int(checksum(drawn)[:12], 16), case.seed, base, changes, drawn, measure_parts)
 
@@ -171,15 +173,15 @@ class Contest:
         self._tell(float(self._done))
 
 
-def by_cell(values: np.ndarray, cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
-    """Values (..., cases) by kind and robot."""
-    cells = list(dict.fromkeys(case[:2] for case in cases))
-    return {cell: values[..., [case[:2] == cell for case in cases]] for cell in cells}
+def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
+    """Places (n,) in `cases` of each kind and robot."""
+    cells = dict.fromkeys(case[:2] for case in cases)
+    return {cell: np.flatnonzero([case[:2] == cell for case in cases]) for cell in cells}
 
 
 def mean_over_cells(values: np.ndarray, cases: Sequence[Case]) -> np.ndarray:
     """Mean over the cells of the means in them, (...) of values (..., cases): each cell counts alike."""
-    return np.mean([each.mean(axis=-1) for each in by_cell(values, cases).values()], axis=0)
+    return np.mean([values[..., places].mean(axis=-1) for places in cells_of(cases).values()], axis=0)
 
 
 def best_of(
@@ -217,9 +219,7 @@ def best_of(
         contestants = [contestant_of(np.round(point, DIGITS)) for point in points]
         return mean_over_cells(contest.log_costs(contestants, cases, scales), cases).tolist()
 
-    best, least = minimise(
-        evaluate, start, low, high, generations=generations, population=population, seed=seed
-    )
+    best, least = minimise(evaluate, start, low, high, generations=generations, population=population, seed=seed)
     return np.round(best, DIGITS), least
 
 
@@ -229,13 +229,8 @@ def _situation(case: Case) -> tuple[Scenario, Mapping[str, Any]]:
     return made, made.to_dict()
 
 
-def _network(scenario: Scenario, changes: Changes) -> str | None:
-    """Digest of the network of a contestant, whatever its file is called."""
-    tuner = changes.get("tuner", {})
-    if "weights" not in str(tuner) and "file" not in str(tuner):
-        return None
-    text = scenario.replace({"tuner": tuner}).tuner.content()
-    return None if text is None else hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-assert len(NAMES) == 4  # of `with_setting`
+def _network(tuner: Mapping[str, Any]) -> str | None:
+    """Digest of the network of a tuner, whatever its file is called."""
+    section = TUNERS.section_of(tuner)
+    text = None if section is None else section.from_dict(tuner).content()
+    return None if text is None else checksum(text)
