@@ -47,9 +47,10 @@ CONTROLLERS = Family(
 TUNERS = Family(
     {
         "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
+        "paper": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
         "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-    }
+    },
+    older={"ann": "paper"},
 )
 SENSORS = Family(
     {
