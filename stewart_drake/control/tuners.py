@@ -148,9 +148,9 @@ class BlockTuner(Tuner):
 
 
 class AnnTuner(PairTuner):
-    """Weights from the neural network of Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
+    """Weights from the paper's neural network, Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
 
-    kind: Literal["ann"] = "ann"
+    kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 

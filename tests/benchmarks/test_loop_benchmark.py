@@ -31,7 +31,7 @@ STEP = on_grid(0.001)
 STEPS = 50
 """Plant steps in a round."""
 BLOCKS = np.array([4e5, 30.0, 4e7, 1.0])
-ALL = ["sensors.kind=encoders", "tuner={kind: ann}"]
+ALL = ["sensors.kind=encoders", "tuner={kind: paper}"]
 """Encoders, forward kinematics, exact model, split gains, densities, network, log: everything at 1 kHz."""
 
 
