@@ -28,12 +28,14 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
-from stewart_drake.training.situations import Changes, situation
+from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation
 
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 LEAST_COST = 1e-3
 """Below it a cost counts as this: counts that never change cost nothing, and a ratio to nothing would say so loudly."""
+POPULATION = 10
+"""Points in a generation of a search."""
 DIGITS = 3
 """Of a setting: what is run is what is written down."""
 
@@ -65,6 +67,11 @@ def with_setting(setting: Sequence[float] | np.ndarray) -> Contestant:
         return {"tuner": {"kind": "block", **block}, "estimator.disturbance": level}
 
     return changes
+
+
+def cells_for() -> list[Cell]:
+    """All that there are."""
+    return [(kind, robot) for robot in ROBOTS for kind in kinds_of(robot)]
 
 
 def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
@@ -151,8 +158,11 @@ class Contest:
         carry_out(missing, work, self._keep, self._place, crashed)
         return [self._kept[task.index] for task in tasks]
 
-    def log_costs(self, contestants: Sequence[Contestant], cases: Sequence[Case], scales: CostScales) -> np.ndarray:
-        """(contestants, cases) logarithms of costs."""
+    def log_costs(
+        self, contestants: Sequence[Contestant], cases: Sequence[Case], scales: CostScales | None = None
+    ) -> np.ndarray:
+        """(contestants, cases) logarithms of costs, see `log_cost`."""
+        scales = scales or CostScales()
         rows = self.rows([(contestant, case) for contestant in contestants for case in cases])
         return np.reshape([log_cost(row, scales) for row in rows], (len(contestants), len(cases)))
 
@@ -188,39 +198,34 @@ def best_of(
     contest: Contest,
     contestant_of: Callable[[np.ndarray], Contestant],
     cases: Sequence[Case],
-    scales: CostScales,
     start: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    *,
     generations: int,
-    population: int = 8,
     seed: int = 1,
-) -> tuple[np.ndarray, float]:
+) -> np.ndarray:
     """Numbers of a contestant with the least mean logarithm of its costs, each cell counting alike, by CMA-ES.
 
     Args:
         contest: Where it runs.
         contestant_of: A contestant from its numbers (n,).
         cases: Its runs, the same for all.
-        scales: Of the cost.
         start: (n,) where the search starts.
         low: (n,) lowest numbers.
         high: (n,) highest numbers.
-        generations: Most of them.
-        population: Points in each.
+        generations: Most of them, of `POPULATION` points each.
         seed: Of the search.
 
     Returns:
-        (n,) the best to `DIGITS` digits, and its mean logarithm of costs.
+        (n,) to `DIGITS` digits.
     """
 
     def evaluate(points: Sequence[np.ndarray]) -> list[float]:
         contestants = [contestant_of(np.round(point, DIGITS)) for point in points]
-        return mean_over_cells(contest.log_costs(contestants, cases, scales), cases).tolist()
+        return mean_over_cells(contest.log_costs(contestants, cases), cases).tolist()
 
-    best, least = minimise(evaluate, start, low, high, generations=generations, population=population, seed=seed)
-    return np.round(best, DIGITS), least
+    best, _ = minimise(evaluate, start, low, high, generations=generations, population=POPULATION, seed=seed)
+    return np.round(best, DIGITS)
 
 
 @lru_cache(maxsize=4096)

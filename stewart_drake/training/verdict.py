@@ -16,6 +16,7 @@ from stewart_drake.campaigns.tables import Row, markdown, to_arrow, write_table
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.metric_table import Column
+from stewart_drake.training.baselines import Baselines, always, with_pair
 from stewart_drake.training.contest import (
     MEASURED,
     Case,
@@ -23,12 +24,12 @@ from stewart_drake.training.contest import (
     Contest,
     Contestant,
     cases_of,
+    cells_for,
     cells_of,
     log_cost,
     with_setting,
 )
-from stewart_drake.training.fixed_setting import FixedSettings, with_pair
-from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes, kinds_of
+from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes
 
 CONFIDENCE = 0.95
 RESAMPLES = 4999
@@ -140,30 +141,26 @@ GROUPS: Mapping[str, Callable[[Cell], bool]] = {
 }
 
 
-def contestants(found: FixedSettings, more: Mapping[str, Changes]) -> dict[str, Contestant]:
+def contestants(found: Baselines, more: Mapping[str, Changes]) -> dict[str, Contestant]:
     """Those of a verdict by name: fixed ones, those that the paper has, an oracle, and more.
 
     Args:
         found: What a search has found.
         more: Name -> changes of the scenario, such as `{"tuner": {"kind": "policy"}}`.
     """
-    paper = {**with_setting(found.best)(Case("", "", 0), ROBOTS["paper"].base), "tuner": {"kind": "ann"}}
+    paper = {**with_setting(found.best)(Case("", "", 0), ROBOTS["paper"].base), "tuner": {"kind": "paper"}}
     return {
         BEST_FIXED: with_setting(found.best),
-        **{name: _always(changes) for name, changes in more.items()},
+        **{name: always(changes) for name, changes in more.items()},
         "best fixed of each robot": lambda case, scenario: with_setting(found.best_of_robot[case.robot])(
             case, scenario
         ),
         "best of the nine pairs": lambda case, scenario: with_pair(found.pair[case.robot], found.best)(case, scenario),
-        "the paper's tuner": _always(paper),
+        "the paper's tuner": always(paper),
         "oracle of each kind": lambda case, scenario: with_setting(found.best_of_kind[case.robot][case.kind])(
             case, scenario
         ),
     }
-
-
-def _always(changes: Changes) -> Contestant:
-    return lambda *_: changes
 
 
 def judge(
@@ -189,7 +186,7 @@ def judge(
     Raises:
         ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `Contest`.
     """
-    cases = cases_of([(kind, robot) for robot in ROBOTS for kind in kinds_of(robot)], HELD_OUT[:seeds])
+    cases = cases_of(cells_for(), HELD_OUT[:seeds])
     scales = CostScales()
     with Contest(folder, engine, where, tell, restart) as contest:
         rows = contest.rows([(contestant, case) for contestant in entered.values() for case in cases])
