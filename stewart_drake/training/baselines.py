@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.files.yaml_files import read_mapping, to_yaml
 from stewart_drake.section import Real, Section, Text
 from stewart_drake.training.contest import (
@@ -29,6 +29,7 @@ from stewart_drake.training.contest import (
 )
 from stewart_drake.training.situations import KINDS, ROBOTS, TRAINING, Changes, kinds_of
 
+SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 LOW, HIGH = np.array([-0.3, -0.4, -0.7, -1.7]), np.array([0.3, 0.4, 0.7, 0.6])
 """Decades about the default within which a setting is searched: disk margins stay above 0.24 for either robot."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
@@ -43,6 +44,7 @@ Numbers = tuple[Real, Real, Real, Real]
 class Baselines(Section, key=""):
     """What the search has found: settings (4,) in decades above the default, and what they cost in it."""
 
+    name: Text = "baselines"
     best: Numbers
     """Over both robots."""
     best_of_robot: dict[Text, Numbers]
@@ -59,12 +61,13 @@ class Baselines(Section, key=""):
     """Points in each search, and seeds of each kind."""
 
     @classmethod
-    def load(cls, path: Path) -> Baselines:
-        """Reads the file that `save` writes.
+    def load(cls, path: Path | None = None) -> Baselines:
+        """Reads the file that `save` writes; None takes the one that the package carries.
 
         Raises:
             ConfigurationError: Missing, unreadable or malformed.
         """
+        path = SHIPPED if path is None else path
         return cls.from_dict(read_mapping("settings", path, 200))
 
     def save(self, path: Path) -> None:
