@@ -20,7 +20,7 @@ from stewart_drake.hardware.observer import SLIP, SMALLEST_NOISE, ObserverOption
 from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.logs.cost import FAILED, CostScales, cost
 from stewart_drake.mechanics import kinematics_core
-from stewart_drake.mechanics.arrays import Robot, robot_like
+from stewart_drake.mechanics.arrays import robot_like
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import FrictionLaw
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -160,7 +160,7 @@ class BatchedLoops:
         length = self._options.length
         self._scale = self._tensor([length] * 3 + [1.0] * 3)[:, None]
         self.base = self._tensor([scenario.tuner.weights for scenario in scenarios])
-        self._disturbance = self._tensor([getattr(s.estimator, "disturbance", 1.0) for s in scenarios])
+        self._disturbance: Any = self._tensor([getattr(s.estimator, "disturbance", 1.0) for s in scenarios])
         sensors = [s.sensors if isinstance(s.sensors, EncoderOptions) else None for s in scenarios]
         self._encoders = sensors[0] is not None
         self._offset = self._tensor([np.zeros(6) if each is None else each.read_offset for each in sensors]).T
@@ -329,9 +329,7 @@ class BatchedLoops:
         index = len(asked) - 1 - self._delay
         return torch.stack(asked).gather(0, index.expand(1, 6, -1))[0]
 
-    def _following(
-        self, state: LoopState, off: Tensor, good: Tensor, torque: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _following(self, state: LoopState, off: Tensor, good: Tensor, torque: Tensor) -> tuple[Tensor, Tensor]:
         """Which loops go on, and which of them have come within their bounds."""
         inside = (off[:3].norm(dim=0) <= self._bounds[0]) & (off[3:].norm(dim=0) <= self._bounds[1])
         followed = state.followed | (inside & state.alive)
@@ -361,7 +359,7 @@ class BatchedLoops:
 
     def _made_observer(self, sites: Sequence[LoopSite], ahead: Sequence[int]) -> BatchedObserver:
         scenarios, robot = self.scenarios, self.scenarios[0].believed_robot
-        options = [scenario.estimator for scenario in scenarios]
+        options: list[Any] = [scenario.estimator for scenario in scenarios]
         home = robot.home_pose
         most = float(np.diag(pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)).max())
         looking = torch.tensor(list(ahead), device=self._device)

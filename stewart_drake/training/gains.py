@@ -83,9 +83,7 @@ def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
         (3, ..., n) k / s.
     """
     g = square / weights[..., 3:]
-    rate, pose, integral = (
-        g * (weights[..., k : k + 1] * period**power) for k, power in ((1, 2), (0, 4), (2, 6))
-    )
+    rate, pose, integral = (g * (weights[..., k : k + 1] * period**power) for k, power in ((1, 2), (0, 4), (2, 6)))
     lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
     b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
     c2, c1, c0 = spectral_factor(b2 * lead, b1 * lead, integral * lead)
@@ -107,15 +105,15 @@ class _Applied(torch.autograd.Function):
     """Sum over n of U diag(values_n) U' vectors_n for X = U diag(squares) U', values a function of the squares."""
 
     @staticmethod
-    def forward(  # noqa: D102
-        ctx: Any, matrix: Tensor, values: Tensor, vectors: Tensor, squares: Tensor, basis: Tensor, slopes: Tensor
+    def forward(
+        ctx: Any, _matrix: Tensor, values: Tensor, vectors: Tensor, squares: Tensor, basis: Tensor, slopes: Tensor
     ) -> Tensor:
         inside = torch.einsum("bik,nbi->nbk", basis, vectors)
         ctx.save_for_backward(values, inside, squares, basis, slopes)
         return torch.matmul(basis, (values * inside).sum(dim=0)[..., None])[..., 0]
 
     @staticmethod
-    def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:  # noqa: D102
+    def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:
         values, inside, squares, basis, slopes = ctx.saved_tensors
         grad = torch.matmul(grads[0][..., None, :], basis)[..., 0, :]
         by_values = grad * inside
@@ -162,7 +160,9 @@ class Regulator(NamedTuple):
 
     def applied(self, states: Tensor) -> Tensor:
         """f(X) of pose, rate and integral times scaled errors (3, B, 6), added; (B, 6)."""
-        found: Tensor = _Applied.apply(self.matrix, self.gains, states, self.squares, self.basis, self.slopes)
+        found: Tensor = _Applied.apply(  # type: ignore[no-untyped-call]
+            self.matrix, self.gains, states, self.squares, self.basis, self.slopes
+        )
         return found
 
     def integral_for(self, force: Tensor) -> Tensor:
@@ -170,5 +170,7 @@ class Regulator(NamedTuple):
         gain = self.gains[2:]
         values = 1.0 / (gain * self.squares)
         slopes = -values * (self.slopes[2:] / gain + 1.0 / self.squares)
-        found: Tensor = _Applied.apply(self.matrix, values, force[None], self.squares, self.basis, slopes)
+        found: Tensor = _Applied.apply(  # type: ignore[no-untyped-call]
+            self.matrix, values, force[None], self.squares, self.basis, slopes
+        )
         return found

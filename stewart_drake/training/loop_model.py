@@ -132,7 +132,7 @@ class Plant(NamedTuple):
         scale = 2.0 / (1.0 + (half * half).sum(dim=0))
         turn, half, xp = chain.legs.rotation, half[:, None], namespace(twist)
         turn = turn + scale * cross(xp, half, turn + cross(xp, half, turn))
-        angles = roll_pitch_yaw(turn.permute(2, 0, 1)).T
+        angles: Tensor = roll_pitch_yaw(turn.permute(2, 0, 1)).T  # type: ignore[assignment]
         place = state.pose[3:] + self.step * twist[3:]
         return state._replace(pose=torch.cat([angles, place]), twist=twist)
 
@@ -268,7 +268,7 @@ class BatchedObserver(NamedTuple):
         return state, pose, rate
 
     def expecting(self, state: ObserverState, sent: Tensor) -> ObserverState:
-        """The state with what is expected of loops that do not look ahead, for the command (6, B) [N m] of this tick."""
+        """The state with what is expected of loops that do not look ahead, for this tick's command (6, B) [N m]."""
         if self.groups and self.groups[0] is None:
             return state
         group = torch.nonzero(self.ahead == 0)[:, 0]
