@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
@@ -10,10 +11,10 @@ from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, TypeAdapter
+from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.user_code import (
     CLASS_PATH,
     CLASS_WORDS,
@@ -41,6 +42,7 @@ class Family:
             `of(kind, rest)`: an import path, a class or an object, and the other keys.
         method: What an object of the user's own has; None for classes alone.
         without: Kinds that are not taken here.
+        older: Names that kinds had in older files -> their names.
     """
 
     def __init__(
@@ -50,13 +52,15 @@ class Family:
         own: str | None = None,
         method: str | None = None,
         without: tuple[str, ...] = (),
+        older: Mapping[str, str] | None = None,
     ) -> None:
         self.default = default
         self._lines, self._own, self._method, self._without = lines, own, method, without
+        self._older = older or {}
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some."""
-        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds))
+        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds), self._older)
 
     @property
     def kinds(self) -> list[str]:
@@ -109,8 +113,22 @@ class Family:
         """What does the same outside of a Diagram; None where there is nothing."""
         return self._get(kind, 2) if len(self._lines[kind]) > 2 else None
 
+    def spelled(self, data: Any) -> Any:
+        """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
+        kind = data.get("kind") if isinstance(data, Mapping) else data
+        if isinstance(kind, str) and kind in self._older:
+            warnings.warn(f"the kind `{kind}` is named `{self._older[kind]}` now", OlderFileWarning, stacklevel=3)
+        return self._spelled(data)
+
+    def _spelled(self, data: Any) -> Any:
+        if isinstance(data, str) and (self._is_own(data) or data in self.kinds or data in self._older):
+            data = {"kind": data}
+        kind = data.get("kind") if isinstance(data, Mapping) else None
+        return {**data, "kind": self._older[kind]} if isinstance(kind, str) and kind in self._older else data
+
     def section_of(self, data: Any) -> Any:
         """Class of a section that is written, or made; None where it is not one of these."""
+        data = self._spelled(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
         found = self._own_section if self._is_own(kind) else self.section(kind)
         return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
@@ -136,8 +154,9 @@ class Family:
     def _validate(self, value: Any) -> Any:
         if isinstance(value, type) and issubclass(value, Section) and value is not Section:
             value = value()
-        elif not isinstance(value, (Mapping, Section)) and self._is_own(value):
+        elif not isinstance(value, (Mapping, Section, str)) and self._is_own(value):
             value = {"kind": value}
+        value = self.spelled(value)
         section = self.section_of(value)
         if isinstance(value, Mapping):
             if section is not None and self._is_own(value.get("kind")):
@@ -151,6 +170,8 @@ class Family:
             return value
         if isinstance(value, Section):
             raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
+        if isinstance(value, str):
+            raise as_problem(ConfigurationError("", value, chosen(value, self.words)))
         raise PydanticCustomError("section", "a section")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
@@ -333,47 +354,3 @@ def place_users(section: Any, place: str = "") -> None:
 def _import(place: str) -> Any:
     module, _, name = place.partition(":")
     return attrgetter(name)(import_module(f"{_PACKAGE}.{module}"))
-
-
-def json_schema(root: Any) -> dict[str, Any]:
-    """JSON schema of a section, with every kind of its families among the definitions."""
-    schema: dict[str, Any] = TypeAdapter(root).json_schema()
-    definitions: dict[str, Any] = schema.setdefault("$defs", {})
-
-    def with_references(part: Any) -> Any:
-        if isinstance(part, list):
-            return [with_references(each) for each in part]
-        if not isinstance(part, dict):
-            return part
-        if "kinds" not in part:
-            return {key: with_references(value) for key, value in part.items()}
-        rest = {key: value for key, value in part.items() if key not in ("kinds", "default kind", "own")}
-        ways = [reference(each, kind == part["default kind"]) for kind, each in part["kinds"].items()]
-        if part["own"] is not None:
-            ways += [by_path(part["own"]), {"type": "string", "pattern": CLASS_PATH}]
-        return {**rest, "anyOf": ways}
-
-    def reference(section: Any, default: bool = False) -> dict[str, Any]:
-        name = section.__name__
-        if name not in definitions:
-            definitions[name] = {}
-            made = TypeAdapter(section).json_schema()
-            definitions.update({each: with_references(value) for each, value in made.pop("$defs", {}).items()})
-            definitions[name] = with_references(made)
-        return {"$ref": f"#/$defs/{name}", **({} if default else {"required": ["kind"]})}
-
-    def by_path(section: Any) -> dict[str, Any]:
-        """The section of a user's class, whose path stands under `kind`."""
-        found, key = reference(section), section.path_key
-        if key == "kind":
-            return found
-        name = f"{section.__name__}ByPath"
-        properties = dict(definitions[section.__name__]["properties"])
-        properties["kind"] = properties.pop(key)
-        definitions[name] = {**definitions[section.__name__], "properties": properties, "required": ["kind"]}
-        return {"$ref": f"#/$defs/{name}"}
-
-    inner = list(definitions)
-    schema = with_references({key: value for key, value in schema.items() if key != "$defs"})
-    definitions.update({name: with_references(definitions[name]) for name in inner})
-    return {**schema, "$defs": definitions}

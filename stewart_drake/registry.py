@@ -47,9 +47,20 @@ CONTROLLERS = Family(
 TUNERS = Family(
     {
         "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-        "ann": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
+        "paper": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
         "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-    }
+        "policy": (
+            "control.tuners:PolicyTuner",
+            "systems.setting_tuner:add_setting_tuner",
+            "control.tuners:chosen_settings",
+        ),
+        "schedule": (
+            "control.tuners:ScheduleTuner",
+            "systems.setting_tuner:add_setting_tuner",
+            "control.tuners:chosen_settings",
+        ),
+    },
+    older={"ann": "paper"},
 )
 SENSORS = Family(
     {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,19 +15,20 @@ from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
-from stewart_drake.errors import ConfigurationError, OlderFileWarning
-from stewart_drake.families import Family, given_again, json_schema, place_users
+from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner, TunerSite
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import Family, given_again, place_users
 from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.observer import DifferenceOptions, EstimatorOptions
+from stewart_drake.hardware.observer import SMALLEST_NOISE, DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.older import compiled_moved, warn_of_compiled
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -40,6 +40,7 @@ from stewart_drake.robot.robot_files import AnyRobot, robot_section
 from stewart_drake.robot.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
+from stewart_drake.schema import json_schema
 from stewart_drake.section import (
     NAME,
     NAME_WORDS,
@@ -61,7 +62,6 @@ MAX_LOG_ROWS = 10**8
 """Of some 0.8 kilobytes each."""
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
-_MOVED = "controller.compiled is the scenario's own key `compiled` now"
 
 
 class Scenario(Section):
@@ -125,7 +125,7 @@ class Scenario(Section):
     @classmethod
     def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
         """See `Section.from_older`."""
-        data = _compiled_moved(data)
+        data = _spelled(data)
         try:
             robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
         except (ValidationError, ConfigurationError):
@@ -220,6 +220,18 @@ class Scenario(Section):
             self.compiled,
         )
 
+    def tuner_site(self) -> TunerSite:
+        """What its tuner is built for."""
+        period, robot, noise = self.controller.period, self.believed_robot, self.sensors.reading_noise
+        return TunerSite(
+            period,
+            max(noise, SMALLEST_NOISE),
+            period * (1 + self.estimator.ahead(self.command_delay)),
+            robot.characteristic_length,
+            self.estimator.expected,
+            self.compiled,
+        )
+
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""
         pose, rate, _ = self.reference.evaluate(0.0)
@@ -229,6 +241,9 @@ class Scenario(Section):
         """See `Section.rules`."""
         place_users(self)
         steps = steps_per("controller.period", self.controller.period, self.plant.time_step)
+        if self.tuner.listens and not self.estimator.expected:
+            allowed = f"observer, for tuner.kind {self.tuner.kind}"
+            raise ConfigurationError("estimator.kind", self.estimator.kind, allowed)
         if self.link.late_steps > steps:
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
@@ -266,8 +281,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     path = find_file("scenario", path)
     data = read_mapping("scenario", path, 100)
     anchor_files(data, path.parent)
-    # Before the overrides: they count, whichever of the two names they use.
-    data = _compiled_moved(data)
+    # Before the overrides: they count, whichever of two names they use, and change keys of sections that are a text.
+    data = _spelled(data)
     components: dict[str, Any] = {}
     for text in overrides:
         key, separator, value = text.partition("=")
@@ -283,18 +298,10 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     return made.replace(components) if components else made
 
 
-def _compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
-    """`controller.compiled` of older files as the scenario's own key."""
-    controller = data.get("controller")
-    if isinstance(controller, Mapping) and "compiled" in controller:
-        warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
-        older = controller["compiled"]
-        if data.get("compiled", older) != older:
-            allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
-            raise ConfigurationError("controller.compiled", older, allowed)
-        data = {**data, "compiled": older}
-        data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
-    return data
+def _spelled(data: dict[str, Any]) -> dict[str, Any]:
+    """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
+    data = compiled_moved(data)
+    return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 
 def require_scenario(value: object) -> None:
@@ -363,13 +370,13 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key == "controller" and isinstance(value, Mapping) and "compiled" in value:
-        moved = _compiled_moved({key: value})
-        data["compiled"], value = moved["compiled"], moved[key]
-    elif key == "controller.compiled":
-        warnings.warn(_MOVED, OlderFileWarning, stacklevel=4)
+    if key == "controller.compiled":
+        warn_of_compiled()
         key = "compiled"
     *parents, last = key.split(".")
+    if not parents:
+        data.update(_own(_spelled({key: value})))
+        return
     section: Any = data
     for depth, part in enumerate(parents):
         if section.get(part) is None:
@@ -384,6 +391,7 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
             raise ConfigurationError(name, section, f"a section, to set {shown(key)} in it")
     if last == "kind" and len(parents) == 1 and parents[0] in _FAMILIES:
         family = _FAMILIES[parents[0]]
+        value = family.spelled({last: value})[last]
         old, new = family.section_of(section), family.section(value)
         if old is not None and new is not None:
             for name in set(keys_of(old)) - (set(keys_of(new)) - new.own_keys):

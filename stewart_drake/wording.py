@@ -207,8 +207,7 @@ def describe(annotation: Any, unit: str = "") -> str:
     """A type in words, with its bounds, the unit of its field, and whether null will do."""
     one, suffix, family = _one(annotation), _or_null(annotation), _family(annotation)
     if family is not None:
-        own = f", or {OWN} by itself" if OWN in family.words else ""
-        return f"a section, with kind: {either(family.words)}{own}{suffix}"
+        return f"a section, with kind: {either(family.words)}, or a kind by itself{suffix}"
     if get_origin(one) is Literal:
         return either([str(option) for option in get_args(one)]) + suffix
     if one is bool:

@@ -82,7 +82,8 @@ class Kind:
 
 
 def _scenario(_):
-    return (shipped_folder("scenarios") / "heart.yaml").read_bytes() + b"\ntuner: {kind: ann, weights_file: own.json}\n"
+    own = b"\ntuner: {kind: paper, weights_file: own.json}\n"
+    return (shipped_folder("scenarios") / "heart.yaml").read_bytes() + own
 
 
 def _dataset(path):

@@ -109,8 +109,8 @@ def test_the_defaults_are_the_papers_run():
 @pytest.mark.parametrize(
     ("name", "gravity", "feedforward", "tuner"),
     [
-        ("paper_fig7", 9.81, "gravity", "ann"),
-        ("paper_fig7_no_gravity", 0.0, "none", "ann"),
+        ("paper_fig7", 9.81, "gravity", "paper"),
+        ("paper_fig7_no_gravity", 0.0, "none", "paper"),
         ("paper_fig7_uncompensated", 9.81, "none", "fixed"),
     ],
 )
@@ -153,8 +153,9 @@ WRONG = [
     ("reference.center", {"reference": {"kind": "hold", "center": []}}, "the keys here are kind, pose"),
     ("tuner.weights_file", {"tuner": {"kind": "fixed", "weights_file": "x"}}, "no such key"),
     ("robot", {"robot": 3}, "a section"),
-    ("tuner", {"tuner": "ann"}, "fixed, ann or block"),
-    ("tuner.kind", {"tuner": {}}, "fixed, ann or block; this key is required"),
+    ("tuner", {"tuner": "papr"}, "fixed, paper or block; did you mean paper?"),
+    ("tuner", {"tuner": 3}, "a section, with kind: fixed, paper or block, or a kind by itself"),
+    ("tuner.kind", {"tuner": {}}, "fixed, paper or block; this key is required"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
     ("reference.kind", {"reference": {}}, "spline, recorded, sum, adjusted or module:Class; this key is required"),
     ("reference.kind", {"reference": {"kind": "sin"}}, "got 'sin'; allowed: hold, sine, sine_bursts, breathing"),
@@ -243,11 +244,11 @@ def test_a_key_of_many_lines_or_letters_still_makes_one_short_line():
 
 
 def test_every_problem_has_a_line_and_unknown_keys_come_first():
-    error = refusal({"duration": "a", "gravity": "b", "plant": {"time_stp": 1}, "tuner": {"kind": "an"}})
+    error = refusal({"duration": "a", "gravity": "b", "plant": {"time_stp": 1}, "tuner": {"kind": "pap"}})
     lines = str(error).split("\n")
     assert [line.partition(":")[0] for line in lines] == ["plant.time_stp", "duration", "gravity", "tuner.kind"]
     assert [error.key, *(other.key for other in error.others)] == [line.partition(":")[0] for line in lines]
-    assert "did you mean ann?" in lines[3]
+    assert "did you mean paper?" in lines[3]
     many = refusal({"initial_offset": ["x"] * 6, **{f"key{k}": 1 for k in range(30)}})
     assert str(many).split("\n")[-1] == "and 15 more problems"
 
@@ -401,7 +402,7 @@ def test_a_weights_file_is_relative_to_the_scenario_file(tmp_path, monkeypatch):
     (tmp_path / "deep").mkdir()
     network = load_network(default_network_path())
     network.save(tmp_path / "deep" / "own.json")
-    path = write(tmp_path / "deep", "tuner: {kind: ann, weights_file: own.json}\n")
+    path = write(tmp_path / "deep", "tuner: {kind: paper, weights_file: own.json}\n")
     monkeypatch.chdir(tmp_path)
     scenario = load_scenario(path.relative_to(tmp_path))
     assert scenario.tuner.weights_file == str(tmp_path / "deep" / "own.json")
@@ -456,14 +457,14 @@ documents = st.fixed_dictionaries(
         | st.fixed_dictionaries({"kind": st.just("hold"), "pose": vectors})
         | st.just(BURSTS),
         "tuner": st.fixed_dictionaries({"kind": st.just("fixed"), "omega_q": st.floats(1e-300, 1e300)})
-        | st.fixed_dictionaries({"kind": st.just("ann"), "weights_file": st.text(max_size=200).map("/{}".format)}),
+        | st.fixed_dictionaries({"kind": st.just("paper"), "weights_file": st.text(max_size=200).map("/{}".format)}),
     },
 )
 
 
 @given(documents)
 @settings(max_examples=60)
-@example({"tuner": {"kind": "ann", "weights_file": "/."}})
+@example({"tuner": {"kind": "paper", "weights_file": "/."}})
 def test_yaml_as_run_loads_back_to_the_same_scenario(tmp_path_factory, document):
     scenario = Scenario.from_dict(document)
     path = write(tmp_path_factory.getbasetemp(), scenario.to_yaml(), "again.yaml")
@@ -519,7 +520,7 @@ scalars = (
     | st.integers()
     | st.floats()
     | st.text(max_size=5)
-    | st.sampled_from(["sine", "hold", "sine_bursts", "fixed", "ann", "statics", 10**400, 1e308, b"x"])
+    | st.sampled_from(["sine", "hold", "sine_bursts", "fixed", "paper", "statics", 10**400, 1e308, b"x"])
     | st.dates()
 )
 values = st.recursive(

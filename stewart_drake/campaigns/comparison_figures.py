@@ -9,7 +9,8 @@ import numpy as np
 
 from stewart_drake.campaigns.one_run import measure, outcome
 from stewart_drake.campaigns.tables import Row
-from stewart_drake.logs.cost import CostScales, run_cost
+from stewart_drake.control.objective import CostScales
+from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import error_norms, settling_time, sine_response
 

@@ -23,9 +23,9 @@ from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.campaigns.sized import sized
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.campaigns.tune_options import TunedFile, TuneOptions
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.logs.cost import CostScales
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario

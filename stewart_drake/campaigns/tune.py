@@ -21,9 +21,10 @@ from stewart_drake.campaigns.plan import identity_of
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Setting, Tuning
+from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.logs.cost import FAILED, CostScales, mean_cost, run_cost
+from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metrics import run_metrics

@@ -54,15 +54,30 @@ ESTIMATOR_NUMBERS = _fields(
     "EstimatorNumbers", period=1, smoothing=1, max_speed=1, max_turn=1, max_shift=1, tolerance=1, iterations=1
 )
 """[s], share of a new difference, [rad/s], [rad], [m], [m], Newton steps."""
+RECENT = _fields("Recent", levels=5, drift=6, torque=6, ticks=1)
+"""See `features.Recent`."""
+TUNER_SITE = _fields(
+    "TunerSite",
+    period=1, noise=1, latency=1, length=1, kappa=1, rotation=1, position=1, change=1, of_surprise=1, of_drift=1,
+    of_cost=1,
+)  # fmt: skip
+"""See `features.Site`; then what counts as one in the cost, [rad], [m] and, from tick to tick, 1/[N m]; `FLOORS`."""
+TUNER_MEMORY = _fields(
+    "TunerMemory",
+    weights=4, disturbance=1, setting=4, outside=1, recent=RECENT.size, held=1,
+)  # fmt: skip
+"""See `policy.TunerMemory`."""
 OBSERVER_MEMORY = _fields(
     "ObserverMemory",
     pose=6, rate=6, pose_ahead=6, rate_ahead=6, compensation=6, innovation=6, surplus=6, missed=6, side=1,
 )  # fmt: skip
 """See `observer.ObserverMemory`; its commands come after these."""
 OBSERVER_NUMBERS = _fields(
-    "ObserverNumbers", period=1, gravity=1, gains=3, max_innovation=1, hold_ticks=1, arrived=1, rests=1
+    "ObserverNumbers", period=1, gravity=1, noise=1, max_innovation=1, hold_ticks=1, arrived=1, slip=1, rests=1
 )
-"""[s], [m/s^2], see `observer.KalmanGains`, [rad], ticks, [rad], [rad/s]."""
+"""[s], [m/s^2], [rad], [rad], ticks, [rad] or negative for motors without friction, [rad/s^2], [rad/s]."""
+WHITE_SHARE = 1.5
+"""See `observer.SHARE`."""
 SAFETY_MEMORY = _fields(
     "SafetyMemory",
     torque=6, level=1, monitor=1, leg=1, good=6, weight=6, held=1, at_limit=1, too_fast=1, since=1, side=1, ticks=1,
@@ -81,8 +96,6 @@ CHAIN_STATE = _fields("ChainState", pose=6, pose_rate=6, twist=6, angles=6, anch
 
 SMALLEST_SINGULAR_VALUE = 1e-13
 """Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
-UNSETTLED = 1e-3
-"""Relative step of a root after the last iteration above which it counts as not found."""
 MEAN_FLOOR = 1e-9
 """Window means below this share of the signal's scale count as zero; the density is 1 there."""
 SAME_BRANCH = 1.0 - 1e-6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS
+from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, WHITE_SHARE
 from stewart_drake.compiled.dynamics import inverse_dynamics, task_inertia
 from stewart_drake.compiled.jit import njit
 from stewart_drake.compiled.linear_algebra import solve
@@ -22,6 +22,7 @@ from stewart_drake.compiled.mechanism import (
     rotation,
     speed_along,
 )
+from stewart_drake.compiled.riccati import spectral_factor
 
 _M, _N = OBSERVER_MEMORY, OBSERVER_NUMBERS
 
@@ -83,12 +84,24 @@ def advance(
 
 
 @njit(cache=True, error_model="numpy")
+def kalman_gains(bandwidth: float, period: float, gains: np.ndarray) -> bool:
+    """Reference `observer.kalman_gains`, of a bandwidth [rad/s]; gains (3,) out, False where there are none."""
+    wandering, white = (bandwidth * period) ** 6, WHITE_SHARE**2 * (bandwidth * period) ** 4
+    if not spectral_factor(-0.25 * white, white - 0.25 * wandering, wandering, gains):
+        return False
+    c2, c1, c0 = gains
+    gains[0], gains[1], gains[2] = c2 - c1 + c0, (c1 - 1.5 * c0) / period, c0 / period**2
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def observe(
     robot: np.ndarray,
     numbers: np.ndarray,
     angles: np.ndarray,
     sent: np.ndarray,
     reference: np.ndarray,
+    disturbance: np.ndarray,
     memory: np.ndarray,
     result: np.ndarray,
 ) -> int:
@@ -100,6 +113,7 @@ def observe(
         angles: (6,) [rad].
         sent: (6,) [N m].
         reference: (18,).
+        disturbance: (1,).
         memory: `OBSERVER_MEMORY` and commands of the tick before.
         result: Out, those of this tick.
 
@@ -113,9 +127,12 @@ def observe(
     surplus[:] = memory[_M.surplus : _M.missed]
     if not advance(robot, numbers, pose, rate, result[_M.size : _M.size + 6], surplus):
         return NO_CONVERGENCE
-    legs, lines = np.empty((6, 14)), np.empty((6, 6))
-    if leg_vectors(robot, pose, legs) >= 0:
+    legs, lines, gains = np.empty((6, 14)), np.empty((6, 6)), np.empty(3)
+    period = numbers[_N.period]
+    bandwidth = (disturbance[0] / (numbers[_N.noise] * np.sqrt(period))) ** (1.0 / 3.0)
+    if not kalman_gains(bandwidth, period, gains) or leg_vectors(robot, pose, legs) >= 0:
         return NO_CONVERGENCE
+    arrived = max(numbers[_N.arrived], numbers[_N.slip] / (bandwidth * bandwidth))
     rod_lines(legs, lines)
     turned = np.empty((6, 2))
     for i in range(6):
@@ -135,8 +152,8 @@ def observe(
                 return NO_CONVERGENCE
         result[_M.innovation + i], result[_M.missed + i] = innovation, missed
         lever = robot[i, CRANK_LENGTH] * legs[i, 12]
-        turned[i, 0] = lever * numbers[_N.gains] * innovation
-        turned[i, 1] = lever * numbers[_N.gains + 1] * innovation
+        turned[i, 0] = lever * gains[0] * innovation
+        turned[i, 1] = lever * gains[1] * innovation
     kept = lines.copy()
     if solve(lines, turned) == 0.0:
         return NO_CONVERGENCE
@@ -153,9 +170,9 @@ def observe(
         off = speed_along(kept, i, omega[0], pose[3:] - reference[3:6])
         turning = speed_along(kept, i, omega[1], reference[9:12])
         lever = abs(robot[i, CRANK_LENGTH] * legs[i, 12])
-        stands = stands and abs(off) <= numbers[_N.arrived] * lever and abs(turning) <= numbers[_N.rests] * lever
+        stands = stands and abs(off) <= arrived * lever and abs(turning) <= numbers[_N.rests] * lever
     if not stands:
-        surplus += numbers[_N.gains + 2] * result[_M.innovation : _M.surplus]
+        surplus += gains[2] * result[_M.innovation : _M.surplus]
 
     ahead, rate_ahead = result[_M.pose_ahead : _M.rate_ahead], result[_M.rate_ahead : _M.compensation]
     ahead[:], rate_ahead[:] = pose, rate

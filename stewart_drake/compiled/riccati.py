@@ -4,39 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import UNSETTLED
 from stewart_drake.compiled.jit import njit
-
-ITERATIONS = 60
-"""At most; about ten do."""
+from stewart_drake.spectral import ITERATIONS, UNSETTLED
 
 
 @njit(cache=True, error_model="numpy")
-def chain_gain(
-    s: float, period: float, q_e: float, q_v: float, q_z: float, r: float, exact: bool, gain: np.ndarray
-) -> bool:
-    """Gain u = -(k_e e + k_v v + k_z z) of one chain of integrators; reference, with derivation: `riccati.chain_gains`.
+def spectral_factor(a2: float, a1: float, a0: float, c: np.ndarray) -> bool:
+    """Reference `spectral.spectral_factor`.
 
     Args:
-        s: Singular value of the scaled M^-1 tau, > 0.
-        period: [s].
-        q_e: Weight of e, > 0.
-        q_v: Weight of v, > 0.
-        q_z: Weight of z, > 0.
-        r: Weight of u, > 0.
-        exact: Zero-order hold; else Euler.
-        gain: (3,) out: k_e, k_v, k_z.
+        a2: Of the cubic.
+        a1: Likewise.
+        a0: Likewise, > 0.
+        c: (3,) out: c2, c1, c0.
 
     Returns:
         False where the iteration did not converge or left floating point.
     """
-    t, g = period, s * s / r
-    a0 = g * q_z * t**6
-    if exact:
-        a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
-        a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
-    else:
-        a1, a2 = g * q_e * t**4, g * q_v * t**2
     if not (0.0 < a0 < np.inf and abs(a1) < np.inf and abs(a2) < np.inf):
         return False
     x = np.empty(3, np.complex128)
@@ -79,9 +63,42 @@ def chain_gain(
             return False
         small = x[i] / large
         d[i] = large if abs(1.0 + large) < abs(1.0 + small) else small
-    c2 = -(d[0] + d[1] + d[2]).real
-    c1 = (d[0] * d[1] + d[0] * d[2] + d[1] * d[2]).real
-    c0 = -(d[0] * d[1] * d[2]).real
+    c[0] = -(d[0] + d[1] + d[2]).real
+    c[1] = (d[0] * d[1] + d[0] * d[2] + d[1] * d[2]).real
+    c[2] = -(d[0] * d[1] * d[2]).real
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def chain_gain(
+    s: float, period: float, q_e: float, q_v: float, q_z: float, r: float, exact: bool, gain: np.ndarray
+) -> bool:
+    """Gain u = -(k_e e + k_v v + k_z z) of one chain of integrators; reference, with derivation: `riccati.chain_gains`.
+
+    Args:
+        s: Singular value of the scaled M^-1 tau, > 0.
+        period: [s].
+        q_e: Weight of e, > 0.
+        q_v: Weight of v, > 0.
+        q_z: Weight of z, > 0.
+        r: Weight of u, > 0.
+        exact: Zero-order hold; else Euler.
+        gain: (3,) out: k_e, k_v, k_z.
+
+    Returns:
+        False where the iteration did not converge or left floating point.
+    """
+    t, g = period, s * s / r
+    a0 = g * q_z * t**6
+    if exact:
+        a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
+        a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
+    else:
+        a1, a2 = g * q_e * t**4, g * q_v * t**2
+    c = np.empty(3)
+    if not spectral_factor(a2, a1, a0, c):
+        return False
+    c2, c1, c0 = c
     gain[0] = (c1 - c0) / (s * t * t) if exact else c1 / (s * t * t)
     gain[1] = (c2 - 0.5 * (c1 - c0) - c0 / 6.0) / (s * t) if exact else c2 / (s * t)
     gain[2] = c0 / (s * t**3)

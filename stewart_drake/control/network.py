@@ -200,28 +200,38 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
     """
     path = default_network_path() if path is None else Path(path)
     key = f"weights file {path}"
-    try:
-        document = json.loads(read_weights(path))
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a JSON document") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ConfigurationError(key, "no tuner", f'"format": "{FORMAT}"')
-    if document.get("version") != VERSION:
-        allowed = f"{VERSION}; `stewart-drake train` makes a new one"
-        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
-    try:
-        document = unseal(document)
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
+    document = read_sealed(path, FORMAT, VERSION)
     provenance = document.get("provenance", {})
     if not isinstance(provenance, dict):
         raise ConfigurationError(f"{key}: provenance", provenance, "a mapping")
     try:
-        arrays = {name: _numbers(name, document.get(name)) for name in _SHAPES}
+        arrays = {name: numbers(name, document.get(name), shape) for name, shape in _SHAPES.items()}
         kind, window = cast(DensityKind, document.get("density")), cast(int, document.get("window"))
         return TunerNetwork(**arrays, density=kind, window=window, provenance=provenance)
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+
+
+def read_sealed(path: Path, kind: str, version: int) -> dict[str, Any]:
+    """What a weights file of a kind and version holds.
+
+    Raises:
+        ConfigurationError: See `read_weights`; another kind or version, a checksum that does not fit.
+    """
+    key = f"weights file {path}"
+    try:
+        document = json.loads(read_weights(path))
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "a JSON document") from error
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
+    if document.get("version") != version:
+        allowed = f"{version}; `stewart-drake train` makes a new one"
+        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
+    try:
+        return unseal(document)
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
 
 
 def read_weights(path: Path) -> str:
@@ -237,15 +247,19 @@ def read_weights(path: Path) -> str:
         raise ConfigurationError(key, str(error), "a JSON document") from None
 
 
-def _numbers(name: str, value: Any) -> np.ndarray:
-    """A list of numbers of a weights file as an array."""
+def numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """A list of numbers of a weights file as an array.
+
+    Raises:
+        ConfigurationError: It is none.
+    """
     try:
         array = np.array(value)
     except ValueError:
         array = np.array(None)
     # Texts and integers beyond 64 bits come as other kinds.
     if array.dtype.kind not in "fi":
-        raise ConfigurationError(name, value, f"finite numbers of shape {_SHAPES[name]}")
+        raise ConfigurationError(name, value, f"finite numbers of shape {shape}")
     return array.astype(float)
 
 

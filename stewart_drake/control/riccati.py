@@ -8,13 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE, UNSETTLED
+from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, Discretization
 from stewart_drake.errors import ConfigurationError, RiccatiError, drake_guard
+from stewart_drake.spectral import spectral_factor
 
 RiccatiSolver = Literal["drake", "split"]
-
-_ITERATIONS = 60
 
 
 def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -145,50 +144,7 @@ def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: 
             a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
         else:
             a1, a2 = g * (q_e * t**4), g * (q_v * t**2)
-        x = np.stack([_cubic_roots(*abc) for abc in zip(a2, a1, a0, strict=True)])
-        # The roots of d^2 + x d + x are z - 1 and 1/z - 1; stable is the one with |1 + d| < 1.
-        root = np.sqrt(x * x - 4.0 * x)
-        large = -0.5 * np.where((x.conj() * root).real >= 0.0, x + root, x - root)
-        small = x / large
-        d = np.where(np.abs(1.0 + large) < np.abs(1.0 + small), large, small)
-        c2 = -d.sum(axis=1).real
-        c1 = (d[:, 0] * d[:, 1] + d[:, 0] * d[:, 2] + d[:, 1] * d[:, 2]).real
-        c0 = -d.prod(axis=1).real
+        c2, c1, c0 = spectral_factor(a2, a1, a0)
         if method == "exact":
             c2, c1 = c2 - 0.5 * (c1 - c0) - c0 / 6.0, c1 - c0
         return np.stack([c1 / (s * t * t), c2 / (s * t), c0 / (s * t**3)], axis=-1)
-
-
-def _cubic_roots(a2: float, a1: float, a0: float) -> np.ndarray:
-    """Roots of x^3 + a2 x^2 + a1 x + a0, a0 > 0, each to its own relative accuracy; (3,) complex.
-
-    O. Aberth's simultaneous iteration (Math. Comp. 27 (1973) 339) from circles that the Newton polygon suggests
-    (D. Bini, Numer. Algorithms 13 (1996) 179): the roots may lie twenty decades apart.
-    """
-    size, x, low = np.abs([a0, a1, a2, 1.0]), np.empty(3, complex), 0
-    if not np.isfinite(size).all() or size[0] == 0.0:
-        return np.full(3, np.nan, complex)
-    while low < 3:
-        radii = [(size[low] / size[k]) ** (1.0 / (k - low)) if size[k] > 0.0 else np.inf for k in range(low + 1, 4)]
-        radius = min(radii)
-        to = max(k for k, value in zip(range(low + 1, 4), radii, strict=True) if value == radius)
-        for k in range(low, to):
-            x[k] = radius * np.exp(1j * (2.0 * np.pi * (k - low) / (to - low) + 2.3 + 0.7 * k))
-        low = to
-    for _ in range(_ITERATIONS):
-        moved = 0.0
-        for i in range(3):
-            value = ((x[i] + a2) * x[i] + a1) * x[i] + a0
-            slope = (3.0 * x[i] + 2.0 * a2) * x[i] + a1
-            if value == 0.0 or slope == 0.0:
-                continue
-            newton = value / slope
-            bottom = 1.0 - newton * sum(1.0 / (x[i] - x[j]) for j in range(3) if j != i and x[j] != x[i])
-            if bottom == 0.0:
-                continue
-            move = newton / bottom
-            x[i] -= move
-            moved = max(moved, abs(move) / abs(x[i]))
-        if not moved > 1e-15:
-            break
-    return x if moved <= UNSETTLED else np.full(3, np.nan, complex)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.control.density import DensityKind
+from stewart_drake.control.features import Site
 from stewart_drake.control.network import (
     TunerNetwork,
     default_network_path,
@@ -17,10 +18,41 @@ from stewart_drake.control.network import (
     network_part,
     read_weights,
 )
+from stewart_drake.control.policy import Chooser, Policy, Schedule, default_policy_path, load_policy, setting_part
 from stewart_drake.control.robot_gains import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
+from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.sampling import Sampled
-from stewart_drake.section import Positive, Section, Text, Window
+from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Window
+
+Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
+
+
+class Levels(NamedTuple):
+    """Shares of the observer's disturbance that a tuner asks for: at the start, and the least ever."""
+
+    start: float = 1.0
+    least: float = 1.0
+
+
+class TunerSite(NamedTuple):
+    """What a tuner is built for.
+
+    Attributes:
+        period: [s] of a tick.
+        noise: [rad] of a reading, as the observer believes it.
+        latency: [s] from a reading to its torque, as believed.
+        length: [m] characteristic length of the robot.
+        disturbance: [rad/s^2 per sqrt(s)] that the observer expects where no tuner says otherwise.
+        compiled: See `Scenario.compiled`.
+    """
+
+    period: float
+    noise: float
+    latency: float
+    length: float
+    disturbance: float
+    compiled: bool = False
 
 
 class Tuner(Section, ABC, key="tuner"):
@@ -42,6 +74,16 @@ class Tuner(Section, ABC, key="tuner"):
     def label(self) -> str:
         """What its weights are, for titles."""
         return "Weights, held fixed"
+
+    @property
+    def levels(self) -> Levels:
+        """What it makes of the disturbance that the observer expects."""
+        return Levels()
+
+    @property
+    def listens(self) -> bool:
+        """Whether it needs the innovations of an observer."""
+        return False
 
     def network(self) -> TunerNetwork | None:
         """The network that it asks, or None where the weights stay.
@@ -106,9 +148,9 @@ class BlockTuner(Tuner):
 
 
 class AnnTuner(PairTuner):
-    """Weights from the neural network of Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
+    """Weights from the paper's neural network, Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
 
-    kind: Literal["ann"] = "ann"
+    kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 
@@ -135,11 +177,111 @@ class AnnTuner(PairTuner):
         return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
 
 
-def held_weights(options: Tuner, compiled: bool) -> Sampled:  # noqa: ARG001 - nothing to compile
-    """Weights that stay, whatever the densities."""
-    return Sampled(np.array(options.weights), lambda densities, weights: weights)  # noqa: ARG005
+class SettingTuner(BlockTuner):
+    """What tuners of settings have; a setting is decades above these weights and `estimator.disturbance`.
+
+    They hear the innovations of an observer, see `features`, and change its bandwidth too.
+    """
+
+    kind: str
+
+    @abstractmethod
+    def chooser(self) -> Chooser:
+        """What wants a setting.
+
+        Raises:
+            ConfigurationError: Missing or corrupt file.
+        """
+
+    @property
+    def taste(self) -> float:
+        """[-] kappa, see `features.Site`."""
+        return 0.0
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Weights at the start."""
+        return tuple(weights_of(np.array(super().weights), self.chooser().centre).tolist())
+
+    @property
+    def levels(self) -> Levels:
+        """See `Tuner.levels`."""
+        chooser = self.chooser()
+        return Levels(float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest)))
+
+    @property
+    def listens(self) -> bool:
+        """See `Tuner.listens`."""
+        return True
 
 
-def asked_weights(options: AnnTuner, compiled: bool) -> Sampled:
+class PolicyTuner(SettingTuner):
+    """Settings from a neural network that was trained in the loop, for the least cost."""
+
+    kind: Literal["policy"] = "policy"
+    kappa: Annotated[Real, Field(ge=-1.0, le=1.0)] = 0.0
+    """From stiff, -1, to quiet, 1: a change of torque counts 10^kappa times as much against an error."""
+    weights_file: Text | None = None
+    """Path of a trained policy, relative to the scenario file; null takes the one of the package."""
+
+    @property
+    def label(self) -> str:
+        """See `Tuner.label`."""
+        return "Output of the policy"
+
+    @property
+    def taste(self) -> float:
+        """See `SettingTuner.taste`."""
+        return self.kappa
+
+    def chooser(self) -> Policy:
+        """See `SettingTuner.chooser`."""
+        return load_policy(self.weights_file)
+
+    def content(self) -> str:
+        """See `Tuner.content`."""
+        return read_weights(default_policy_path() if self.weights_file is None else Path(self.weights_file))
+
+
+FourNumbers = tuple[Decades, Decades, Decades, Decades]
+
+
+class ScheduleTuner(SettingTuner):
+    """Two settings: one while readings are as expected, one when they are not and for a while after."""
+
+    kind: Literal["schedule"] = "schedule"
+    calm: FourNumbers = (0.0, 0.0, 0.0, 0.0)
+    """Decades of speed, damping, integral and disturbance, see `settings`."""
+    alert: FourNumbers = (0.0, 0.0, 0.0, 0.0)
+    """Likewise."""
+    threshold: Positive = 2.0
+    """[-] RMS of the innovations of some 10 ms over the noise of a reading, above which the second one holds."""
+    hold: NotNegative = 0.1
+    """[s] that it stays afterwards."""
+
+    @property
+    def label(self) -> str:
+        """See `Tuner.label`."""
+        return "Weights of the schedule"
+
+    def chooser(self) -> Schedule:
+        """See `SettingTuner.chooser`."""
+        return Schedule(np.array(self.calm), np.array(self.alert), self.threshold, self.hold)
+
+
+def held_weights(options: Tuner, site: TunerSite) -> Sampled:  # noqa: ARG001 - nothing depends on it
+    """Weights that stay, whatever is heard."""
+    return Sampled(np.array(options.weights), lambda *heard: heard[-1])
+
+
+def asked_weights(options: AnnTuner, site: TunerSite) -> Sampled:
     """Weights of the network, see `network_part`."""
-    return network_part(options.network(), options.weights, compiled)
+    first, tick = network_part(options.network(), options.weights, site.compiled)
+    return Sampled(first, lambda densities, *heard: tick(densities, heard[-1]))
+
+
+def chosen_settings(options: SettingTuner, site: TunerSite) -> Sampled:
+    """Settings, see `setting_part`."""
+    base = np.array([options.q_pose, options.q_rate, options.q_integral, options.r])
+    at = Site(site.period, site.noise, site.latency, site.length, options.taste)
+    return setting_part(options.chooser(), at, base, site.disturbance, site.compiled)

@@ -301,6 +301,7 @@ class DifferenceEstimating:
         reading: np.ndarray,
         sent: np.ndarray,  # noqa: ARG002
         reference: np.ndarray,  # noqa: ARG002
+        disturbance: np.ndarray | None,  # noqa: ARG002
     ) -> Estimate:
         """See `Estimating`."""
         found = reading if self._estimate is None else self._estimate(time, reading)[:12]

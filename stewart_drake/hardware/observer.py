@@ -25,7 +25,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, filled
+from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, WHITE_SHARE, filled
 from stewart_drake.errors import RunFailure, SingularPoseError, UnreachablePoseError, pose_text
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, task_inertia
 from stewart_drake.mechanics.kinematics import (
@@ -38,6 +38,7 @@ from stewart_drake.mechanics.kinematics import (
 )
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Natural, Positive, Section
+from stewart_drake.spectral import spectral_factor
 
 _M = OBSERVER_MEMORY
 
@@ -49,7 +50,7 @@ SLIP = 4.0
 """[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
 NOISE_AT_MOST = 8.0
 """Standard deviations of a reading that an innovation of noise and counts alone has at most."""
-SHARE = 1.5
+SHARE = WHITE_SHARE
 """[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
 none the loop that feeds the surplus back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake margins`)."""
 RESTS = 1e-4
@@ -65,6 +66,15 @@ class EstimatorOptions(Section, key="estimator"):
     def exact(self) -> bool:
         """Whether it passes on what a sensor of pose and rate says."""
         return False
+
+    @property
+    def expected(self) -> float:
+        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for no observer."""
+        return 0.0
+
+    def ahead(self, delay: int) -> int:
+        """[ticks] from a command to its torque, as believed, of those that it takes."""
+        return delay
 
 
 class DifferenceOptions(EstimatorOptions):
@@ -93,6 +103,15 @@ class ObserverOptions(EstimatorOptions):
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
     """Ticks in a row in which a reading may be missing before the run ends; meanwhile the model stands in for it."""
 
+    @property
+    def expected(self) -> float:
+        """See `EstimatorOptions`."""
+        return self.disturbance
+
+    def ahead(self, delay: int) -> int:
+        """See `EstimatorOptions`."""
+        return delay if self.delay is None else self.delay
+
 
 class KalmanGains(NamedTuple):
     """What an innovation of 1 rad adds.
@@ -110,7 +129,7 @@ class KalmanGains(NamedTuple):
 
 def bandwidth(noise: float, disturbance: float, period: float) -> float:
     """[rad/s] of the observer: geometric mean of its three poles in continuous time."""
-    return float((disturbance / (noise * math.sqrt(period))) ** (1.0 / 3.0))
+    return float((float(disturbance) / (noise * math.sqrt(period))) ** (1.0 / 3.0))
 
 
 def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains:
@@ -128,12 +147,9 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, SHARE**2 * turn**4
-    x = np.roots([1.0, -0.25 * white, white - 0.25 * wandering, wandering]).astype(complex)
-    # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1.
-    root = np.sqrt(x * x - 4.0 * x)
-    d = np.where(np.abs(1.0 + 0.5 * (root - x)) < 1.0, 0.5 * (root - x), -0.5 * (root + x))
-    _, c2, c1, c0 = np.poly(d).real
-    return KalmanGains(float(c2 - c1 + c0), float(c1 - 1.5 * c0) / period, float(c0) / period**2)
+    cubic = (np.atleast_1d(each) for each in (-0.25 * white, white - 0.25 * wandering, wandering))
+    c2, c1, c0 = (float(each[0]) for each in spectral_factor(*cubic))
+    return KalmanGains(c2 - c1 + c0, (c1 - 1.5 * c0) / period, c0 / period**2)
 
 
 class ObserverMemory(NamedTuple):
@@ -184,6 +200,7 @@ class Observer(NamedTuple):
         period: [s].
         noise: [rad] standard deviation of a reading, see `SensorOptions.reading_noise`.
         friction: [N m] largest break-away torque that the motors are believed to have.
+        least: [-] smallest share of the options' disturbance that a tuner may ask for.
     """
 
     robot: RobotParameters
@@ -192,28 +209,36 @@ class Observer(NamedTuple):
     period: float
     noise: float
     friction: float = 0.0
+    least: float = 1.0
 
     @property
-    def gains(self) -> KalmanGains:
-        """Of the filter."""
-        return kalman_gains(max(self.noise, SMALLEST_NOISE), self.options.disturbance, self.period)
+    def reading_noise(self) -> float:
+        """[rad] of a reading, at least `SMALLEST_NOISE`."""
+        return max(self.noise, SMALLEST_NOISE)
+
+    def gains(self, disturbance: float) -> KalmanGains:
+        """Of the filter, for a disturbance as in `ObserverOptions`."""
+        return kalman_gains(self.reading_noise, disturbance, self.period)
 
     @property
-    def arrived(self) -> float:
+    def slip(self) -> float:
+        """[rad/s^2] of a crank by `SLIP` of the largest break-away torque."""
+        home = self.robot.home_pose
+        mobility = pose_jacobian(self.robot, home) @ pose_acceleration_map(self.robot, home)
+        return SLIP * self.friction * float(np.diag(mobility).max())
+
+    def arrived(self, disturbance: float) -> float:
         """[rad] within which a crank that rests stands where it is wanted; negative for motors without friction."""
         if self.friction == 0.0:
             return -1.0
-        noise, home = max(self.noise, SMALLEST_NOISE), self.robot.home_pose
-        mobility = pose_jacobian(self.robot, home) @ pose_acceleration_map(self.robot, home)
-        turn = bandwidth(noise, self.options.disturbance, self.period)
-        return max(ARRIVED * noise, SLIP * self.friction * float(np.diag(mobility).max()) / turn**2)
+        turn = bandwidth(self.reading_noise, disturbance, self.period)
+        return max(ARRIVED * self.reading_noise, self.slip / turn**2)
 
     @property
     def surprise_scale(self) -> tuple[float, float]:
         """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
-        noise = max(self.noise, SMALLEST_NOISE)
-        turn = bandwidth(noise, self.options.disturbance, self.period)
-        return NOISE_AT_MOST * noise, 1.0 / turn**2 + self.period**2
+        turn = bandwidth(self.reading_noise, self.options.disturbance * self.least, self.period)
+        return NOISE_AT_MOST * self.reading_noise, 1.0 / turn**2 + self.period**2
 
     def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
         """Memory before the first tick, flat.
@@ -245,7 +270,12 @@ def advance(
 
 
 def observe(
-    observer: Observer, angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, memory: ObserverMemory
+    observer: Observer,
+    angles: np.ndarray,
+    sent: np.ndarray,
+    reference: np.ndarray,
+    disturbance: float,
+    memory: ObserverMemory,
 ) -> ObserverMemory:
     """One tick, but the first: predicts, corrects by what is believed of the readings, and looks ahead.
 
@@ -254,13 +284,14 @@ def observe(
         angles: (6,) [rad] readings; NaN for one that is missing.
         sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
         reference: (18,) wanted now: pose [rad, m], its rate and its acceleration.
+        disturbance: [rad/s^2 per sqrt(s)] for this tick, see `ObserverOptions`.
         memory: Of the tick before.
 
     Raises:
         RunFailure: A reading has been missing, or not believed, for too long.
         SingularPoseError: The robot has come to a singularity.
     """
-    robot, options, gains = observer.robot, observer.options, observer.gains
+    robot, options, gains = observer.robot, observer.options, observer.gains(disturbance)
     # What is not a number no motor gives; the safety layer repeats the last command for it.
     sent = sent if np.isfinite(sent).all() else memory.commands[-1]
     commands = np.concatenate([memory.commands[1:], sent[None]])
@@ -280,7 +311,7 @@ def observe(
         pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
         wanted = pose_rate_to_twist(pose, np.stack([pose - reference[:6], reference[6:12]]))
         apart = np.abs(jacobian @ wanted.T).max(axis=0)
-        stands = apart[0] <= observer.arrived and apart[1] <= RESTS
+        stands = apart[0] <= observer.arrived(disturbance) and apart[1] <= RESTS
         surplus = memory.surplus if stands else memory.surplus + gains.surplus * innovation
         now = memory._replace(pose=pose, rate=rate, surplus=surplus, missed=missed, commands=commands)
         return _looking_ahead(observer, now._replace(innovation=innovation))
@@ -322,13 +353,13 @@ def start(observer: Observer, pose: np.ndarray, memory: ObserverMemory) -> Obser
         return _looking_ahead(observer, memory._replace(pose=pose))
 
 
-FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def flat_observer(
     observer: Observer, first_pose: Callable[[np.ndarray, np.ndarray], np.ndarray], compiled: bool
 ) -> FlatObserver:
-    """A tick as a function of angles (6,), last command (6,), reference (18,) and memory alone, compiled or not.
+    """A tick of angles (6,), last command (6,), reference (18,), disturbance (1,) and memory alone, compiled or not.
 
     Args:
         observer: See there.
@@ -336,11 +367,13 @@ def flat_observer(
         compiled: See `Scenario.compiled`.
     """
 
-    def in_numpy(angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    def in_numpy(
+        angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, flat: np.ndarray
+    ) -> np.ndarray:
         memory = ObserverMemory.from_flat(flat)
         if memory.side[0] == 0.0:
             return start(observer, first_pose(angles, memory.pose), memory).flat()
-        return observe(observer, angles, sent, reference, memory).flat()
+        return observe(observer, angles, sent, reference, float(disturbance[0]), memory).flat()
 
     if not compiled:
         return in_numpy
@@ -353,20 +386,23 @@ def flat_observer(
         OBSERVER_NUMBERS,
         period=observer.period,
         gravity=observer.gravity,
-        gains=observer.gains,
+        noise=observer.reading_noise,
         max_innovation=observer.options.max_innovation,
         hold_ticks=observer.options.hold_ticks,
-        arrived=observer.arrived,
+        arrived=ARRIVED * observer.reading_noise if observer.friction > 0.0 else -1.0,
+        slip=observer.slip,
         rests=RESTS,
     )
 
-    def tick(angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    def tick(
+        angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, flat: np.ndarray
+    ) -> np.ndarray:
         result = np.empty_like(flat)
         if flat[_M.side] != 0.0:
-            ended = fast.observe(packed, numbers, angles, sent, reference, flat, result)
+            ended = fast.observe(packed, numbers, angles, sent, reference, disturbance, flat, result)
             if ended == mechanism.OK:
                 return result
         # Rare: numpy says what was wrong.
-        return in_numpy(angles, sent, reference, flat)
+        return in_numpy(angles, sent, reference, disturbance, flat)
 
     return tick

@@ -32,7 +32,7 @@ def observer_part(observer: Observer, initial: np.ndarray, size: int, compiled: 
         compiled: See `Scenario.compiled`.
 
     Returns:
-        Its tick takes a reading, `sent` and `reference` as `observer.observe` does, and the memory.
+        Its tick takes a reading, `sent`, `reference` and `disturbance` (1,) as `observer.observe` does, and the memory.
     """
 
     def first_pose(angles: np.ndarray, guess: np.ndarray) -> np.ndarray:
@@ -42,10 +42,12 @@ def observer_part(observer: Observer, initial: np.ndarray, size: int, compiled: 
     if size == 6:
         return Sampled(initial, observe)
 
-    def tick(reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    def tick(
+        reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, memory: np.ndarray
+    ) -> np.ndarray:
         finite = np.isfinite(reading[:6]).all()
         angles = inverse_kinematics(observer.robot, reading[:6]) if finite else np.full(6, np.nan)
-        return observe(angles, sent, reference, memory)
+        return observe(angles, sent, reference, disturbance, memory)
 
     return Sampled(initial, tick)
 
@@ -64,13 +66,15 @@ def observer_at(options: ObserverOptions, site: LoopSite, sensors: SensorOptions
     Raises:
         ConfigurationError: A delay that is too long.
     """
-    ahead = site.delay if options.delay is None else options.delay
+    ahead = options.ahead(site.delay)
     if ahead * site.period > FARTHEST:
         key, value = ("command_delay", site.delay) if options.delay is None else ("estimator.delay", options.delay)
         most = int(FARTHEST / site.period)
         allowed = f"at most {most} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
         raise ConfigurationError(key, value, allowed)
-    observer = Observer(site.robot, options, site.gravity, site.period, sensors.reading_noise, site.friction)
+    observer = Observer(
+        site.robot, options, site.gravity, site.period, sensors.reading_noise, site.friction, site.levels[1]
+    )
     return PlacedObserver(observer, observer.initial(site.pose, site.pose_rate, site.still, ahead), ahead)
 
 
@@ -82,6 +86,7 @@ class ObserverEstimating:
     def __init__(self, options: ObserverOptions, site: LoopSite, sensors: SensorOptions, size: int) -> None:
         observer, initial, self.ahead = observer_at(options, site, sensors)
         self.surprise_scale = observer.surprise_scale
+        self._own = np.array([options.disturbance])
         self._observe = Running(observer_part(observer, initial, size, site.compiled), site.guarded)
 
     @property
@@ -89,8 +94,10 @@ class ObserverEstimating:
         """See `Estimating`."""
         return self._observe.health
 
-    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray) -> Estimate:
+    def __call__(
+        self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray | None
+    ) -> Estimate:
         """See `Estimating`."""
-        told = self._observe(time, reading, sent, reference)
+        told = self._observe(time, reading, sent, reference, self._own if disturbance is None else disturbance)
         parts = (_M.pose, _M.pose_ahead, _M.compensation, _M.innovation, _M.surplus)
         return Estimate(*(told[start:end] for start, end in itertools.pairwise(parts)))

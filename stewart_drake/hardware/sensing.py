@@ -24,6 +24,7 @@ class LoopSite(NamedTuple):
         friction: [N m] largest break-away torque that the motors are believed to have.
         guarded: Whether a tick that fails does not end the run, see `sampling.ill`.
         compiled: See `Scenario.compiled`.
+        levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
     """
 
     robot: RobotParameters
@@ -36,6 +37,7 @@ class LoopSite(NamedTuple):
     friction: float = 0.0
     guarded: bool = False
     compiled: bool = False
+    levels: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
     def of(cls, scenario: Any) -> LoopSite:
@@ -53,6 +55,7 @@ class LoopSite(NamedTuple):
             0.0 if friction is None else max(friction.levels[1]),
             scenario.safety is not None and scenario.safety.failures,
             scenario.compiled,
+            scenario.tuner.levels,
         )
 
 
@@ -104,7 +107,9 @@ class Estimating(Protocol):
     surprise_scale: tuple[float, float] | None
     health: tuple[float, float]
 
-    def __call__(self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray) -> Estimate:
+    def __call__(
+        self, time: float, reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray | None
+    ) -> Estimate:
         """The estimate at a time [s].
 
         Args:
@@ -112,4 +117,5 @@ class Estimating(Protocol):
             reading: Of the sensors.
             sent: (6,) [N m] the last command less what of it the friction takes.
             reference: (18,) now.
+            disturbance: (1,) [rad/s^2 per sqrt(s)] to expect, of a tuner; None where no tuner says.
         """

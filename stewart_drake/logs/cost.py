@@ -6,37 +6,10 @@ from collections.abc import Iterable, Mapping
 from statistics import fmean
 from typing import Any
 
-from stewart_drake.section import Positive, Section
+from stewart_drake.control.objective import CostScales, cost
 
 FAILED = 1000.0
 """Cost of a run that was not completed; no other costs more."""
-
-
-class CostScales(Section, key="cost"):
-    """What counts as one in the cost of a run."""
-
-    rotation: Positive = 0.03
-    """[deg] of the error's RMS length."""
-    position: Positive = 0.03
-    """[mm] likewise."""
-    torque_change: Positive = 0.03
-    """[N m] RMS change of a motor's torque in a millisecond."""
-
-
-def cost(rotation: Any, position: Any, torque_change: Any, scales: CostScales) -> Any:
-    """J = sqrt((rotation / its scale)^2 + (position / its scale)^2 + (torque_change / its scale)^2).
-
-    Args:
-        rotation: [deg] RMS length of the error; a number, or an array of numpy or torch of any shape.
-        position: [mm] likewise.
-        torque_change: [N m] RMS change of a motor's torque in a millisecond.
-        scales: What counts as one.
-
-    Returns:
-        [-] like the arguments, broadcast together.
-    """
-    squares = (rotation / scales.rotation) ** 2 + (position / scales.position) ** 2
-    return (squares + (torque_change / scales.torque_change) ** 2) ** 0.5
 
 
 def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:

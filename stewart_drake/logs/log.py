@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from stewart_drake.control.settings import NAMES
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.installed import need_pandas
 from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
@@ -79,6 +80,12 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "block_weights": SignalSpec(
         ("q_pose", "q_rate", "q_integral", "r"), ("1",) * 4, "", "block weights in force, in place of `weights`"
     ),
+    "setting": SignalSpec(
+        (*NAMES, "outside"),
+        ("1",) * (len(NAMES) + 1),
+        "",
+        "decades of a tuner's setting above the base, and how far what it hears lies outside of its training",
+    ),
     "density": SignalSpec(
         (*(f"error_{a}" for a in AXIS_NAMES), *(f"torque_{i}" for i in LEG_NAMES)), ("1",) * 12, "", "density features"
     ),
@@ -100,10 +107,10 @@ SIGNALS: Mapping[str, SignalSpec] = {
 """Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
 of the plant's state, named by Drake."""
 
-OPTIONAL = ("block_weights", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety")
-"""block_weights stands in place of `weights`, the measured pose beside the true one where there are encoders, an
-observer or a sensor that fails, innovation where there is an observer, the disturbance where there is one, safety where
-that layer is on."""
+OPTIONAL = ("block_weights", "setting", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety")
+"""block_weights stands in place of `weights`, setting where a tuner of settings is, the measured pose beside the true
+one where there are encoders, an observer or a sensor that fails, innovation where there is an observer, the disturbance
+where there is one, safety where that layer is on."""
 
 
 def _state_column(name: str) -> tuple[str, str, str]:

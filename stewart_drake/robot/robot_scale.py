@@ -90,12 +90,12 @@ def fill(
             value = marker.at(field.default, robot, latency)
             if value != field.default or marker.null:
                 found[name] = to_plain(value)
-        elif isinstance(given, (list, tuple)) and name in families:
-            made = [fill(families[name].section_of(each), each, robot, families) for each in given]
-            if any(new is not old for new, old in zip(made, given, strict=True)):
-                found[name] = made
-        elif name in families and (new := fill(families[name].section_of(given), given, robot, families)) is not given:
-            found[name] = new
+        elif name in families:
+            parts = given if (many := isinstance(given, (list, tuple))) else [given]
+            written = [families[name].spelled(each) for each in parts]
+            made = [fill(families[name].section_of(each), each, robot, families) for each in written]
+            if any(new is not old for new, old in zip(made, parts, strict=True)):
+                found[name] = made if many else made[0]
     return {**(given_again(data) if isinstance(data, Section) else data), **found} if found else data
 
 

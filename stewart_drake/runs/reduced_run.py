@@ -71,12 +71,13 @@ class ReducedRun:
         site = ControllerSite(believed, scenario.gravity, len(scenario.tuner.weights), at.guarded, compiled)
         self._control = _control(scenario, site)
         self._tuner, self._density = None, None
-        self._weights = np.array(scenario.tuner.weights)
+        self._weights, self._level = np.array(scenario.tuner.weights), None
         if self._control.weighted:
             tuner = scenario.tuner
             self._density = Running(density_part(tuner.window, tuner.density, compiled))
-            self._tuner = Running(_plain(scenario, "tuner", TUNERS)(tuner, compiled))
-            self._weights = self._tuner.memory
+            self._tuner = Running(_plain(scenario, "tuner", TUNERS)(tuner, scenario.tuner_site()))
+            self._listens, self._said = tuner.listens, np.zeros(0)
+            self._take(self._tuner.memory)
         self._delayed = deque([still] * scenario.command_delay)
         link, safety = scenario.link, scenario.safety
         self._link = None if link.perfect else Running(command_link(link, self._per_tick, still))
@@ -109,6 +110,7 @@ class ReducedRun:
             innovation=6 if self._estimating.surprise_scale else 0,
             weights=len(self._weights) if self._tuner else 0,
             density=12 if self._density else 0,
+            setting=len(self._said) if self._tuner else 0,
             torque_applied=6 if self._applied else 0,
             disturbance=6 if scenario.disturbances else 0,
             safety=3 if self._safety else 0,
@@ -185,7 +187,7 @@ class ReducedRun:
         ticks = within == 0
         if ticks or self._live:
             self._reading = self._sensing(time, tick, self._state)
-            self._estimate = self._estimating(time, self._reading, self._sent, wanted)
+            self._estimate = self._estimating(time, self._reading, self._sent, wanted, self._level)
         measured, seen = self._estimate.measurement, self._estimate.seen
         ahead = self._ahead.at(self._now + self._estimating.ahead * self._per_tick)[1]
         say = self._control.tick if ticks else self._control.between
@@ -230,7 +232,7 @@ class ReducedRun:
         if self._estimate.innovation is not None:
             parts.append(self._estimate.innovation)
         if self._density is not None:
-            parts += [self._weights, self._density.memory[:12]]
+            parts += [self._weights, self._density.memory[:12], self._said]
         if self._applied:
             parts.append(self._command)
         if self._scenario.disturbances:
@@ -239,6 +241,12 @@ class ReducedRun:
             parts.append(self._safety.memory[6:9])
         np.concatenate(parts, out=self._table[self._count])
         self._count += 1
+
+    def _take(self, told: np.ndarray) -> None:
+        """What a tuner says acts from the next tick on."""
+        self._weights = told
+        if self._listens:
+            self._weights, self._level, self._said = told[:4], told[4:5], told[5:10]
 
     def _advance(self) -> None:
         """One step of the plant, and what else remembers."""
@@ -249,7 +257,10 @@ class ReducedRun:
             raise error
         self._control.advance((self._now + 1) * self._step)
         if self._tuner is not None and self._density is not None and self._now % self._per_tick == 0:
-            self._weights = self._tuner(time, self._density.memory[:12])
+            answer, innovation = self._answer, self._estimate.innovation
+            ahead = self._ahead.at(self._now + self._estimating.ahead * self._per_tick)[1]
+            heard = answer.error, answer.torque, innovation, ahead
+            self._take(self._tuner(time, self._density.memory[:12], *heard))
         if (self._now + 1) % self._per_tick == 0:
             torque = self._answer.torque
             given = np.minimum(np.maximum(torque, -self._limit), self._limit)

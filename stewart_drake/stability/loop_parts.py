@@ -87,14 +87,15 @@ def _observer(scenario: Scenario, pose: np.ndarray, reading: np.ndarray) -> Part
     options: Any = scenario.estimator
     observer = Observer(robot, options, scenario.gravity, scenario.controller.period, sensors.reading_noise)
     still = static_torque(robot, pose, scenario.gravity)
-    delay = scenario.command_delay if options.delay is None else options.delay
+    delay = options.ahead(scenario.command_delay)
     memory, observe = observer_part(observer, observer.initial(pose, np.zeros(6), still, delay), len(reading), True)
 
     def tick(read: np.ndarray, sent: np.ndarray, before: np.ndarray) -> np.ndarray:
         # Without friction, what is wanted says nothing to it.
-        return observe(read, sent, at_rest, before)
+        return observe(read, sent, at_rest, expected, before)
 
     at_rest = np.concatenate([pose, np.zeros(12)])
+    expected = np.array([options.expected * scenario.tuner.levels.start])
     moving = np.arange(_O.pose_ahead), np.arange(_O.surplus, _O.missed), np.arange(_O.size, len(memory))
     says = np.arange(_O.pose_ahead, _O.compensation), np.arange(_O.compensation, _O.innovation)
     return Part(tick(reading, still, memory), tick, np.concatenate(moving), says)

@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import (
     Adder,
+    ConstantVectorSource,
     Demultiplexer,
     Gain,
     LogVectorOutput,
@@ -81,6 +82,7 @@ class ClosedLoop(Diagram):
         wiring.add_controller()
         wiring.add_compensation()
         wiring.add_tuner()
+        wiring.add_level()
         wiring.add_delay_and_link()
         wiring.add_safety()
         wiring.add_motors()
@@ -156,6 +158,8 @@ class _Wiring:
         self.sent: ZeroOrderHold | None = None
         self.surprise_scale = (0.0, 1.0)
         self.pose_reading: OutputPort | None = None
+        self.expecting: InputPort | None = None
+        self.level: OutputPort | None = None
         self.holds: list[ZeroOrderHold] = []
         # Holds the robot at the start, until the first command is there.
         self.still = self.site.still
@@ -279,6 +283,14 @@ class _Wiring:
         weights = TUNERS.system(tuner.kind)(self, tuner, density)
         self.builder.Connect(weights, self.controller.GetInputPort("weights"))
         self.signals |= {"weights": weights, "density": density}
+
+    def add_level(self) -> None:
+        """The disturbance that an observer is to expect, of a tuner or as the scenario has it."""
+        if self.expecting is not None:
+            if self.level is None:
+                fixed = ConstantVectorSource([self.scenario.estimator.expected])
+                self.level = self.add("expected", fixed).get_output_port()
+            self.builder.Connect(self.level, self.expecting)
 
     def add_delay_and_link(self) -> None:
         """What lies between the controller's computer and the motors'."""

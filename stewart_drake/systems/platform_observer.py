@@ -26,6 +26,7 @@ class PlatformObserver(SampledSystem):
         reading: in (6,) or (12,).
         sent: in (6,) [N m], the command of the tick before less what friction takes of it.
         reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        disturbance: in (1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`.
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] now.
         ahead: out (12,), likewise when the command of this tick acts.
         compensation: out (6,) [N m], against what the model does not explain.
@@ -35,6 +36,7 @@ class PlatformObserver(SampledSystem):
     reading: InputPort
     sent: InputPort
     reference: InputPort
+    disturbance: InputPort
     measurement: OutputPort
     ahead: OutputPort
     compensation: OutputPort
@@ -48,7 +50,7 @@ class PlatformObserver(SampledSystem):
         compiled: bool = False,
         guarded: bool = False,
     ) -> None:
-        inputs = {"reading": reading, "sent": 6, "reference": 18}
+        inputs = {"reading": reading, "sent": 6, "reference": 18, "disturbance": 1}
         outputs = {"measurement": 12, "ahead": 12, "compensation": 6, "innovation": 6}
         part = observer_part(observer, initial, reading, compiled)
         super().__init__(observer.period, part, inputs, outputs, guarded)
@@ -61,6 +63,7 @@ def add_observer(wiring: Any, options: ObserverOptions, reading: OutputPort) -> 
     sent = wiring.last_command()
     added = wiring.add("estimator", observer, reading=reading, sent=sent, reference=wiring.signals["reference"])
     now, ahead, compensation, innovation = wiring.parts("estimate", added, 12, 12, 6, 6)
+    wiring.expecting = added.disturbance
     wiring.look_ahead(ahead, made.ahead)
     wiring.compensations.append(compensation)
     wiring.signals["innovation"], wiring.surprise_scale = innovation, made.observer.surprise_scale

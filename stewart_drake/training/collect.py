@@ -192,7 +192,7 @@ def collect_dataset(
     base = Scenario() if base is None else base
     if not isinstance(base.tuner, AnnTuner):
         raise ConfigurationError(
-            "tuner.kind", base.tuner.kind, "ann: its density and window settings are those of the data"
+            "tuner.kind", base.tuner.kind, "paper: its density and window settings are those of the data"
         )
     scenarios = experiment_scenarios(base, samples)
     reference = scenarios[0].reference

@@ -31,7 +31,7 @@ STEP = on_grid(0.001)
 STEPS = 50
 """Plant steps in a round."""
 BLOCKS = np.array([4e5, 30.0, 4e7, 1.0])
-ALL = ["sensors.kind=encoders", "tuner={kind: ann}"]
+ALL = ["sensors.kind=encoders", "tuner={kind: paper}"]
 """Encoders, forward kinematics, exact model, split gains, densities, network, log: everything at 1 kHz."""
 
 
@@ -151,6 +151,7 @@ def test_mathematics_of_a_tick(compare, observed):
     times = np.arange(count) * options.period
     home, still = inverse_kinematics(ROBOT, ROBOT.home_pose), static_torque(ROBOT, ROBOT.home_pose)
     observer = Observer(ROBOT, ObserverOptions(), scenario.gravity, options.period, 2e-5, friction=0.01)
+    expected = np.array([observer.options.disturbance])
     observe = flat_observer(observer, lambda _, guess: guess, compiled=True)
     oppose = flat_feedforward(ROBOT, FrictionCompensation(coulomb=0.01), compiled=True)
 
@@ -164,7 +165,7 @@ def test_mathematics_of_a_tick(compare, observed):
         for k in range(count):
             read = scenario.sensors.read(home + 1e-4 * (k % 7))
             if observed:
-                seen = observe(read, still, reference[k], seen)
+                seen = observe(read, still, reference[k], expected, seen)
                 memory = tick(seen[12:24], reference[k], weights, memory)
                 memory[:6] += seen[24:30] + oppose(reference[k])
             else:

@@ -122,7 +122,7 @@ def test_every_section_of_a_scenario_but_its_name_is_in_the_key(monkeypatch):
 def test_the_content_of_the_weights_file_is_in_the_key(tmp_path):
     path = tmp_path / "tuner.json"
     make_network(seed=0).save(path)
-    scenario = SHORT.replace({"tuner": {"kind": "ann", "weights_file": str(path)}})
+    scenario = SHORT.replace({"tuner": {"kind": "paper", "weights_file": str(path)}})
     first = run_key(scenario)
     make_network(seed=1).save(path)
     second = run_key(scenario)
@@ -135,7 +135,7 @@ def test_a_weights_file_that_cannot_be_read_is_found_before_any_run(tmp_path, ra
     path = tmp_path / "tuner.json"
     if content is not None:
         path.write_bytes(content)
-    bad = SHORT.replace({"tuner": {"kind": "ann", "weights_file": str(path)}})
+    bad = SHORT.replace({"tuner": {"kind": "paper", "weights_file": str(path)}})
     with pytest.raises(ConfigurationError, match=r"weights file .*tuner\.json"):
         one_worker(tmp_path).run_all([SHORT, bad])
     assert ran == []

@@ -11,10 +11,11 @@ from stewart_drake.campaigns.comparison_file import Comparison, load_comparison
 from stewart_drake.campaigns.executors import Lasting, SerialExecutor, workplace
 from stewart_drake.campaigns.tune import measure_cost, run_tuning, write_picture
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Ranges, Tuning, load_tuning
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.keys import value_at
-from stewart_drake.logs.cost import FAILED, CostScales, mean_cost
+from stewart_drake.logs.cost import FAILED, mean_cost
 from stewart_drake.runs.simulation import run
 
 FILE = {

@@ -27,6 +27,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5
 HOME = ROBOT.home_pose
 OBSERVER = Observer(ROBOT, ObserverOptions(disturbance=20.0), GRAVITY, PERIOD, NOISE)
+EXPECTED = np.array([ObserverOptions().disturbance])
 AWAY = np.concatenate([HOME + 0.01, np.zeros(12)])
 few = settings(max_examples=25, deadline=None)
 both = pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "compiled"])
@@ -86,7 +87,7 @@ def test_the_bandwidth_is_the_geometric_mean_of_slow_poles():
 
 def test_readings_without_noise_count_as_little_noisy():
     exact = Observer(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 0.0)
-    assert exact.gains == kalman_gains(SMALLEST_NOISE, exact.options.disturbance, PERIOD)
+    assert exact.gains(3.0) == kalman_gains(SMALLEST_NOISE, 3.0, PERIOD)
 
 
 # --- prediction ------------------------------------------------------------------------------------------------------
@@ -121,7 +122,7 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
     memory = begun(pose=pose, rate=rate, delay=delay, torque=torque)
     now = moved(pose, rate, torque, PERIOD)
     tick = flat_observer(OBSERVER, no_first_pose, compiled)
-    seen = ObserverMemory.from_flat(tick(inverse_kinematics(ROBOT, now[0]), torque, AWAY, memory.flat()))
+    seen = ObserverMemory.from_flat(tick(inverse_kinematics(ROBOT, now[0]), torque, AWAY, EXPECTED, memory.flat()))
     ahead = moved(pose, rate, torque, PERIOD * (1 + delay)) if delay else now
     np.testing.assert_allclose(seen.pose, now[0], atol=1e-7)
     np.testing.assert_allclose(seen.pose_ahead, ahead[0], atol=1e-6)
@@ -142,7 +143,7 @@ def test_the_compiled_tick_is_that_of_the_arrays(pose, rate, off, surplus, delay
     angles, sent = inverse_kinematics(ROBOT, pose) + off, static_torque(ROBOT, pose, GRAVITY) + off
     angles[2] = np.nan if delay == 3 else angles[2] + 2.0 * np.pi
     fast, slow = (
-        flat_observer(sticky, no_first_pose, compiled)(angles, sent, reference, memory) for compiled in (True, False)
+        flat_observer(sticky, no_first_pose, compiled)(angles, sent, reference, EXPECTED, memory) for compiled in (True, False)
     )
     np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-10)
 
@@ -155,7 +156,7 @@ def test_a_load_that_nobody_knows_is_found_and_made_up_for(compiled):
     for _ in range(400):
         acceleration = forward_dynamics(ROBOT, pose, rate, command + load, GRAVITY)
         pose, rate = pose + PERIOD * (rate + 0.5 * PERIOD * acceleration), rate + PERIOD * acceleration
-        memory = tick(inverse_kinematics(ROBOT, pose), command, AWAY, memory)
+        memory = tick(inverse_kinematics(ROBOT, pose), command, AWAY, EXPECTED, memory)
         seen = ObserverMemory.from_flat(memory)
         # Held by nothing but what the observer asks for, and some damping.
         command = still + seen.compensation - 0.05 * pose_jacobian(ROBOT, pose) @ seen.rate
@@ -173,13 +174,13 @@ def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run(compiled
         pose = moved(*pose, torque, PERIOD)
         angles = inverse_kinematics(ROBOT, pose[0])
         angles[4] = np.nan if missed % 2 else 9.0
-        memory = tick(angles, torque, AWAY, memory)
+        memory = tick(angles, torque, AWAY, EXPECTED, memory)
         seen = ObserverMemory.from_flat(memory)
         assert seen.missed.tolist() == [0.0] * 4 + [float(missed), 0.0]
         assert seen.innovation[4] == 0.0
         np.testing.assert_allclose(seen.pose, pose[0], atol=1e-7)
     with pytest.raises(RunFailure, match="4 is missing or not believed") as caught:
-        tick(angles, torque, AWAY, memory)
+        tick(angles, torque, AWAY, EXPECTED, memory)
     assert (caught.value.reason, caught.value.leg) == ("encoder", 4)
 
 
@@ -192,7 +193,7 @@ def test_a_robot_in_motion_starts_without_a_kick(compiled):
     torque = static_torque(ROBOT, HOME, GRAVITY)
     after = moved(HOME, rate, torque, PERIOD)
     tick = flat_observer(OBSERVER, no_first_pose, compiled)
-    seen = ObserverMemory.from_flat(tick(inverse_kinematics(ROBOT, after[0]), torque, AWAY, seen.flat()))
+    seen = ObserverMemory.from_flat(tick(inverse_kinematics(ROBOT, after[0]), torque, AWAY, EXPECTED, seen.flat()))
     np.testing.assert_allclose(seen.rate, after[1], atol=1e-3)
     assert np.abs(seen.compensation).max() < 1e-3
 
@@ -203,9 +204,9 @@ def test_a_singularity_has_a_name(compiled):
     angles, torque = inverse_kinematics(ROBOT, HOME), static_torque(ROBOT, HOME, GRAVITY)
     up = memory._replace(rate=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 400.0]))
     with pytest.raises(SingularPoseError, match="dead centre"):
-        tick(angles, torque, AWAY, up.flat())
+        tick(angles, torque, AWAY, EXPECTED, up.flat())
     with pytest.raises(SingularPoseError, match="parallel"):
-        tick(angles, torque, AWAY, memory._replace(side=-memory.side).flat())
+        tick(angles, torque, AWAY, EXPECTED, memory._replace(side=-memory.side).flat())
 
 
 def test_the_bandwidth_falls_with_the_noise_and_grows_with_the_disturbance():

@@ -140,7 +140,7 @@ def test_the_tuner_is_the_reports_own_where_it_has_one(tmp_path):
     dataclasses.replace(load_network(default_network_path()), density="signed", window=7).save(tmp_path / "tuner.json")
     tuner = under_tuner(study, Scenario(tuner=FixedTuner(omega_q=10.0))).tuner
     assert study.tuner_file == tmp_path / "tuner.json"
-    assert (tuner.kind, tuner.weights_file) == ("ann", str(tmp_path / "tuner.json"))
+    assert (tuner.kind, tuner.weights_file) == ("paper", str(tmp_path / "tuner.json"))
     assert (tuner.density, tuner.window, tuner.omega_q, tuner.omega_r) == ("signed", 7, 1.0, 1.0)
 
 

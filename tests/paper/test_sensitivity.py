@@ -186,7 +186,7 @@ def test_without_gravity_nothing_is_said_of_its_feedforward(tmp_path):
 
 def test_the_controllers_follow_the_paper_for_two_of_its_periods(tmp_path):
     found = controllers(Study(tmp_path))
-    assert found["tuner"].tuner.kind == "ann"
+    assert found["tuner"].tuner.kind == "paper"
     for name, ratio in (("ratio 1", 1.0), ("ratio 100", 100.0)):
         assert found[name].tuner.omega_q / found[name].tuner.omega_r == pytest.approx(ratio)
     for scenario in found.values():

@@ -91,7 +91,7 @@ def test_states_errors_and_integrals_are_drawn_for_every_axis_in_degrees_or_mill
 
 
 def test_weights_and_their_ratio_are_drawn_on_logarithmic_axes():
-    log = make_log(tuner="ann")
+    log = make_log(tuner="paper")
     figure = plot_states(log)
     (both,) = panel(figure, "Output of the ANN")
     drawn = lines(both)

@@ -65,7 +65,7 @@ CASES = {
     ),
     "pid": (("exact_breathing", ENCODERS, "controller={kind: pid}"), 1e-6, 1e-5),
     "computed torque": (("exact_breathing", ENCODERS, "controller={kind: computed_torque}"), 1e-6, 1e-5),
-    "network": (("exact_fig7", "tuner={kind: ann}"), 5e-5, 1e-3),
+    "network": (("exact_fig7", "tuner={kind: paper}"), 5e-5, 1e-3),
     # Noise and counts: a reading at the edge of a count falls to the other side, and both go on from there.
     "noise": (("exact_breathing", "sensors.noise=2.0e-5", "command_delay=1"), 1e-5, 1e-4),
     # Soft loops at 200 Hz show the first order of both methods.

@@ -27,7 +27,7 @@ def scenario(**keys):
 def with_network(folder, **keys):
     path = folder / "net.json"
     make_network(**keys).save(path)
-    return {"kind": "ann", "weights_file": str(path), "density": keys.get("density", "magnitude")}
+    return {"kind": "paper", "weights_file": str(path), "density": keys.get("density", "magnitude")}
 
 
 # --- wiring --------------------------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tm
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigurationError, match="weights file"):
-        ClosedLoop(scenario(tuner={"kind": "ann", "weights_file": str(path)}))
+        ClosedLoop(scenario(tuner={"kind": "paper", "weights_file": str(path)}))
 
 
 @pytest.mark.parametrize("log_period", [0.001, 0.02])
@@ -166,7 +166,7 @@ HAND_WIRED = {
         "controller": {"feedforward": "platform"},
         "tuner": {"kind": "fixed", "omega_q": 10.0, "omega_r": 0.1},
     },
-    "ann_tuned_lqi": {"controller": {"feedforward": "gravity"}, "tuner": {"kind": "ann"}},
+    "ann_tuned_lqi": {"controller": {"feedforward": "gravity"}, "tuner": {"kind": "paper"}},
 }
 
 

@@ -30,7 +30,7 @@ def exact(*overrides, **changes):
         {},
         {"sensors": ENCODERS},
         {
-            "tuner": {"kind": "ann"},
+            "tuner": {"kind": "paper"},
             "controller": {
                 "model": "exact",
                 "feedforward": "full",

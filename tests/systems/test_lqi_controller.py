@@ -70,14 +70,14 @@ def by_hand(scenario, steps):
     ("step", "period", "tuner"),
     [
         (0.001, 0.005, "fixed"),
-        *(pytest.param(0.001, period, "ann", marks=pytest.mark.slow) for period in (0.001, 0.002, 0.005)),
+        *(pytest.param(0.001, period, "paper", marks=pytest.mark.slow) for period in (0.001, 0.002, 0.005)),
         *(pytest.param(*rate, "fixed", marks=pytest.mark.slow) for rate in ((0.0001, 0.001), (1 / 3000, 1 / 600))),
     ],
 )
 def test_no_delay_is_added_the_loop_is_the_pure_law_and_the_plant(step, period, tuner):
     # A torque one plant step late, a tick that sees the plant of the next step, or rates that drift apart: each shows.
     case = scenario(step, period, tuner={"kind": tuner})
-    steps = round((0.3 if tuner == "ann" else 0.05) / step)
+    steps = round((0.3 if tuner == "paper" else 0.05) / step)
     loop, hand = simulate(ClosedLoop(case), steps * step), by_hand(case, steps)
     assert len(loop["torque"]) == steps + 1
     for name in ("plant_state", "torque", "integral"):
@@ -103,7 +103,7 @@ def test_all_is_held_between_ticks():
 @pytest.mark.parametrize(
     ("changes", "pause"),
     [
-        ({"tuner": {"kind": "ann"}}, 0.1025),
+        ({"tuner": {"kind": "paper"}}, 0.1025),
         ({"command_delay": 2, "sensors": {"kind": "encoders"}, "link": {"drop_probability": 0.5, "seed": 1}}, 0.1),
         ({"safety": {"following_error": [1.0, 1.0]}}, 0.1025),
     ],

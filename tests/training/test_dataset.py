@@ -41,7 +41,7 @@ PAIRS = list(itertools.product(OMEGAS, OMEGAS))
 
 def base():
     # A fast controller: six 3-state problems, and a short window that fills within the few samples.
-    return Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "ann", "window": WINDOW}})
+    return Scenario.from_dict({"controller": {"solver": "split"}, "tuner": {"kind": "paper", "window": WINDOW}})
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_what_the_base_says_reaches_every_experiment(monkeypatch):
         "plant": {"motor_damping": 0.01},
         "controller": {"period": 0.002, "feedforward": "platform", "force_map": "statics"},
         "limits": {"clearance": None},
-        "tuner": {"kind": "ann", "density": "signed", "window": 7},
+        "tuner": {"kind": "paper", "density": "signed", "window": 7},
     }
     given = Scenario.from_dict(keys)
     scenarios = experiment_scenarios(given, 100)

@@ -1,0 +1,40 @@
+"""What control is for, in one number: small errors, and torques that do not shake."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stewart_drake.section import Positive, Section
+
+
+class CostScales(Section, key="cost"):
+    """What counts as one in the cost of a run."""
+
+    rotation: Positive = 0.03
+    """[deg] of the error's RMS length."""
+    position: Positive = 0.03
+    """[mm] likewise."""
+    torque_change: Positive = 0.03
+    """[N m] RMS change of a motor's torque in a millisecond."""
+
+    def at(self, kappa: float) -> CostScales:
+        """The scales by taste, from stiff, kappa = -1, to quiet, 1: the last one divided by 10^kappa."""
+        return CostScales(
+            rotation=self.rotation, position=self.position, torque_change=self.torque_change * 10.0**-kappa
+        )
+
+
+def cost(rotation: Any, position: Any, torque_change: Any, scales: CostScales) -> Any:
+    """J = sqrt((rotation / its scale)^2 + (position / its scale)^2 + (torque_change / its scale)^2).
+
+    Args:
+        rotation: [deg] RMS length of the error; a number, or an array of numpy or torch of any shape.
+        position: [mm] likewise.
+        torque_change: [N m] RMS change of a motor's torque in a millisecond.
+        scales: What counts as one.
+
+    Returns:
+        [-] like the arguments, broadcast together.
+    """
+    squares = (rotation / scales.rotation) ** 2 + (position / scales.position) ** 2
+    return (squares + (torque_change / scales.torque_change) ** 2) ** 0.5
