@@ -157,9 +157,7 @@ class Motor(NamedTuple):
 
     def each(self) -> list[Motor]:
         """One by one."""
-        width = self.width
-        widths = [width] * 6 if isinstance(width, float) else [width[..., leg] for leg in range(6)]
-        return [Motor(*(field[..., leg] for field in self[:-1]), widths[leg]) for leg in range(6)]
+        return [Motor(*(each if isinstance(each, float) else each[..., leg] for each in self)) for leg in range(6)]
 
     def answer(self, without: Array) -> Array:
         """Torques [N m], viscous friction included, at rates [rad/s] that the cranks would have without them."""

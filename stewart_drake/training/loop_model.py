@@ -17,7 +17,7 @@ from stewart_drake.mechanics.arrays import Robot, cross, namespace
 from stewart_drake.mechanics.friction import Bristles, FrictionLaw, Motor, implicit_torque, moved
 from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.mechanics.kinematics_core import Legs
-from stewart_drake.training.gains import kalman_gains
+from stewart_drake.training.gains import kalman_gains, product
 
 SETTLED = 1e-12
 """[N m] by which torques of friction may be off."""
@@ -51,7 +51,7 @@ class Chain(NamedTuple):
 
     def load(self, robot: Robot, motion: Tensor, torque: Tensor, gravity: float) -> Tensor:
         """(6, B) what torques (6, B) leave to accelerate the platform at twists (6, B)."""
-        wrench, own = dynamics_core.loads(robot, self.legs, motion, torch.zeros_like(motion), gravity, True)
+        wrench, own = dynamics_core.loads(robot, self.legs, motion, None, gravity, True)
         return (self.jacobian * (torque - own)).sum(dim=1) - wrench
 
 
@@ -122,19 +122,18 @@ class Plant(NamedTuple):
         else:
             rows = chain.rows
             both = torch.cat([rows.mT, load.T[..., None]], dim=-1)
-            both = torch.linalg.solve_ex(chain.inertia, both)[0]
-            free = state.twist + self.step * both[..., 6].T
+            both = torch.linalg.solve_ex(chain.inertia, both)[0].permute(1, 2, 0).contiguous()
+            free, pushed = state.twist + self.step * both[:, 6], both[:, :6]
             bristles = Bristles(state.anchor.T, state.slip.T)
-            rates = torch.matmul(rows, free.T[..., None])[..., 0]
-            dry = friction_torque(
-                self.law, bristles, state.angles.T, rates, rows @ both[..., :6], self.step, self.width
-            )
-            twist = free + self.step * torch.matmul(both[..., :6], dry[..., None])[..., 0].T
+            rates = (chain.jacobian * free[:, None]).sum(dim=0)
+            mobility = product(chain.jacobian.transpose(0, 1), pushed).permute(2, 0, 1)
+            dry = friction_torque(self.law, bristles, state.angles.T, rates.T, mobility, self.step, self.width)
+            twist = free + self.step * (pushed * dry.T).sum(dim=1)
         half = (0.5 * self.step) * twist[:3]
         scale = 2.0 / (1.0 + (half * half).sum(dim=0))
         turn, half, xp = chain.legs.rotation, half[:, None], namespace(twist)
         turn = turn + scale * cross(xp, half, turn + cross(xp, half, turn))
-        angles = roll_pitch_yaw(turn.permute(2, 0, 1)).T
+        angles: Tensor = roll_pitch_yaw(turn.permute(2, 0, 1)).T  # type: ignore[assignment]
         place = state.pose[3:] + self.step * twist[3:]
         return state._replace(pose=torch.cat([angles, place]), twist=twist)
 
@@ -281,7 +280,7 @@ class BatchedObserver(NamedTuple):
         return state, pose, rate
 
     def expecting(self, state: ObserverState, sent: Tensor) -> ObserverState:
-        """The state with what is expected of loops that do not look ahead, for the command (6, B) [N m] of this tick."""
+        """The state with what is expected of loops that do not look ahead, for this tick's command (6, B) [N m]."""
         if self.groups and self.groups[0] is None:
             return state
         group = torch.nonzero(self.ahead == 0)[:, 0]
