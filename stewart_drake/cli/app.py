@@ -20,6 +20,7 @@ from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file
 from stewart_drake.cli.identify_command import excite, identify
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
+from stewart_drake.cli.tuner_command import tuner
 from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.runs.terminal import (
@@ -246,6 +247,7 @@ cli.add_command(identify)
 cli.add_command(robots)
 cli.add_command(sweep)
 cli.add_command(tune)
+cli.add_command(tuner)
 cli.add_command(workspace)
 cli.add_command(write_sdf_command)
 cli.add_command(write_mjcf_command)

@@ -157,14 +157,17 @@ class Motor(NamedTuple):
 
     def each(self) -> list[Motor]:
         """One by one."""
-        width = self.width
-        widths = [width] * 6 if isinstance(width, float) else [width[..., leg] for leg in range(6)]
-        return [Motor(*(field[..., leg] for field in self[:-1]), widths[leg]) for leg in range(6)]
+        return [Motor(*(each if isinstance(each, float) else each[..., leg] for each in self)) for leg in range(6)]
 
     def answer(self, without: Array) -> Array:
         """Torques [N m], viscous friction included, at rates [rad/s] that the cranks would have without them."""
         dry = _clipped((self.aim - without) / self.yielding, self.bound, self.width)
         return dry - self.viscous * (without + self.own * dry) / self.slowed
+
+    def slope(self, without: Array) -> Array:
+        """Derivative [N m s/rad] of `answer`; at a sharp corner one of its two."""
+        inside = -_slope((self.aim - without) / self.yielding, self.bound, self.width) / self.yielding
+        return inside - self.viscous * (1.0 + self.own * inside) / self.slowed
 
 
 def implicit_torque(
@@ -225,3 +228,12 @@ def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
         return xp.minimum(xp.maximum(value, -bound), bound)
     above, below, square = value + bound, value - bound, width * width
     return 0.5 * (xp.sqrt(above * above + square) - xp.sqrt(below * below + square))
+
+
+def _slope(value: Array, bound: Array, width: Array | float) -> Array:
+    """Derivative of `_clipped`."""
+    xp = namespace(value)
+    if isinstance(width, float) and width == 0.0:
+        return xp.where(xp.abs(value) < bound, 1.0 + 0.0 * value, 0.0 * value)
+    above, below, square = value + bound, value - bound, width * width + 1e-300
+    return 0.5 * (above / xp.sqrt(above * above + square) - below / xp.sqrt(below * below + square))

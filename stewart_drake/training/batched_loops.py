@@ -20,14 +20,14 @@ from stewart_drake.hardware.observer import SLIP, SMALLEST_NOISE, ObserverOption
 from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.logs.cost import FAILED, CostScales, cost
 from stewart_drake.mechanics import kinematics_core
-from stewart_drake.mechanics.arrays import Robot, robot_like
+from stewart_drake.mechanics.arrays import fitted, robot_like
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import FrictionLaw
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.plant.closed_chain import loaded, starting_state
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
-from stewart_drake.training.gains import Regulator
+from stewart_drake.training.gains import Regulator, product
 from stewart_drake.training.loop_model import (
     BatchedObserver,
     Chain,
@@ -143,7 +143,7 @@ class BatchedLoops:
         self._steps = steps_per("controller.period", self.period, first.plant.time_step)
         sites = [LoopSite.of(scenario) for scenario in scenarios]
         like = self._tensor(0.0)
-        self._believed = robot_like(first.believed_robot, like)
+        self._believed = fitted(robot_like(first.believed_robot, like), 1)
         self._plant = self._made_plant(step, width)
         payload = any(scenario.plant.payload_mass > 0.0 for scenario in scenarios)
         self._shared = not payload and first.believed_robot == first.robot
@@ -160,13 +160,13 @@ class BatchedLoops:
         length = self._options.length
         self._scale = self._tensor([length] * 3 + [1.0] * 3)[:, None]
         self.base = self._tensor([scenario.tuner.weights for scenario in scenarios])
-        self._disturbance = self._tensor([getattr(s.estimator, "disturbance", 1.0) for s in scenarios])
+        self._disturbance: Any = self._tensor([getattr(s.estimator, "disturbance", 1.0) for s in scenarios])
         sensors = [s.sensors if isinstance(s.sensors, EncoderOptions) else None for s in scenarios]
         self._encoders = sensors[0] is not None
         self._offset = self._tensor([np.zeros(6) if each is None else each.read_offset for each in sensors]).T
         self._quantum = self._tensor([0.0 if each is None else each.quantum for each in sensors])
         bounds = [(scenario.bounds.rotation, scenario.bounds.position) for scenario in scenarios]
-        self._bounds = self._tensor([[math.inf if b is None else b for b in pair] for pair in bounds]).T
+        self._bounds = self._tensor([[math.inf if b is None else b**2 for b in pair] for pair in bounds]).T
         self._first = self._start(sites)
 
     def start(self) -> LoopState:
@@ -232,9 +232,10 @@ class BatchedLoops:
                 good = good & known
             observer, pose, rate = self._observer.looked_ahead(observer, state.sent)
             believed = Chain.at(self._believed, pose)
-        push = torch.linalg.solve_ex(believed.inertia, believed.rows.mT)[0]
+        push = torch.linalg.solve_ex(believed.inertia, believed.rows.mT)[0].permute(1, 2, 0).contiguous()
         if observer is not None:
-            compensation = -solved(believed.rows @ push, observer.surplus)
+            mobility = product(believed.jacobian.transpose(0, 1), push)
+            compensation = -solved(mobility.permute(2, 0, 1), observer.surplus)
         error = pose - row.ahead[:6]
         wanted, integral = self._regulated(state, row, pose, rate, error, push)
         torque = wanted + row.friction
@@ -263,9 +264,10 @@ class BatchedLoops:
             innovation = torch.zeros_like(error) if observer is None else observer.innovation
             setting, memory = tuner(Observed(error.T, torque.T, innovation.T, row.ahead.T), memory)
         off = before.plant.pose - row.wanted[:6]
+        squares = (off[:3] ** 2).sum(dim=0), (off[3:] ** 2).sum(dim=0)
         last = _clipped(torque, self._motor_limit)
-        alive, followed = self._following(state, off, good, torque)
-        costs = self._costs(off, last - state.last, state.tick)
+        alive, followed = self._following(state, squares, good, torque)
+        costs = self._costs(squares, last - state.last, state.tick)
         later = LoopState(
             state.tick + 1,
             plant,
@@ -286,22 +288,21 @@ class BatchedLoops:
     ) -> tuple[Tensor, Tensor]:
         """Torque (6, B) of `lqi.lqi_tick`, and the integral (6, B) for the next tick."""
         options, limit = self._options, self._limit
-        columns = push.permute(1, 2, 0)
-        turning = kinematics_core.euler_rates(pose.T, columns[:3])
-        acceleration = torch.cat([options.length * turning, columns[3:]]).permute(2, 0, 1)
-        regulator = Regulator.at(acceleration, weights_of(self.base, state.setting), self.period)
+        turning = kinematics_core.euler_rates(pose.T, push[:3])
+        acceleration = torch.cat([options.length * turning, push[3:]])
+        regulator = Regulator.at(acceleration, weights_of(self.base, state.setting).T, self.period)
         states = torch.stack([error, rate - row.ahead[6:12], state.integral])
-        force = regulator.applied((self._scale * states).permute(0, 2, 1))
-        wanted = row.feedforward - torch.matmul(acceleration.mT, force[..., None])[..., 0].T
+        force = regulator.applied(self._scale * states)
+        wanted = row.feedforward - (acceleration * force[:, None]).sum(dim=0)
         torque, grown = wanted, state.integral + self.period * error
         if options.saturation != "none":
             torque = _clipped(wanted, limit)
             cut = wanted - torque
             if bool((cut != 0.0).any()):
                 if options.saturation == "back_calculation":
-                    force = torch.matmul(acceleration, cut.T[..., None])[..., 0]
+                    force = (acceleration * cut).sum(dim=1)
                     share = min(1.0, self.period / options.reset_time)
-                    grown = grown + share * regulator.integral_for(force).T / self._scale
+                    grown = grown + share * regulator.integral_for(force) / self._scale
                 else:
                     grown = torch.where((cut != 0.0).any(dim=0), state.integral, grown)
         if options.integral_limit is not None:
@@ -330,24 +331,22 @@ class BatchedLoops:
         return torch.stack(asked).gather(0, index.expand(1, 6, -1))[0]
 
     def _following(
-        self, state: LoopState, off: Tensor, good: Tensor, torque: Tensor
+        self, state: LoopState, squares: tuple[Tensor, Tensor], good: Tensor, torque: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Which loops go on, and which of them have come within their bounds."""
-        inside = (off[:3].norm(dim=0) <= self._bounds[0]) & (off[3:].norm(dim=0) <= self._bounds[1])
+        inside = (squares[0] <= self._bounds[0]) & (squares[1] <= self._bounds[1])
         followed = state.followed | (inside & state.alive)
         return state.alive & good & torch.isfinite(torque).all(dim=0) & (inside | ~followed), followed
 
-    def _costs(self, off: Tensor, change: Tensor, tick: int) -> Costs:
-        turned, shifted = (180.0 / math.pi) * off[:3], 1e3 * off[3:]
+    def _costs(self, squares: tuple[Tensor, Tensor], change: Tensor, tick: int) -> Costs:
         changed = (change * change).mean(dim=0)
-        squares = (turned * turned).sum(dim=0), (shifted * shifted).sum(dim=0)
-        return Costs(*squares, changed if tick > 0 else 0.0 * changed)
+        return Costs((180.0 / math.pi) ** 2 * squares[0], 1e6 * squares[1], changed if tick > 0 else 0.0 * changed)
 
     def _made_plant(self, step: float, width: float) -> Plant:
         scenarios = self.scenarios
         options = [scenario.plant for scenario in scenarios]
         own = [loaded(scenario.robot, scenario.plant) for scenario in scenarios]
-        robot = robot_like(scenarios[0].robot, self._tensor(0.0))
+        robot = fitted(robot_like(scenarios[0].robot, self._tensor(0.0)), 1)
         if any(each.payload_mass > 0.0 for each in options):
             fields = ("platform_mass", "platform_moment", "platform_inertia")
             robot = robot._replace(
@@ -361,7 +360,7 @@ class BatchedLoops:
 
     def _made_observer(self, sites: Sequence[LoopSite], ahead: Sequence[int]) -> BatchedObserver:
         scenarios, robot = self.scenarios, self.scenarios[0].believed_robot
-        options = [scenario.estimator for scenario in scenarios]
+        options: list[Any] = [scenario.estimator for scenario in scenarios]
         home = robot.home_pose
         most = float(np.diag(pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)).max())
         looking = torch.tensor(list(ahead), device=self._device)

@@ -75,17 +75,15 @@ def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
     """f(X) of pose, rate and integral for each eigenvalue: `riccati.chain_gains` over s, exact hold.
 
     Args:
-        square: (..., n) s^2 > 0.
-        weights: (..., 4) q_pose, q_rate, q_integral, r.
+        square: (n, ...) s^2 > 0.
+        weights: (4, ...) q_pose, q_rate, q_integral, r.
         period: [s].
 
     Returns:
-        (3, ..., n) k / s.
+        (3, n, ...) k / s.
     """
-    g = square / weights[..., 3:]
-    rate, pose, integral = (
-        g * (weights[..., k : k + 1] * period**power) for k, power in ((1, 2), (0, 4), (2, 6))
-    )
+    g = square / weights[3]
+    pose, rate, integral = (g * (weights[k] * period**power) for k, power in enumerate((4, 2, 6)))
     lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
     b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
     c2, c1, c0 = spectral_factor(b2 * lead, b1 * lead, integral * lead)
@@ -94,54 +92,55 @@ def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
     return torch.stack([held * over / period, (c2 - 0.5 * held - c0 / 6.0) * over, c0 * over / period**2])
 
 
-def chain_slopes(square: Tensor, weights: Tensor, period: float) -> tuple[Tensor, Tensor]:
-    """`chain_gains` and their derivatives by s^2, without a graph; (3, ..., n) each."""
+def chain_slopes(square: Tensor, weights: Tensor, period: float) -> Tensor:
+    """Derivatives (3, n, ...) of `chain_gains` by s^2, without a graph."""
     with torch.enable_grad():
         at = square.detach().requires_grad_()
         values = chain_gains(at, weights.detach(), period)
-        slopes = [torch.autograd.grad(each.sum(), at, retain_graph=True)[0] for each in values]
-    return values.detach(), torch.stack(slopes)
+        return torch.stack([torch.autograd.grad(each.sum(), at, retain_graph=True)[0] for each in values])
 
 
 class _Applied(torch.autograd.Function):
     """Sum over n of U diag(values_n) U' vectors_n for X = U diag(squares) U', values a function of the squares."""
 
     @staticmethod
-    def forward(  # noqa: D102
-        ctx: Any, matrix: Tensor, values: Tensor, vectors: Tensor, squares: Tensor, basis: Tensor, slopes: Tensor
+    def forward(
+        ctx: Any, _matrix: Tensor, values: Tensor, vectors: Tensor, squares: Tensor, basis: Tensor, slopes: Tensor
     ) -> Tensor:
-        inside = torch.einsum("bik,nbi->nbk", basis, vectors)
+        inside = (basis * vectors[:, :, None]).sum(dim=1)
         ctx.save_for_backward(values, inside, squares, basis, slopes)
-        return torch.matmul(basis, (values * inside).sum(dim=0)[..., None])[..., 0]
+        return (basis * (values * inside).sum(dim=0)).sum(dim=1)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:  # noqa: D102
+    def backward(ctx: Any, *grads: Any) -> tuple[Tensor | None, ...]:
         values, inside, squares, basis, slopes = ctx.saved_tensors
-        grad = torch.matmul(grads[0][..., None, :], basis)[..., 0, :]
-        by_values = grad * inside
-        by_vectors = torch.einsum("bik,nbk->nbi", basis, values * grad)
-        apart = squares[..., :, None] - squares[..., None, :]
-        near = apart.abs() <= _TOGETHER * squares[..., -1:, None]
-        apart = torch.where(near, torch.ones_like(apart), apart)
+        grad = (basis * grads[0][:, None]).sum(dim=0)
+        by_vectors = (basis * (values * grad)[:, None]).sum(dim=2)
+        apart = squares[:, None] - squares
+        near = apart.abs() <= _TOGETHER * squares[-1]
+        apart = torch.where(near, 1.0, apart)
         ratio = torch.where(
-            near,
-            0.5 * (slopes[..., :, None] + slopes[..., None, :]),
-            (values[..., :, None] - values[..., None, :]) / apart,
+            near, 0.5 * (slopes[:, :, None] + slopes[:, None]), (values[:, :, None] - values[:, None]) / apart
         )
-        inner = (ratio * inside[..., None, :]).sum(dim=0) * grad[..., :, None]
-        by_matrix = basis @ inner @ basis.mT
-        return 0.5 * (by_matrix + by_matrix.mT), by_values, by_vectors, None, None, None
+        inner = (ratio * inside[:, None]).sum(dim=0) * grad[:, None]
+        by_matrix = product(product(basis, inner), basis.transpose(0, 1))
+        return 0.5 * (by_matrix + by_matrix.transpose(0, 1)), grad * inside, by_vectors, None, None, None
+
+
+def product(left: Tensor, right: Tensor) -> Tensor:
+    """Of matrices (n, m, B) and (m, k, B); several times as fast as that of (B, n, m) and (B, m, k)."""
+    return (left[:, :, None] * right).sum(dim=1)
 
 
 class Regulator(NamedTuple):
     """The gain of each loop at a pose.
 
     Attributes:
-        matrix: (B, 6, 6) X.
-        gains: (3, B, 6) f of its eigenvalues.
-        slopes: (3, B, 6) their derivatives; of no meaning where nothing asks for a gradient.
-        squares: (B, 6) eigenvalues.
-        basis: (B, 6, 6) eigenvectors.
+        matrix: (6, 6, B) X.
+        gains: (3, 6, B) f of its eigenvalues.
+        slopes: (3, 6, B) their derivatives; of no meaning where nothing asks for a gradient.
+        squares: (6, B) eigenvalues.
+        basis: (6, 6, B) eigenvectors, the second axis counts them.
     """
 
     matrix: Tensor
@@ -152,23 +151,27 @@ class Regulator(NamedTuple):
 
     @classmethod
     def at(cls, acceleration: Tensor, weights: Tensor, period: float) -> Regulator:
-        """From A (B, 6, 6), the scaled M^-1 tau, and weights (B, 4)."""
-        matrix = acceleration @ acceleration.mT
+        """From A (6, 6, B), the scaled M^-1 tau, and weights (4, B)."""
+        matrix = product(acceleration, acceleration.transpose(0, 1))
         with torch.no_grad():
-            squares, basis = torch.linalg.eigh(matrix)
+            squares, basis = torch.linalg.eigh(matrix.permute(2, 0, 1))
+            squares, basis = squares.T.contiguous(), basis.permute(1, 2, 0).contiguous()
         gains = chain_gains(squares, weights, period)
-        slopes = chain_slopes(squares, weights, period)[1] if matrix.requires_grad else gains
+        slopes = chain_slopes(squares, weights, period) if matrix.requires_grad else gains
         return cls(matrix, gains, slopes, squares, basis)
 
     def applied(self, states: Tensor) -> Tensor:
-        """f(X) of pose, rate and integral times scaled errors (3, B, 6), added; (B, 6)."""
-        found: Tensor = _Applied.apply(self.matrix, self.gains, states, self.squares, self.basis, self.slopes)
-        return found
+        """f(X) of pose, rate and integral times scaled errors (3, 6, B), added; (6, B)."""
+        return self._function(self.gains, states, self.slopes)
 
     def integral_for(self, force: Tensor) -> Tensor:
-        """Scaled integral (B, 6) that answers A times a torque: f(X)^-1 X^-1 of the integral."""
+        """Scaled integral (6, B) that answers A times a torque: f(X)^-1 X^-1 of the integral."""
         gain = self.gains[2:]
         values = 1.0 / (gain * self.squares)
-        slopes = -values * (self.slopes[2:] / gain + 1.0 / self.squares)
-        found: Tensor = _Applied.apply(self.matrix, values, force[None], self.squares, self.basis, slopes)
+        return self._function(values, force[None], -values * (self.slopes[2:] / gain + 1.0 / self.squares))
+
+    def _function(self, values: Tensor, vectors: Tensor, slopes: Tensor) -> Tensor:
+        found: Tensor = _Applied.apply(  # type: ignore[no-untyped-call]
+            self.matrix, values, vectors, self.squares, self.basis, slopes
+        )
         return found

@@ -17,10 +17,12 @@ from stewart_drake.mechanics.arrays import Robot, cross, namespace
 from stewart_drake.mechanics.friction import Bristles, FrictionLaw, Motor, implicit_torque, moved
 from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.mechanics.kinematics_core import Legs
-from stewart_drake.training.gains import kalman_gains
+from stewart_drake.training.gains import kalman_gains, product
 
-SETTLED = 1e-13
-"""[N m] change of the torques of friction in a sweep that is the last."""
+SETTLED = 1e-12
+"""[N m] by which torques of friction may be off."""
+_STEPS = 12
+"""Of Newton's method for them; four to seven do."""
 
 
 class Chain(NamedTuple):
@@ -49,7 +51,7 @@ class Chain(NamedTuple):
 
     def load(self, robot: Robot, motion: Tensor, torque: Tensor, gravity: float) -> Tensor:
         """(6, B) what torques (6, B) leave to accelerate the platform at twists (6, B)."""
-        wrench, own = dynamics_core.loads(robot, self.legs, motion, torch.zeros_like(motion), gravity, True)
+        wrench, own = dynamics_core.loads(robot, self.legs, motion, None, gravity, True)
         return (self.jacobian * (torque - own)).sum(dim=1) - wrench
 
 
@@ -120,19 +122,18 @@ class Plant(NamedTuple):
         else:
             rows = chain.rows
             both = torch.cat([rows.mT, load.T[..., None]], dim=-1)
-            both = torch.linalg.solve_ex(chain.inertia, both)[0]
-            free = state.twist + self.step * both[..., 6].T
+            both = torch.linalg.solve_ex(chain.inertia, both)[0].permute(1, 2, 0).contiguous()
+            free, pushed = state.twist + self.step * both[:, 6], both[:, :6]
             bristles = Bristles(state.anchor.T, state.slip.T)
-            rates = torch.matmul(rows, free.T[..., None])[..., 0]
-            dry = friction_torque(
-                self.law, bristles, state.angles.T, rates, rows @ both[..., :6], self.step, self.width
-            )
-            twist = free + self.step * torch.matmul(both[..., :6], dry[..., None])[..., 0].T
+            rates = (chain.jacobian * free[:, None]).sum(dim=0)
+            mobility = product(chain.jacobian.transpose(0, 1), pushed).permute(2, 0, 1)
+            dry = friction_torque(self.law, bristles, state.angles.T, rates.T, mobility, self.step, self.width)
+            twist = free + self.step * (pushed * dry.T).sum(dim=1)
         half = (0.5 * self.step) * twist[:3]
         scale = 2.0 / (1.0 + (half * half).sum(dim=0))
         turn, half, xp = chain.legs.rotation, half[:, None], namespace(twist)
         turn = turn + scale * cross(xp, half, turn + cross(xp, half, turn))
-        angles = roll_pitch_yaw(turn.permute(2, 0, 1)).T
+        angles: Tensor = roll_pitch_yaw(turn.permute(2, 0, 1)).T  # type: ignore[assignment]
         place = state.pose[3:] + self.step * twist[3:]
         return state._replace(pose=torch.cat([angles, place]), twist=twist)
 
@@ -146,24 +147,35 @@ def friction_torque(
     step: float,
     width: Tensor | float,
 ) -> Tensor:
-    """`friction.implicit_torque`, differentiable through its solution alone, whatever the sweeps that found it."""
-    given = (*law, *bristles, angles, free_rates, mobility)
-    with torch.no_grad():
-        found = implicit_torque(law, bristles, angles, free_rates, mobility, step, width, tolerance=SETTLED)
-    if not (torch.is_grad_enabled() and any(each.requires_grad for each in given)):
-        return found
+    """`friction.implicit_torque` for all motors at once, by Newton's method.
+
+    With motors as they answer to the rates without them, found = answer(without(found)) is piecewise linear but for
+    rounded corners: a few steps find its solution, where one motor after the other takes thirty. A gradient passes the
+    last step alone, which is the implicit function theorem. Loops that do not settle are left to the sweeps.
+    """
     pushed = step * mobility
     own = torch.diagonal(pushed, dim1=-2, dim2=-1)
     motors = Motor.of(law, bristles, angles, own, step, width)
-    without = free_rates + torch.matmul(pushed, found[..., None])[..., 0] - own * found
-    again = motors.answer(without)
-    # Of the equation found = answer(without(found)) the implicit function theorem: one step of Newton's method.
-    at = without.detach().requires_grad_()
-    held = Motor(*(each.detach() if isinstance(each, Tensor) else each for each in motors))
-    (slope,) = torch.autograd.grad(held.answer(at).sum(), at)
+    others = pushed - torch.diag_embed(own)
+    unit = torch.eye(6, dtype=own.dtype, device=own.device)
+
+    def better(found: Tensor) -> tuple[Tensor, Tensor]:
+        without = free_rates + torch.matmul(others, found[..., None])[..., 0]
+        answer = motors.answer(without)
+        with torch.no_grad():
+            matrix = unit - motors.slope(without)[..., None] * others
+        off = answer - found
+        return found + torch.linalg.solve_ex(matrix, off[..., None])[0][..., 0], off
+
     with torch.no_grad():
-        matrix = torch.eye(6, dtype=own.dtype, device=own.device) - slope[..., None] * (pushed - torch.diag_embed(own))
-    return found + torch.linalg.solve_ex(matrix, (again - found)[..., None])[0][..., 0]
+        found = torch.zeros_like(free_rates)
+        for _ in range(_STEPS):
+            found, off = better(found)
+            if bool(off.abs().amax() < SETTLED):
+                break
+        else:
+            found = implicit_torque(law, bristles, angles, free_rates, mobility, step, width, tolerance=SETTLED)
+    return better(found.detach())[0] if torch.is_grad_enabled() else found
 
 
 class ObserverState(NamedTuple):
@@ -268,7 +280,7 @@ class BatchedObserver(NamedTuple):
         return state, pose, rate
 
     def expecting(self, state: ObserverState, sent: Tensor) -> ObserverState:
-        """The state with what is expected of loops that do not look ahead, for the command (6, B) [N m] of this tick."""
+        """The state with what is expected of loops that do not look ahead, for this tick's command (6, B) [N m]."""
         if self.groups and self.groups[0] is None:
             return state
         group = torch.nonzero(self.ahead == 0)[:, 0]
