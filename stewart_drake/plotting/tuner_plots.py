@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from stewart_drake.plotting.panels import (
     BLUE,
@@ -78,6 +79,8 @@ def plot_front(cloud: np.ndarray, front: np.ndarray, tastes: Sequence[float], fi
     for taste, (error, change) in zip(tastes, front, strict=True):
         panel.annotate(f"{taste:g}", (change, error), (6, 5), textcoords="offset points", fontsize=9, color=BLUE)
     logarithmic(panel, "xy")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     label(panel, "From stiff (-1) to quiet (1)", "change of torque in a millisecond [N m] RMS", "error [mm] RMS")
     legend(panel)
     return figure
