@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,9 @@ LOW, HIGH = np.array([-0.3, -0.4, -0.7, -1.7]), np.array([0.3, 0.4, 0.7, 0.6])
 """Decades about the default within which a setting is searched: disk margins stay above 0.24 for either robot."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
+_FASTER = np.array([0.15, 0.0, 0.0, 1.0])
+_LOWEST, _HIGHEST = np.append(np.tile(LOW, 2), [0.1, -2.0]), np.append(np.tile(HIGH, 2), [1.2, -0.3])
+"""The same for a schedule: two settings, decades of its threshold and of its time."""
 _FASTER = np.array([0.15, 0.0, 0.0, 1.0])
 _THRESHOLD, _HOLD = (0.1, 1.2), (-2.0, -0.3)
 """Decades of a schedule's keys within which they are searched."""
@@ -114,7 +116,7 @@ def find_baselines(
 
     Args:
         folder: For the rows.
-        generations: Of each search; of those for one kind a third.
+        generations: Of each search; of those for one robot or kind, which start from the best of all, a third.
         seeds: Of each kind.
         where: Where the runs go; None for processes of this machine.
         tell: Called with what is searched and the number of runs done.
@@ -129,21 +131,25 @@ def find_baselines(
     trained = [cell for cell in every if KINDS[cell[0]].trained]
     with Contest(folder, "reduced", where, lambda done: shown(what, done), restart) as contest:
 
-        def search(name: str, cells: list[Cell], start: np.ndarray, most: int = generations) -> np.ndarray:
+        def search(
+            name: str,
+            cells: list[Cell],
+            start: np.ndarray,
+            most: int = generations,
+            contestant_of: Callable[[np.ndarray], Contestant] = with_setting,
+        ) -> np.ndarray:
             nonlocal what
             what, cases = name, cases_of(cells, run_on)
-            if len(start) == len(LOW):
-                return best_of(contest, with_setting, cases, start, LOW, HIGH, generations=most)
-            low, high = (np.concatenate([box, box, [_THRESHOLD[k], _HOLD[k]]]) for k, box in enumerate((LOW, HIGH)))
-            asked = partial(best_of, contest, lambda numbers: always({"tuner": schedule_of(numbers)}), cases)
-            return asked(start, low, high, generations=most)
+            low, high = (box[: len(start)] for box in (_LOWEST, _HIGHEST))
+            return best_of(contest, contestant_of, cases, start, low, high, most)
 
         best = search("all kinds", trained, np.zeros(4))
         of_kind = {cell: search(" ".join(cell), [cell], best, few) for cell in every}
         # Where the observer is surprised the second setting is faster.
         start = np.concatenate([best, np.clip(best + _FASTER, LOW, HIGH), [0.5, -1.0]])
-        schedule = schedule_of(search("schedule", trained, start))
-        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best) for each in ROBOTS}
+        scheduled = search("schedule", trained, start, contestant_of=lambda x: always({"tuner": schedule_of(x)}))
+        schedule = schedule_of(scheduled)
+        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best, few) for each in ROBOTS}
         pairs = {
             each: _best_pair(contest, cases_of([c for c in trained if c[1] == each], run_on), best) for each in ROBOTS
         }
@@ -168,7 +174,7 @@ def find_baselines(
             "pair": {robot: list(pair) for robot, pair in pairs.items()},
             "schedule": schedule,
             "costs": costs,
-            "evaluations": {"each": 1 + generations * POPULATION, "kind": 1 + few * POPULATION, "seeds": seeds},
+            "evaluations": {"each": 1 + generations * POPULATION, "few": 1 + few * POPULATION, "seeds": seeds},
         }
     )
 
