@@ -30,15 +30,13 @@ from stewart_drake.training.situations import KINDS, ROBOTS, TRAINING, Changes, 
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 LOW, HIGH = np.array([-0.3, -0.4, -0.7, -1.7]), np.array([0.3, 0.4, 0.7, 0.6])
-"""Decades about the default within which a setting is searched: disk margins stay above 0.24 for either robot."""
+"""Decades about the default within which a setting is searched."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
 _FASTER = np.array([0.15, 0.0, 0.0, 1.0])
+"""By which a schedule's second setting is above its first at the start of its search."""
 _LOWEST, _HIGHEST = np.append(np.tile(LOW, 2), [0.1, -2.0]), np.append(np.tile(HIGH, 2), [1.2, -0.3])
 """The same for a schedule: two settings, decades of its threshold and of its time."""
-_FASTER = np.array([0.15, 0.0, 0.0, 1.0])
-_THRESHOLD, _HOLD = (0.1, 1.2), (-2.0, -0.3)
-"""Decades of a schedule's keys within which they are searched."""
 
 Numbers = tuple[Real, Real, Real, Real]
 
