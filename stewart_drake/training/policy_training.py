@@ -6,6 +6,7 @@ robot stands still counts like one saved under a push.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -54,6 +55,8 @@ class PolicyOptions(Section, key="training"):
     """[-] rounding of friction's corners, as a share of the break-away torque."""
     tastes: NotNegative = 0.5
     """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
+    fairness: NotNegative = 4.0
+    """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
     without: tuple[str, ...] = ()
     """Names of features that it does not get."""
 
@@ -96,7 +99,8 @@ class Box:
     """Settings that a policy can choose, and how fast."""
 
     centre: np.ndarray
-    reach: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
     rate: float = 10.0
 
 
@@ -139,7 +143,8 @@ class Training:
             ]
         )
         none = np.zeros(len(FEATURES))
-        start = Progress(0, weights, np.zeros((2, len(weights))), 0, none, none, none, none + 1.0, none - 1e5, none + 1e5)
+        moments, far = np.zeros((2, len(weights))), none + 1e5
+        start = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far)
         fixed, found = self._rollout(start, None, tell)
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
         _, more = self._rollout(start, wild, tell)
@@ -153,14 +158,27 @@ class Training:
         units, count = self.options.hidden, len(FEATURES)
         flat = torch.from_numpy(at.weights) if weights is None else weights
         ends = np.cumsum([0, units * count, units, SIZE * units, SIZE])
-        parts = [flat[..., a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [flat[..., a:b] for a, b in itertools.pairwise(ends)]
         lead = flat.shape[:-1]
         used = torch.tensor([name not in self.options.without for name in FEATURES], dtype=torch.float64)
         hidden = parts[0].reshape(*lead, units, count) * used
-        numbers = (at.mean, at.scale, self.box.centre, self.box.reach, at.low, at.high)
-        mean, scale, centre, reach, low, high = (torch.from_numpy(np.asarray(each, dtype=float)) for each in numbers)
+        box = (self.box.centre, self.box.centre - self.box.lowest, self.box.highest - self.box.centre)
+        numbers = (at.mean, at.scale, *box, at.low, at.high)
+        mean, scale, centre, below, above, low, high = (
+            torch.from_numpy(np.asarray(each, dtype=float)) for each in numbers
+        )
         return Layers(
-            mean, scale, hidden, parts[1], parts[2].reshape(*lead, SIZE, units), parts[3], centre, reach, low, high
+            mean,
+            scale,
+            hidden,
+            parts[1],
+            parts[2].reshape(*lead, SIZE, units),
+            parts[3],
+            centre,
+            below,
+            above,
+            low,
+            high,
         )
 
     def epoch(self, at: Progress, tell: Callable[[str], None]) -> Progress:
@@ -185,9 +203,19 @@ class Training:
         """Geometric mean of J over J at the centre, at kappa 0, by robot and kind."""
         ratio, plain = np.log(at.latest / at.fixed), self.kappa == 0.0
         return {
-            f"{robot}: {kind}": float(np.exp(ratio[[n == (robot, kind) for n in self.names] & plain].mean()))
+            f"{robot}: {kind}": float(np.exp(ratio[own].mean()))
             for robot, kind in dict.fromkeys(self.names)
+            if (own := np.array([name == (robot, kind) for name in self.names]) & plain).any()
         }
+
+    def _weighed(self, at: Progress) -> np.ndarray:
+        """What each situation counts: each kind alike, but more where the policy is worse than the centre."""
+        ratio, names = np.log(at.latest / at.fixed), np.array([f"{robot} {kind}" for robot, kind in self.names])
+        found = self.share.copy()
+        for name in dict.fromkeys(names):
+            own = names == name
+            found[own] *= 1.0 + self.options.fairness * max(0.0, float(ratio[own].mean()))
+        return found
 
     def _mean(self, ratio: np.ndarray, chosen: np.ndarray) -> float:
         share = self.share * chosen
@@ -208,7 +236,8 @@ class Training:
 
     def _by_gradient(self, at: Progress, tell: Callable[[str], None]) -> Progress:
         made = Progress(**vars(at))
-        share = torch.from_numpy(self.share / np.maximum(at.latest, 1e-9) ** 2 * 0.5)
+        # The gradient of log J is half of that of J^2 over J^2.
+        share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
         with torch.no_grad():
             layers = self.layers(made)
             tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in self._groups]
@@ -252,7 +281,7 @@ class Training:
             made.latest[start : start + half] = np.sqrt(costs[:half] * costs[half:])
             start += half
             tell("rolled out")
-        slope = self.share * np.concatenate(logs) / (2.0 * self.options.spread)
+        slope = self._weighed(at) * np.concatenate(logs) / (2.0 * self.options.spread)
         # Of one pair a situation, each a guess of its own slope.
         self._adam(made, slope @ np.concatenate(ways))
         return made
@@ -280,10 +309,9 @@ class Training:
         with torch.no_grad():
             tuner = PolicyInLoops(layers, group.site, self.box.rate)
             state, found = group.start(tuner), []
-            for _ in range(group.scored // _SAMPLED):
-                state, _ = group.advance(state, _SAMPLED, tuner)
+            while state.tick < group.scored:
+                state, _ = group.advance(state, min(_SAMPLED, group.scored - state.tick), tuner)
                 found.append(state.memory.found.numpy())
-            state, _ = group.advance(state, group.scored - state.tick, tuner) if state.tick < group.scored else (state, 0)
             squares = np.zeros(len(group.scenarios))
             while state.tick < group.ticks:
                 state, more = group.advance(state, min(_SAMPLED, group.ticks - state.tick), tuner)
