@@ -29,7 +29,7 @@ from stewart_drake.training.contest import (
 from stewart_drake.training.situations import KINDS, ROBOTS, TRAINING, Changes, kinds_of
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
-LOW, HIGH = np.array([-0.3, -0.4, -0.7, -1.7]), np.array([0.3, 0.4, 0.7, 0.6])
+LOW, HIGH = np.array([-0.3, -0.6, -1.2, -1.9]), np.array([0.4, 0.4, 0.7, 0.6])
 """Decades about the default within which a setting is searched."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
