@@ -10,9 +10,8 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -22,8 +21,11 @@ from torch import Tensor
 from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import Layers, Policy
 from stewart_drake.control.settings import SIZE
+from stewart_drake.files.whole import checksum
 from stewart_drake.section import Count, NotNegative, Positive, Section, Seed
+from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.policy_loops import PolicyInLoops, Situations
+from stewart_drake.training.policy_progress import Progress, keep, kept
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 Method = Literal["gradient", "evolution"]
@@ -61,46 +63,19 @@ class PolicyOptions(Section, key="training"):
     """Names of features that it does not get."""
 
 
-@dataclass
-class Progress:
-    """Where a training stands; what a checkpoint holds.
+class Box(NamedTuple):
+    """Settings that a policy can choose.
 
     Attributes:
-        epoch: Done.
-        weights: (n,) of the network, flat.
-        moments: Of Adam, (2, n).
-        steps: Of Adam.
-        fixed: J of every situation at the centre, a robot after the other.
-        latest: J in the last epoch.
-        mean: (13,) of the features.
-        scale: (13,).
-        low: (13,).
-        high: (13,).
-        seconds: [s] of the processor.
-        history: Mean of log J/J at the centre, an epoch after the other; at kappa 0 and at all tastes.
+        centre: (4,) the best fixed one.
+        lowest: (4,).
+        highest: (4,).
+        rate: [1/s] see `Policy.rate`.
     """
 
-    epoch: int
-    weights: np.ndarray
-    moments: np.ndarray
-    steps: int
-    fixed: np.ndarray
-    latest: np.ndarray
-    mean: np.ndarray
-    scale: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    seconds: float = 0.0
-    history: list[tuple[float, float]] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Box:
-    """Settings that a policy can choose, and how fast."""
-
     centre: np.ndarray
-    lowest: np.ndarray
-    highest: np.ndarray
+    lowest: np.ndarray = np.array([-0.1, -0.6, -1.2, -1.9])
+    highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
     rate: float = 10.0
 
 
@@ -109,12 +84,12 @@ class Training:
 
     Args:
         options: See there.
-        box: See there.
+        box: See there; None for that about the best fixed setting.
         robots: Names of those to train on.
     """
 
-    def __init__(self, options: PolicyOptions, box: Box, robots: Sequence[str] = tuple(ROBOTS)) -> None:
-        self.options, self.box = options, box
+    def __init__(self, options: PolicyOptions, box: Box | None = None, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+        self.options, self.box = options, box or Box(np.array(Baselines.load().best))
         torch.set_num_threads(1)
         rng = np.random.default_rng(options.seed)
         self._both = 2 if options.method == "evolution" else 1
@@ -131,6 +106,12 @@ class Training:
         self.kappa = np.concatenate(tastes)
         counts = {name: self.names.count(name) for name in self.names}
         self.share = np.array([1.0 / (counts[name] * len(counts)) for name in self.names])
+
+    @property
+    def identity(self) -> str:
+        """Of what a checkpoint must be; the number of epochs is part of it, because the rate follows it."""
+        box = [np.asarray(each).tolist() for each in self.box]
+        return checksum({"options": self.options.to_dict(), "box": box})
 
     def begin(self, tell: Callable[[str], None]) -> Progress:
         """Costs at the centre, and the statistics of the features there and at settings about it."""
@@ -327,31 +308,31 @@ class Training:
 def _coarser(scenario: Any) -> Any:
     """With fewer steps of the plant where a tick has many."""
     steps = round(scenario.controller.period / scenario.plant.time_step)
-    return scenario.replace({"plant.time_step": scenario.controller.period / 4}) if steps > 4 else scenario
+    return scenario.replace({"plant.time_step": scenario.controller.period / 2}) if steps > 2 else scenario
 
 
 def train_policy(
-    training: Training,
-    checkpoint: Path | None = None,
-    tell: Callable[[float, str], None] | None = None,
-) -> tuple[Policy, Progress]:
-    """Trains, going on from a checkpoint where there is one.
+    training: Training, checkpoint: Path | None = None, tell: Callable[[float, str], None] | None = None
+) -> Policy:
+    """Trains, going on from a checkpoint where there is one; the same options give the same policy.
 
     Args:
         training: See there.
-        checkpoint: File that is written after each epoch; None for none.
+        checkpoint: File that is written after each epoch, and taken away at the end; None for none.
         tell: Called with epochs done and a word on it.
+
+    Raises:
+        ConfigurationError: See `policy_progress.kept`.
     """
     say = tell or (lambda *_: None)
-    at: Progress | None = None
-    if checkpoint is not None and checkpoint.exists():
-        at = Progress(**torch.load(checkpoint, weights_only=False))
-    if at is None:
-        at = training.begin(lambda text: say(0.0, text))
+    at = kept(checkpoint, training.identity) or training.begin(lambda text: say(0.0, text))
     while at.epoch < training.options.epochs:
         done = float(at.epoch)
-        at = training.epoch(at, lambda text, done=done: say(done, text))
-        say(float(at.epoch), f"J/J fixed {math.exp(at.history[-1][0]):.3f}")
+        at = training.epoch(at, lambda text, done=done: say(done, text))  # type: ignore[misc]
+        say(float(at.epoch), f"J {math.exp(at.history[-1][0]):.3f} of fixed")
         if checkpoint is not None:
-            torch.save(vars(at), checkpoint)
-    return training.finished(at, lambda text: say(float(training.options.epochs), text)), at
+            keep(at, training.identity, checkpoint)
+    policy = training.finished(at, lambda text: say(float(training.options.epochs), text))
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    return policy
