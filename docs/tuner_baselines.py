@@ -1,6 +1,6 @@
 """Searches what a trained tuner has to beat, and keeps it with the package: `make tuner_baselines`.
 
-python docs/tuner_baselines.py runs/tuner-baselines [GENERATIONS [SEEDS]]
+python docs/tuner_baselines.py runs/tuner-baselines
 """
 
 import sys
@@ -10,12 +10,12 @@ from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.training.baselines import SHIPPED, find_baselines
 
 
-def main(folder: Path, *numbers: int) -> None:
+def main(folder: Path) -> None:
     """Writes the file; what has been run in the folder is not run again."""
-    with ProgressBar("baselines", 22_000.0, quiet=False, unit="runs") as advance:
-        found = find_baselines(folder, *numbers, tell=lambda what, done: advance(done, f"baselines: {what}"))
+    with ProgressBar("baselines", 13_000.0, quiet=False, unit="runs") as advance:
+        found = find_baselines(folder, tell=lambda what, done: advance(done, f"baselines: {what}"))
     found.save(SHIPPED)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    main(Path(sys.argv[1]))

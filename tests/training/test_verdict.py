@@ -3,7 +3,7 @@ import pytest
 
 from stewart_drake.campaigns.executors import SerialExecutor
 from stewart_drake.control.settings import SIZE
-from stewart_drake.training.baselines import HIGH, LOW, PAIRS, Baselines, schedule_of
+from stewart_drake.training.baselines import HIGH, LOW, PAIRS, Baselines, Generations, find_baselines, schedule_of
 from stewart_drake.training.contest import Case, with_setting
 from stewart_drake.training.situations import HELD_OUT, ROBOTS, kinds_of, situation
 from stewart_drake.training.verdict import BEST_FIXED, Verdict, contestants, geometric_mean, judge, median, page
@@ -129,3 +129,19 @@ def test_the_shipped_baselines_are_whole_and_within_the_box_of_their_search():
             assert (np.array(setting) <= HIGH).all()
     case = Case("hold", "paper", HELD_OUT[0])
     assert situation(*case).replace({"tuner": found.schedule}).tuner.kind == "schedule"
+
+
+@pytest.mark.slow
+def test_a_small_search_finds_what_costs_no_more_than_its_start(tmp_path, monkeypatch):
+    few = {"paper": ["hold"], "reachy_mini": ["nod"]}
+    for module in ("contest", "baselines"):
+        monkeypatch.setattr(f"stewart_drake.training.{module}.kinds_of", lambda robot: few[robot])
+    once = Generations(1, 1, 1)
+    found = find_baselines(tmp_path, once, seeds=1, where=SerialExecutor())
+    assert found == find_baselines(tmp_path, once, seeds=1, where=SerialExecutor())
+    for robot, (kind,) in few.items():
+        costs = found.costs[robot][kind]
+        assert costs["best_of_kind"] <= costs["best"]
+        assert costs["best_of_robot"] <= costs["best"]
+    hold = found.costs["paper"]["hold"]
+    assert hold["best"] < hold["default"]
