@@ -16,14 +16,14 @@ from torch import Tensor
 
 from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
-from stewart_drake.hardware.observer import SLIP, SMALLEST_NOISE, ObserverOptions
+from stewart_drake.hardware.observer import ObserverOptions
+from stewart_drake.hardware.observing import observer_at
 from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.logs.cost import FAILED, CostScales, cost
 from stewart_drake.mechanics import kinematics_core
 from stewart_drake.mechanics.arrays import fitted, robot_like
-from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import FrictionLaw
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.closed_chain import loaded, starting_state
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
@@ -58,8 +58,9 @@ class Observed(NamedTuple):
     reference: Tensor
 
 
-Tuner = Callable[[Observed, Any], tuple[Tensor, Any]]
-"""From what is observed and its own memory to settings (B, 4), which act from the next tick on, and the memory."""
+Tuner = Callable[[Observed, Tensor, Any], tuple[Tensor, Any]]
+"""From what is observed, the settings (B, 4) in force and its own memory to settings, which act from the next tick on,
+and the memory."""
 
 
 class LoopState(NamedTuple):
@@ -262,7 +263,7 @@ class BatchedLoops:
         memory, setting = state.memory, state.setting
         if tuner is not None:
             innovation = torch.zeros_like(error) if observer is None else observer.innovation
-            setting, memory = tuner(Observed(error.T, torque.T, innovation.T, row.ahead.T), memory)
+            setting, memory = tuner(Observed(error.T, torque.T, innovation.T, row.ahead.T), setting, memory)
         off = before.plant.pose - row.wanted[:6]
         squares = (off[:3] ** 2).sum(dim=0), (off[3:] ** 2).sum(dim=0)
         last = _clipped(torque, self._motor_limit)
@@ -359,18 +360,20 @@ class BatchedLoops:
         return Plant(robot, law if rubs else None, scenarios[0].gravity, step, rounded)
 
     def _made_observer(self, sites: Sequence[LoopSite], ahead: Sequence[int]) -> BatchedObserver:
-        scenarios, robot = self.scenarios, self.scenarios[0].believed_robot
+        scenarios = self.scenarios
         options: list[Any] = [scenario.estimator for scenario in scenarios]
-        home = robot.home_pose
-        most = float(np.diag(pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)).max())
+        placed = [
+            observer_at(each, site, scenario.sensors).observer
+            for each, site, scenario in zip(options, sites, scenarios, strict=True)
+        ]
         looking = torch.tensor(list(ahead), device=self._device)
         groups = [torch.nonzero(looking > step)[:, 0] for step in range(max(ahead))]
         return BatchedObserver(
             self._believed,
             scenarios[0].gravity,
             self.period,
-            self._tensor([max(scenario.sensors.reading_noise, SMALLEST_NOISE) for scenario in scenarios]),
-            self._tensor([SLIP * site.friction * most for site in sites]),
+            self._tensor([each.reading_noise for each in placed]),
+            self._tensor([each.slip for each in placed]),
             self._tensor([each.max_innovation for each in options]),
             self._tensor([each.hold_ticks for each in options]),
             looking,

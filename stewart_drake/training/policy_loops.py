@@ -88,7 +88,9 @@ class Loops:
         self.loops = BatchedLoops(scenarios, width=width)
         sites = [scenario.tuner_site() for scenario in scenarios]
         kappas = torch.tensor(kappa, dtype=torch.float64)
-        noise, latency = (torch.tensor([getattr(s, name) for s in sites], dtype=torch.float64) for name in ("noise", "latency"))
+        noise, latency = (
+            torch.tensor([getattr(s, name) for s in sites], dtype=torch.float64) for name in ("noise", "latency")
+        )
         self._scales = CostScales() if scales is None else scales
         self.site = Site(self.loops.period, noise, latency, sites[0].length, kappas, self._scales)
         self.ticks = min(round(s.duration / self.loops.period) for s in scenarios)
