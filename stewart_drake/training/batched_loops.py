@@ -419,7 +419,7 @@ class BatchedLoops:
 
     def _late(self, scenario: Scenario, count: int) -> Tensor:
         """(ticks,) of the second half."""
-        tick = torch.arange(count, device=self._device)
+        tick = torch.arange(count, dtype=torch.float64, device=self._device)
         return (tick * self.period >= 0.5 * scenario.duration - 1e-9) & (tick <= self._last_tick(scenario))
 
     def _tensor(self, values: Any) -> Tensor:
