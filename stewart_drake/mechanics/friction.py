@@ -164,6 +164,11 @@ class Motor(NamedTuple):
         dry = _clipped((self.aim - without) / self.yielding, self.bound, self.width)
         return dry - self.viscous * (without + self.own * dry) / self.slowed
 
+    def slope(self, without: Array) -> Array:
+        """Derivative [N m s/rad] of `answer`; at a sharp corner one of its two."""
+        inside = -_slope((self.aim - without) / self.yielding, self.bound, self.width) / self.yielding
+        return inside - self.viscous * (1.0 + self.own * inside) / self.slowed
+
 
 def implicit_torque(
     law: FrictionLaw,
@@ -223,3 +228,12 @@ def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
         return xp.minimum(xp.maximum(value, -bound), bound)
     above, below, square = value + bound, value - bound, width * width
     return 0.5 * (xp.sqrt(above * above + square) - xp.sqrt(below * below + square))
+
+
+def _slope(value: Array, bound: Array, width: Array | float) -> Array:
+    """Derivative of `_clipped`."""
+    xp = namespace(value)
+    if isinstance(width, float) and width == 0.0:
+        return xp.where(xp.abs(value) < bound, 1.0 + 0.0 * value, 0.0 * value)
+    above, below, square = value + bound, value - bound, width * width + 1e-300
+    return 0.5 * (above / xp.sqrt(above * above + square) - below / xp.sqrt(below * below + square))

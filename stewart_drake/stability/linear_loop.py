@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from stewart_drake.stability.loop_parts import ESTIMATORS, READINGS, Part, contr
 
 _STEP = 1e-5
 """Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
-_STILL = 1e-7
+STILL = 1e-7
 """In SI units, by which a state may move in a tick where the loop stands still."""
 _NEWTON_STEPS = 8
 
@@ -117,83 +117,123 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
         ConfigurationError: A kind of part that has no linear loop; no pose is left.
         UnreachablePoseError: A pose is out of reach.
     """
-    reading_of = part_of(READINGS, "sensors", scenario.sensors.kind)
-    estimator_of = part_of(ESTIMATORS, "estimator", scenario.estimator.kind)
-    controller = controller_part(scenario)
-    period, delay = scenario.controller.period, scenario.command_delay
-    plants = plant_at(loaded(scenario.robot, scenario.plant), poses, scenario.gravity, period)
-    readings = reading_of(scenario.robot, poses)
+    controller, estimator_of = controller_part(scenario), part_of(ESTIMATORS, "estimator", scenario.estimator.kind)
     found, kept, left_out = [], [], []
-    for k, pose in enumerate(poses):
-        plant, read = PlantAt(*(each[k] for each in plants)), (readings.value[k], readings.by_state[k])
+    for k, ground in enumerate(grounds(scenario, poses)):
         try:
-            estimator = estimator_of(scenario, pose, read[0])
-            found.append(_Site(pose, plant, read, estimator, controller, delay).loop())
+            estimator = estimator_of(scenario, ground.pose, ground.reading)
+            found.append(Site(ground, estimator, controller, scenario.command_delay).loop())
             kept.append(k)
         except (RunFailure, UnreachablePoseError) as error:
             left_out.append(str(error))
     if not found:
         raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
     a, b, c = (np.stack(each) for each in zip(*found, strict=True))
-    heard = _heard(a, c)
-    a, b, c = a[:, heard][:, :, heard], b[:, heard], c[:, :, heard]
-    return LinearLoops(a, b, c, period, poses[kept], tuple(left_out))
+    return trimmed(LinearLoops(a, b, c, scenario.controller.period, poses[kept], tuple(left_out)))
 
 
-class _Site(NamedTuple):
-    """A pose and what stands there."""
+def trimmed(loops: LinearLoops) -> LinearLoops:
+    """The loops without states that no output ever hears of."""
+    heard = _heard(loops.a, loops.c)
+    return loops._replace(a=loops.a[:, heard][:, :, heard], b=loops.b[:, heard], c=loops.c[:, :, heard])
+
+
+class Derived(NamedTuple):
+    """What a part says and remembers after a tick (k,), and its derivative (k, n)."""
+
+    value: np.ndarray
+    by: np.ndarray
+
+
+class Ground(NamedTuple):
+    """A pose, the robot there, and what its sensors say.
+
+    Attributes:
+        pose: (6,) [rad, m].
+        plant: See `PlantAt`, of this pose.
+        reading: (k,) at rest.
+        by_state: (k, 12) its derivative by pose and pose rate.
+    """
 
     pose: np.ndarray
     plant: PlantAt
-    read: tuple[np.ndarray, np.ndarray]
+    reading: np.ndarray
+    by_state: np.ndarray
+
+
+def grounds(scenario: Scenario, poses: np.ndarray) -> Iterator[Ground]:
+    """What a loop of the scenario stands on at each of the poses (m, 6) [rad, m]; see `linear_loops`."""
+    said = part_of(READINGS, "sensors", scenario.sensors.kind)(scenario.robot, poses)
+    robot, period = loaded(scenario.robot, scenario.plant), scenario.controller.period
+    plants = plant_at(robot, poses, scenario.gravity, period)
+    for k, pose in enumerate(poses):
+        yield Ground(pose, PlantAt(*(each[k] for each in plants)), said.value[k], said.by_state[k])
+
+
+class Site(NamedTuple):
+    """A pose and what stands there."""
+
+    ground: Ground
     estimator: Part
     controller: Part
     delay: int
 
     def loop(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, C around the point where the loop stands still, found by Newton's method from this pose.
+        """A, B, C around the point where the loop stands still."""
+        x = self.still()
+        estimated = self.estimated(x)
+        return self.joined(x, estimated, self.controlled(x, estimated))[0]
+
+    def still(self) -> np.ndarray:
+        """The state (n,) at which the loop stands still, found by Newton's method from this pose.
 
         Raises:
             RunFailure: There is none.
         """
         estimated, remembered = self.estimator.memory[self.estimator.state], np.zeros(len(self.controller.state))
-        sent = np.tile(self.plant.torque, max(1, self.delay))
+        sent = np.tile(self.ground.plant.torque, max(1, self.delay))
         x = np.concatenate([np.zeros(12), estimated, remembered, sent])
         for _ in range(_NEWTON_STEPS):
-            matrices, change = self._tick(x)
-            a, b, c = matrices
+            told = self.estimated(x)
+            (a, b, c), change = self.joined(x, told, self.controlled(x, told))
             # An integral that nobody hears, its gain zero, need not stand still.
             heard = _heard(a[None], c[None])
-            if np.abs(change[heard]).max() < _STILL:
-                return matrices
+            if np.abs(change[heard]).max() < STILL:
+                return x
             with contextlib.suppress(np.linalg.LinAlgError):
                 x[heard] += np.linalg.solve((np.eye(len(x)) - a - b @ c)[np.ix_(heard, heard)], change[heard])
             if not np.isfinite(x).all():
                 break
-        raise RunFailure(f"the loop does not stand still at {self.pose.tolist()}", reason="standstill")
+        raise RunFailure(f"the loop does not stand still at {self.ground.pose.tolist()}", reason="standstill")
 
-    def _tick(self, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """A, B, C at a state, and by how much the closed loop's state changes in a tick there."""
-        (value, by_state), n_e, n_c = self.read, len(self.estimator.state), len(self.controller.state)
-        ends = np.cumsum([0, 12, n_e, n_c, 6])
-        plant, estimated, remembered, sent = (slice(*pair) for pair in itertools.pairwise(ends))
-        n, r = len(x), len(value)
-
-        says, of_estimator = _derivatives(
+    def estimated(self, x: np.ndarray) -> Derived:
+        """What the estimator does at a state, by the state of the loop."""
+        (_, _, value, by_state), (plant, estimated, _, sent) = self.ground, self.places()
+        n, r, n_e = len(x), len(value), len(self.estimator.state)
+        says, by = _derivatives(
             lambda v: _ticked(self.estimator, (v[:r], v[r : r + 6]), v[r + 6 :]),
             np.concatenate([value + by_state @ x[plant], x[sent], x[estimated]]),
         )
         into = np.zeros((r + 6 + n_e, n))
         into[:r, plant], into[r : r + 6, sent], into[r + 6 :, estimated] = by_state, np.eye(6), np.eye(n_e)
-        of_estimator = of_estimator @ into
+        return Derived(says, by @ into)
 
-        reference = np.concatenate([self.pose, np.zeros(12)])
-        answers, of_controller = _derivatives(
-            lambda v: _ticked(self.controller, (v[:12], reference), v[12:]), np.concatenate([says[:12], x[remembered]])
-        )
+    def controlled(self, x: np.ndarray, told: Derived) -> Derived:
+        """What the controller does at a state, by what the estimator tells it and what it remembers."""
+        reference = np.concatenate([self.ground.pose, np.zeros(12)])
+        at = np.concatenate([told.value[:12], x[self.places()[2]]])
+        return Derived(*_derivatives(lambda v: _ticked(self.controller, (v[:12], reference), v[12:]), at))
+
+    def joined(
+        self, x: np.ndarray, told: Derived, answer: Derived
+    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """A, B, C at a state, and by how much the closed loop's state changes in a tick there."""
+        plant, estimated, remembered, sent = self.places()
+        says, of_estimator = told
+        n, n_c = len(x), len(self.controller.state)
         into = np.zeros((12 + n_c, n))
         into[:12], into[12:, remembered] = of_estimator[:12], np.eye(n_c)
-        of_controller = of_controller @ into
+        answers, of_controller = answer.value, answer.by @ into
 
         added = sum(map(len, self.estimator.says[1:]))
         command, of_command = answers[:6].copy(), of_controller[:6].copy()
@@ -201,7 +241,8 @@ class _Site(NamedTuple):
             command, of_command = command + says[12:18], of_command + of_estimator[12:18]
 
         a, b, c, after = np.zeros((n, n)), np.zeros((n, 6)), np.zeros((6, n)), np.zeros(n)
-        a[plant, plant], b[plant] = self.plant.a, self.plant.b
+        robot = self.ground.plant
+        a[plant, plant], b[plant] = robot.a, robot.b
         a[estimated], after[estimated] = of_estimator[12 + added :], says[12 + added :]
         a[remembered], after[remembered] = of_controller[6:], answers[6:]
         a[sent], after[sent] = of_command, command
@@ -211,8 +252,13 @@ class _Site(NamedTuple):
             c[:, n - 6 :], acts = np.eye(6), x[n - 6 :]
         else:
             c, acts = of_command, command
-        after[plant] = self.plant.a @ x[plant] + self.plant.b @ (acts - self.plant.torque)
+        after[plant] = robot.a @ x[plant] + robot.b @ (acts - robot.torque)
         return (a, b, c), after - x
+
+    def places(self) -> tuple[slice, ...]:
+        """Of plant, estimator, controller and last command in the state."""
+        ends = np.cumsum([0, 12, len(self.estimator.state), len(self.controller.state), 6])
+        return tuple(slice(*pair) for pair in itertools.pairwise(ends))
 
 
 def _ticked(part: Part, inputs: tuple[np.ndarray, ...], state: np.ndarray) -> np.ndarray:

@@ -58,9 +58,8 @@ class Observed(NamedTuple):
     reference: Tensor
 
 
-Tuner = Callable[[Observed, Tensor, Any], tuple[Tensor, Any]]
-"""From what is observed, the settings (B, 4) in force and its own memory to settings, which act from the next tick on,
-and the memory."""
+Tuner = Callable[[Observed, Any], tuple[Tensor, Any]]
+"""From what is observed and its own memory to settings (B, 4), which act from the next tick on, and the memory."""
 
 
 class LoopState(NamedTuple):
@@ -263,7 +262,7 @@ class BatchedLoops:
         memory, setting = state.memory, state.setting
         if tuner is not None:
             innovation = torch.zeros_like(error) if observer is None else observer.innovation
-            setting, memory = tuner(Observed(error.T, torque.T, innovation.T, row.ahead.T), setting, memory)
+            setting, memory = tuner(Observed(error.T, torque.T, innovation.T, row.ahead.T), memory)
         off = before.plant.pose - row.wanted[:6]
         squares = (off[:3] ** 2).sum(dim=0), (off[3:] ** 2).sum(dim=0)
         last = _clipped(torque, self._motor_limit)

@@ -19,8 +19,10 @@ from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.mechanics.kinematics_core import Legs
 from stewart_drake.training.gains import kalman_gains, product
 
-SETTLED = 1e-13
-"""[N m] change of the torques of friction in a sweep that is the last."""
+SETTLED = 1e-12
+"""[N m] by which torques of friction may be off."""
+_STEPS = 12
+"""Of Newton's method for them; four to seven do."""
 
 
 class Chain(NamedTuple):
@@ -145,24 +147,35 @@ def friction_torque(
     step: float,
     width: Tensor | float,
 ) -> Tensor:
-    """`friction.implicit_torque`, differentiable through its solution alone, whatever the sweeps that found it."""
-    given = (*law, *bristles, angles, free_rates, mobility)
-    with torch.no_grad():
-        found = implicit_torque(law, bristles, angles, free_rates, mobility, step, width, tolerance=SETTLED)
-    if not (torch.is_grad_enabled() and any(each.requires_grad for each in given)):
-        return found
+    """`friction.implicit_torque` for all motors at once, by Newton's method.
+
+    With motors as they answer to the rates without them, found = answer(without(found)) is piecewise linear but for
+    rounded corners: a few steps find its solution, where one motor after the other takes thirty. A gradient passes the
+    last step alone, which is the implicit function theorem. Loops that do not settle are left to the sweeps.
+    """
     pushed = step * mobility
     own = torch.diagonal(pushed, dim1=-2, dim2=-1)
     motors = Motor.of(law, bristles, angles, own, step, width)
-    without = free_rates + torch.matmul(pushed, found[..., None])[..., 0] - own * found
-    again = motors.answer(without)
-    # Of the equation found = answer(without(found)) the implicit function theorem: one step of Newton's method.
-    at = without.detach().requires_grad_()
-    held = Motor(*(each.detach() if isinstance(each, Tensor) else each for each in motors))
-    (slope,) = torch.autograd.grad(held.answer(at).sum(), at)
+    others = pushed - torch.diag_embed(own)
+    unit = torch.eye(6, dtype=own.dtype, device=own.device)
+
+    def better(found: Tensor) -> tuple[Tensor, Tensor]:
+        without = free_rates + torch.matmul(others, found[..., None])[..., 0]
+        answer = motors.answer(without)
+        with torch.no_grad():
+            matrix = unit - motors.slope(without)[..., None] * others
+        off = answer - found
+        return found + torch.linalg.solve_ex(matrix, off[..., None])[0][..., 0], off
+
     with torch.no_grad():
-        matrix = torch.eye(6, dtype=own.dtype, device=own.device) - slope[..., None] * (pushed - torch.diag_embed(own))
-    return found + torch.linalg.solve_ex(matrix, (again - found)[..., None])[0][..., 0]
+        found = torch.zeros_like(free_rates)
+        for _ in range(_STEPS):
+            found, off = better(found)
+            if bool(off.abs().amax() < SETTLED):
+                break
+        else:
+            found = implicit_torque(law, bristles, angles, free_rates, mobility, step, width, tolerance=SETTLED)
+    return better(found.detach())[0] if torch.is_grad_enabled() else found
 
 
 class ObserverState(NamedTuple):

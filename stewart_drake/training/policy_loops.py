@@ -1,11 +1,10 @@
-"""Policies in batched loops: rollouts, what they cost, and its gradient by truncated backpropagation."""
+"""Policies in batched loops: what they hear, rollouts, and what these cost."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,7 +12,6 @@ from stewart_drake.compiled.constants import MEAN_FLOOR
 from stewart_drake.control.features import Heard, Recent, Site, features, nothing_yet
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import Layers, answer, limited
-from stewart_drake.logs.cost import FAILED
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.batched_loops import BatchedLoops, Costs, LoopState, Observed
 
@@ -25,38 +23,40 @@ class Hearing(NamedTuple):
         recent: See `features.Recent`.
         window: Magnitudes (B, 12) of errors and torques, oldest first.
         total: (B, 12) their sum.
+        setting: (B, 4) of the tick before.
+        found: (B, 13) features of the tick before.
     """
 
     recent: Recent
     window: tuple[Tensor, ...]
     total: Tensor
+    setting: Tensor
+    found: Tensor
 
 
 class PolicyInLoops:
-    """A policy as a tuner of batched loops; no gradient passes what it hears, nor its rate limit.
+    """A policy as the tuner of batched loops. No gradient passes what it hears, and its rate limit lets all pass.
 
     Args:
-        layers: In torch; the weights of layers may be one for all or one for each loop.
-        site: Of the loops, (B,) where they differ.
+        layers: In torch; weights are one for all loops, or one for each.
+        site: Of the loops.
         rate: [1/s] see `Policy.rate`.
         window: m of (35) [ticks].
-
-    Attributes:
-        found: (B, 13) features of the last tick.
     """
 
     def __init__(self, layers: Layers, site: Site, rate: float, window: int = 49) -> None:
-        self.layers, self._site, self._window = layers, site, window
-        self._step = 2.0 * rate * site.period * layers.reach
-        self.found: Tensor | None = None
+        self._layers, self._site, self._window = layers, site, window
+        self._step = rate * site.period * (layers.below + layers.above)
 
     def start(self, loops: int) -> Hearing:
         """Before the first tick."""
         none = torch.zeros(loops, 6, dtype=torch.float64)
-        return Hearing(nothing_yet(none), (), torch.zeros(loops, 12, dtype=torch.float64))
+        dense = torch.zeros(loops, 12, dtype=torch.float64)
+        setting = self._layers.centre.expand(loops, 4)
+        return Hearing(nothing_yet(none), (), dense, setting, torch.zeros(loops, 13, dtype=torch.float64))
 
-    def __call__(self, seen: Observed, before: Tensor, memory: Hearing) -> tuple[Tensor, Hearing]:
-        """Settings (B, 4) after those of the tick before."""
+    def __call__(self, seen: Observed, memory: Hearing) -> tuple[Tensor, Hearing]:
+        """Settings (B, 4), see `batched_loops.Tuner`."""
         with torch.no_grad():
             sample = torch.cat([seen.error, seen.torque], dim=-1).abs()
             window, total = (*memory.window, sample), memory.total + sample
@@ -65,52 +65,51 @@ class PolicyInLoops:
             mean, count = total / len(window), float(len(window))
             flat = mean < MEAN_FLOOR
             density = torch.where(flat, 1.0, (sample / torch.where(flat, 1.0, mean)).clamp(max=count))
-            heard = Heard(density, *(each.detach() for each in seen))
-            self.found, recent = features(self._site, heard, memory.recent)
-        wanted, _ = answer(self.layers, self.found)
-        setting = limited(wanted.detach(), before.detach(), self._step)
-        return setting + (wanted - wanted.detach()), Hearing(recent, window, total)
+            found, recent = features(self._site, Heard(density, *(each.detach() for each in seen)), memory.recent)
+        wanted, _ = answer(self._layers, found)
+        setting = limited(wanted.detach(), memory.setting, self._step)
+        return setting + (wanted - wanted.detach()), Hearing(recent, window, total, setting, found)
 
 
-class Loops:
-    """Situations of one robot on which a policy is rolled out.
+class Situations:
+    """Runs of one robot on which a policy is rolled out.
 
     Args:
         scenarios: See `BatchedLoops`.
-        kappa: (B,) taste of each.
+        kappa: (B,) taste in each.
         width: Of friction's corners, see `BatchedLoops`.
-        scales: Of the cost.
+
+    Attributes:
+        scenarios: As given.
+        ticks: Of a run.
+        scored: First tick of its second half, which costs.
+        site: See `features.Site`.
     """
 
-    def __init__(
-        self, scenarios: Sequence[Scenario], kappa: np.ndarray, width: float, scales: CostScales | None = None
-    ) -> None:
-        self.loops = BatchedLoops(scenarios, width=width)
-        sites = [scenario.tuner_site() for scenario in scenarios]
-        kappas = torch.tensor(kappa, dtype=torch.float64)
-        noise, latency = (
-            torch.tensor([getattr(s, name) for s in sites], dtype=torch.float64) for name in ("noise", "latency")
+    def __init__(self, scenarios: Sequence[Scenario], kappa: Sequence[float], width: float = 0.0) -> None:
+        self.scenarios, self._loops = tuple(scenarios), BatchedLoops(scenarios, width=width)
+        period, sites = self._loops.period, [scenario.tuner_site() for scenario in scenarios]
+        taste, noise, latency = (
+            torch.tensor(values, dtype=torch.float64)
+            for values in (list(kappa), [site.noise for site in sites], [site.latency for site in sites])
         )
-        self._scales = CostScales() if scales is None else scales
-        self.site = Site(self.loops.period, noise, latency, sites[0].length, kappas, self._scales)
-        self.ticks = min(round(s.duration / self.loops.period) for s in scenarios)
+        self.site = Site(period, noise, latency, sites[0].length, taste)
+        self.ticks = min(round(scenario.duration / period) for scenario in scenarios)
         self.scored = self.ticks // 2
-        self._change = (1e-3 / self.loops.period / self._scales.torque_change) ** 2 * 10.0 ** (2.0 * kappas)
+        scales = CostScales()
+        self._rotation, self._position = scales.rotation**-2, scales.position**-2
+        self._change = (1e-3 / period / scales.torque_change) ** 2 * 10.0 ** (2.0 * taste)
 
-    def start(self, tuner: PolicyInLoops, centre: Tensor) -> LoopState:
-        """Before the first tick, at the setting (4,)."""
-        count = len(self.loops.scenarios)
-        state = self.loops.start()
-        return state._replace(setting=centre.expand(count, 4), memory=tuner.start(count))
+    def start(self, tuner: PolicyInLoops) -> LoopState:
+        """Before the first tick."""
+        memory = tuner.start(len(self.scenarios))
+        return self._loops.start()._replace(setting=memory.setting, memory=memory)
 
-    def advance(self, tuner: PolicyInLoops, state: LoopState, ticks: int) -> tuple[LoopState, Costs]:
-        """Some ticks on."""
-        for _ in range(ticks):
-            ...
-        raise NotImplementedError
+    def advance(self, state: LoopState, ticks: int, tuner: PolicyInLoops) -> tuple[LoopState, Tensor]:
+        """Some ticks on, and what they add to J^2 (B,) where they are scored."""
+        state, costs = self._loops.advance(state, ticks, tuner=tuner)
+        return state, self._squares(costs)
 
-    def squares(self, costs: Costs) -> Tensor:
-        """(B,) what ticks of the scored half add to J^2, their mean times their share of it."""
-        scales, share = self._scales, 1.0 / (self.ticks - self.scored)
-        error = costs.rotation / scales.rotation**2 + costs.position / scales.position**2
-        return ((error + self._change[:, None] * costs.change) * share).sum(dim=-1)
+    def _squares(self, costs: Costs) -> Tensor:
+        error = self._rotation * costs.rotation + self._position * costs.position
+        return (error + self._change[:, None] * costs.change).sum(dim=-1) / (self.ticks - self.scored)

@@ -143,7 +143,8 @@ def test_the_compiled_tick_is_that_of_the_arrays(pose, rate, off, surplus, delay
     angles, sent = inverse_kinematics(ROBOT, pose) + off, static_torque(ROBOT, pose, GRAVITY) + off
     angles[2] = np.nan if delay == 3 else angles[2] + 2.0 * np.pi
     fast, slow = (
-        flat_observer(sticky, no_first_pose, compiled)(angles, sent, reference, EXPECTED, memory) for compiled in (True, False)
+        flat_observer(sticky, no_first_pose, compiled)(angles, sent, reference, EXPECTED, memory)
+        for compiled in (True, False)
     )
     np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-10)
 

@@ -20,6 +20,7 @@ from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import load_scenario
 from stewart_drake.training.batched_loops import BatchedLoops, Costs
 from stewart_drake.training.loop_model import BatchedObserver, Chain, ObserverState, Plant, PlantState
+from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 PUSH = {"kind": "step", "wrench": [0.02, 0, 0, 3, -2, -4], "time": 0.01, "until": 0.15}
 IDEAL = {"sensors": {"kind": "ideal"}, "estimator": {"kind": "difference"}}
@@ -126,9 +127,9 @@ def test_an_observer_of_a_pose_and_a_model_that_is_wrong():
 def test_a_tuner_acts_from_the_next_tick_on():
     seen = []
 
-    def tuner(observed, setting, memory):
+    def tuner(observed, memory):
         seen.append((observed, memory))
-        return setting + 0.1 * (memory == 2), memory + 1
+        return torch.full((2, 4), 0.1 * (memory >= 2), dtype=torch.float64), memory + 1
 
     loops = BatchedLoops([base(duration=0.01)] * 2)
     told = rolled(loops, tuner=tuner, memory=0)[1]
@@ -309,13 +310,26 @@ def test_a_tick_of_the_observer_is_that_of_the_reference(delay):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["breathing", "payload", "push", "late", "rubs"])
-def test_paths_are_those_of_drakes_plant(kind):
-    """Without noise, over four seconds."""
-    push = {**PUSH, "time": 1.0, "until": 1.5}
-    scenario = base(duration=4.0).replace({**KINDS[kind], "sensors.resolution_bits": 0, "sensors.noise": 0.0})
-    scenario = scenario.replace({"disturbances": [push]} if scenario.disturbances else {})
-    poses = rolled(BatchedLoops([scenario]))[0][:, :, 0]
-    apart = poses - run(scenario.replace({"plant.engine": "drake"}))["pose"]
-    assert 1e3 * np.linalg.norm(apart[:, 3:], axis=1).max() < 0.02
-    assert np.degrees(np.linalg.norm(apart[:, :3], axis=1)).max() < 0.01
+def test_paths_are_those_of_drakes_plant():
+    """Without noise and counts, over four seconds."""
+    push, exact = {**PUSH, "time": 1.0, "until": 1.5}, {"sensors.resolution_bits": 0, "sensors.noise": 0.0}
+    chosen = (KINDS[kind] for kind in ("breathing", "payload", "push", "late", "rubs", "off"))
+    scenarios = [base(duration=4.0).replace({**changes, **exact}) for changes in chosen]
+    scenarios = [each.replace({"disturbances": [push]}) if each.disturbances else each for each in scenarios]
+    poses = rolled(BatchedLoops(scenarios))[0]
+    for loop, scenario in enumerate(scenarios):
+        apart = poses[:, :, loop] - run(scenario.replace({"plant.engine": "drake"}), check=False)["pose"]
+        assert 1e3 * np.linalg.norm(apart[:, 3:], axis=1).max() < 0.02
+        assert np.degrees(np.linalg.norm(apart[:, :3], axis=1)).max() < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_costs_of_situations_are_those_on_drakes_plant(robot):
+    """Fifty of them between the two robots, of all kinds, with noise, counts, stiction and pushes."""
+    kinds = kinds_of(robot)
+    scenarios = [situation(kinds[number % len(kinds)], robot, TRAINING[number]) for number in range(25)]
+    loops = BatchedLoops(scenarios)
+    *_, costs, state = rolled(loops)
+    mine, drakes = loops.scored(costs, state).numpy(), np.array([cost_of(run(each, check=False)) for each in scenarios])
+    np.testing.assert_allclose(mine, drakes, rtol=0.05)
