@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from stewart_drake.campaigns.executors import Lasting, Workplace, workplace
 from stewart_drake.campaigns.one_run import Task, empty_row, execute, outcome, simulate_figures, simulate_unchecked
 from stewart_drake.campaigns.plan import identity_of
 from stewart_drake.campaigns.row_store import RowStore
+from stewart_drake.campaigns.search import minimise
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Setting, Tuning
 from stewart_drake.control.objective import CostScales
@@ -190,41 +190,30 @@ class _Evaluations:
         self._tell(float(self._done))
 
 
-def _search(tuning: Tuning, name: str, evaluations: _Evaluations) -> Iterator[Row]:
+def _search(tuning: Tuning, name: str, evaluations: _Evaluations) -> list[Row]:
     """Evaluations of a controller, one by one, with the least cost until then."""
-    # It loads matplotlib.
-    import cma
-
     ranges, options = tuning.ranges[name], tuning.options
-    best = np.inf
+    found: list[Row] = []
 
-    def with_best(rows: Sequence[Row]) -> Iterator[Row]:
-        nonlocal best
-        for row in rows:
-            best = min(best, row["cost"])
-            yield {**row, "best": best}
+    def evaluate(points: Sequence[np.ndarray]) -> list[float]:
+        # What is run first is the start as it stands in the file, whatever its digits.
+        settings = [ranges.setting(point) for point in points] if found else [ranges.start]
+        for row in evaluations.rows(name, len(found), settings):
+            found.append({**row, "best": min(row["cost"], found[-1]["best"] if found else row["cost"])})
+        return [row["cost"] for row in found[-len(settings) :]]
 
-    yield from with_best(evaluations.rows(name, 0, [ranges.start]))
-    rng = np.random.default_rng(options.seed)
-    # It is made for two dimensions and more: a second one without effect.
-    start = np.resize(np.append(ranges.point(ranges.start), 0.5), max(2, len(ranges.keys)))
-    settings: dict[str, Any] = {
-        "bounds": [0.0, 1.0],
-        "popsize": options.population,
-        "randn": lambda *shape: rng.standard_normal(shape),
-        "seed": np.nan,
-        "verbose": -10,
-        "verb_log": 0,
-    }
-    strategy = cma.CMAEvolutionStrategy(start, options.spread, settings)
-    for generation in range(tuning.generations):
-        points = strategy.ask()
-        first = 1 + generation * options.population
-        rows = evaluations.rows(name, first, [ranges.setting(point) for point in points])
-        strategy.tell(points, [row["cost"] for row in rows])
-        yield from with_best(rows)
-        if strategy.stop():
-            return
+    size = len(ranges.keys)
+    minimise(
+        evaluate,
+        ranges.point(ranges.start),
+        np.zeros(size),
+        np.ones(size),
+        generations=tuning.generations,
+        population=options.population,
+        seed=options.seed,
+        spread=options.spread,
+    )
+    return found
 
 
 def _sheet(tuning: Tuning, rows: Sequence[Row], verdict: ComparisonResult) -> Sheet:

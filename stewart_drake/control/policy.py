@@ -34,7 +34,7 @@ _COUNT = len(FEATURES)
 
 
 class Layers(NamedTuple):
-    """A policy in arrays of numpy or torch; h hidden units.
+    """A policy in arrays of numpy or torch; h hidden units. Each loop may have weights of its own, (..., h, 13).
 
     Attributes:
         mean: (13,) subtracted from the features.
@@ -72,8 +72,9 @@ def answer(layers: Layers, found: Array) -> tuple[Array, Array]:
     off = xp.maximum(layers.low - given, given - layers.high) / layers.scale
     off = xp.where(known, off, 2.0 * FADE)
     own = xp.clip(1.0 - xp.max(off, axis=-1) / FADE, 0.0, 1.0)
-    hidden = xp.tanh((given - layers.mean) / layers.scale @ layers.hidden.T + layers.hidden_bias)
-    turned = xp.tanh(hidden @ layers.output.T + layers.output_bias)
+    scaled = (given - layers.mean) / layers.scale
+    hidden = xp.tanh((layers.hidden @ scaled[..., None])[..., 0] + layers.hidden_bias)
+    turned = xp.tanh((layers.output @ hidden[..., None])[..., 0] + layers.output_bias)
     return layers.centre + layers.reach * turned * own[..., None], own
 
 

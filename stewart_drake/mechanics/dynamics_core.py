@@ -54,7 +54,7 @@ def task_bias(robot: Robot, legs: Legs, motion: Array, gravity: float, masked: b
     """Coriolis, centrifugal, gyroscopic and gravity terms (..., 6) [N m, N] of twists (..., 6)."""
     xp = namespace(motion)
     moving = stack(xp, (motion[..., k] for k in range(6)))
-    wrench, own = loads(robot, legs, moving, xp.zeros_like(moving), gravity, masked)
+    wrench, own = loads(robot, legs, moving, None, gravity, masked)
     return last(xp, wrench + xp.sum(twist_jacobian(robot, legs, masked) * own, axis=1), 1)
 
 
@@ -72,7 +72,11 @@ def task_inertia(robot: Robot, legs: Legs, masked: bool = True) -> Array:
     swept = xp.concat([cross(xp, legs.arm, legs.e_n), legs.e_n])
     half = 0.5 * (both * robot.cranks * robot.cranks + robot.axis_inertias)
     other = half * jacobian + (apart * robot.cranks) * swept
-    dyads = xp.matmul(xp.matrix_transpose(last(xp, jacobian, 2)), last(xp, other, 2))
+    if jacobian.ndim == 2:
+        dyads = xp.matmul(jacobian, xp.matrix_transpose(other))
+    else:
+        dyads = xp.sum(jacobian[:, None, ...] * other, axis=2)
+    dyads = dyads + xp.permute_dims(dyads, (1, 0, *range(2, dyads.ndim)))
 
     x, y, z = (legs.arm[k, ...] for k in range(3))
     platform = _in_base(xp, legs.rotation, robot.platform_inertia)
@@ -92,8 +96,7 @@ def task_inertia(robot: Robot, legs: Legs, masked: bool = True) -> Array:
         -r, o, p, o, mass, o,
         q, -p, o, o, o, mass,
     ]  # fmt: skip
-    own = last(xp, xp.reshape(stack(xp, entries), (6, 6, *p.shape)), 2)
-    return own + dyads + xp.matrix_transpose(dyads)
+    return last(xp, xp.reshape(stack(xp, entries), (6, 6, *p.shape)) + dyads, 2)
 
 
 def forward_dynamics(
@@ -125,25 +128,33 @@ def weight(robot: Robot, legs: Legs, gravity: float) -> tuple[Array, Array]:
 
 
 def loads(
-    robot: Robot, legs: Legs, moving: Array, changing: Array, gravity: float, masked: bool
+    robot: Robot, legs: Legs, moving: Array, changing: Array | None, gravity: float, masked: bool
 ) -> tuple[Array, Array]:
-    """What twists and their rates (6, ...) take, and gravity: wrench on the platform, torque at cranks; (6, ...)."""
-    xp = namespace(moving, changing)
+    """What twists and their rates (6, ...) take, and gravity: wrench on the platform, torque at cranks; (6, ...).
+
+    Rates of None are zero.
+    """
+    xp = namespace(moving)
     weights = weight(robot, legs, gravity)
     robot = fitted(robot, moving.ndim - 1)
     a, length, e_l, e_n = robot.cranks, robot.rods, legs.e_l, legs.e_n
     lever = divisor(robot, legs, masked)
-    omega, alpha, linear = moving[:3, ...], changing[:3, ...], changing[3:, ...]
-    moment, to_body = _platform_moment(legs, robot), _transposed(xp, legs.rotation)
-    inside, spun = _times(to_body, omega), _times(robot.platform_inertia, _times(to_body, alpha))
-    spun = spun + cross(xp, inside, _times(robot.platform_inertia, inside))
-    turning = _times(legs.rotation, spun) + cross(xp, moment, linear)
-    pushing = robot.platform_mass * linear + cross(xp, alpha, moment) + cross(xp, omega, cross(xp, omega, moment))
+    omega, moment, to_body = moving[:3, ...], _platform_moment(legs, robot), _transposed(xp, legs.rotation)
+    inside = _times(to_body, omega)
+    spun = cross(xp, inside, _times(robot.platform_inertia, inside))
+    pushing = cross(xp, omega, cross(xp, omega, moment))
+    spin = cross(xp, omega[:, None, ...], legs.arm)
+    a_joint = cross(xp, omega[:, None, ...], spin)
+    if changing is not None:
+        alpha, linear = changing[:3, ...], changing[3:, ...]
+        spun = spun + _times(robot.platform_inertia, _times(to_body, alpha))
+        pushing = pushing + robot.platform_mass * linear + cross(xp, alpha, moment)
+        a_joint = a_joint + linear[:, None, ...] + cross(xp, alpha[:, None, ...], legs.arm)
+    turning = _times(legs.rotation, spun)
+    if changing is not None:
+        turning = turning + cross(xp, moment, changing[3:, ...])
 
-    omega, alpha = omega[:, None, ...], alpha[:, None, ...]
-    spin = cross(xp, omega, legs.arm)
     v_joint = moving[3:, None, ...] + spin
-    a_joint = linear[:, None, ...] + cross(xp, alpha, legs.arm) + cross(xp, omega, spin)
     theta_rate = dot(e_l, v_joint) / lever
     v_relative = v_joint - (a * theta_rate) * e_n
     centripetal = a * theta_rate * theta_rate

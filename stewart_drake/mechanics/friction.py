@@ -101,10 +101,10 @@ def relief(law: FrictionLaw, slip: Array) -> Array:
     return namespace(slip).sign(slip) * (law.break_away - level(law, slip))
 
 
-def moved(law: FrictionLaw, bristles: Bristles, angles: Array, step: float, width: float = 0.0) -> Bristles:
+def moved(law: FrictionLaw, bristles: Bristles, angles: Array, step: float, width: Array | float = 0.0) -> Bristles:
     """The bristles once the cranks have come to angles (..., 6) [rad] within a step [s]; `width` see above."""
     stretch = bristles.anchor - angles
-    kept = _clipped(stretch, level(law, bristles.slip) / law.stiffness, width and width / law.stiffness)
+    kept = _clipped(stretch, level(law, bristles.slip) / law.stiffness, _per(width, law.stiffness))
     # In this form an anchor that holds keeps its last bit.
     anchor = bristles.anchor + (kept - stretch)
     return Bristles(anchor, (anchor - bristles.anchor) / step)
@@ -124,6 +124,52 @@ def torque(law: FrictionLaw, bristles: Bristles, angles: Array, rates: Array, wi
     return _clipped(pull, level(law, bristles.slip), width) - law.viscous * rates
 
 
+class Motor(NamedTuple):
+    """What friction asks of a motor in a step, by the rate that its crank would have without it; arrays of one shape.
+
+    Attributes:
+        own: [rad/s per N m] rate that a torque of the motor itself adds.
+        slowed: [-] 1 + own viscous.
+        yielding: [rad/s per N m] rate per torque of crank and bristle.
+        aim: [rad/s] rate at which the bristle has no tension at the step's end.
+        viscous: [N m s/rad].
+        bound: [N m] level of the dry part.
+        width: [N m] over which corners are rounded; 0.0 for not.
+    """
+
+    own: Array
+    slowed: Array
+    yielding: Array
+    aim: Array
+    viscous: Array
+    bound: Array
+    width: Array | float
+
+    @classmethod
+    def of(
+        cls, law: FrictionLaw, bristles: Bristles, angles: Array, own: Array, step: float, width: Array | float
+    ) -> Motor:
+        """Six of them, (..., 6), at the beginning of a step."""
+        rigidity = law.damping + step * law.stiffness
+        slowed = 1.0 + own * law.viscous
+        aim = slowed * law.stiffness * (bristles.anchor - angles) / rigidity
+        return cls(own, slowed, slowed / rigidity + own, aim, law.viscous, level(law, bristles.slip), width)
+
+    def each(self) -> list[Motor]:
+        """One by one."""
+        return [Motor(*(each if isinstance(each, float) else each[..., leg] for each in self)) for leg in range(6)]
+
+    def answer(self, without: Array) -> Array:
+        """Torques [N m], viscous friction included, at rates [rad/s] that the cranks would have without them."""
+        dry = _clipped((self.aim - without) / self.yielding, self.bound, self.width)
+        return dry - self.viscous * (without + self.own * dry) / self.slowed
+
+    def slope(self, without: Array) -> Array:
+        """Derivative [N m s/rad] of `answer`; at a sharp corner one of its two."""
+        inside = -_slope((self.aim - without) / self.yielding, self.bound, self.width) / self.yielding
+        return inside - self.viscous * (1.0 + self.own * inside) / self.slowed
+
+
 def implicit_torque(
     law: FrictionLaw,
     bristles: Bristles,
@@ -131,8 +177,9 @@ def implicit_torque(
     free_rates: Array,
     mobility: Array,
     step: float,
-    width: float = 0.0,
+    width: Array | float = 0.0,
     sweeps: int = SWEEPS,
+    tolerance: float = 0.0,
 ) -> Array:
     """Torques of friction that agree with the cranks' motion under them: `torque` at the end of the step, solved for.
 
@@ -147,29 +194,31 @@ def implicit_torque(
         free_rates: (..., 6) [rad/s] of the cranks at the step's end, were there no friction.
         mobility: (..., 6, 6) [1/(kg m^2)] acceleration of the cranks per unit of motor torque, J M^-1 J'.
         step: [s].
-        width: See above; the rounding is that of the solution, not of `torque`.
-        sweeps: Over the motors.
+        width: [N m] see above, one or (..., 6); the rounding is that of the solution, not of `torque`.
+        sweeps: Over the motors, at most.
+        tolerance: [N m] a sweep that changes no torque by more is the last; 0 makes all.
 
     Returns:
         (..., 6) [N m], viscous friction included.
     """
     xp = namespace(free_rates)
-    rigidity = law.damping + step * law.stiffness
-    wanted = law.stiffness * (bristles.anchor - angles) / rigidity
-    bound, pushed = level(law, bristles.slip), step * mobility
-    own = [pushed[..., leg, leg] for leg in range(6)]
-    slowed = [1.0 + own[leg] * law.viscous[..., leg] for leg in range(6)]
-    yielding = [slowed[leg] / rigidity[..., leg] + own[leg] for leg in range(6)]
+    pushed = step * mobility
+    own = xp.stack([pushed[..., leg, leg] for leg in range(6)], axis=-1)
+    motors = Motor.of(law, bristles, angles, own, step, width).each()
     rates, found = free_rates, [0.0 * free_rates[..., leg] for leg in range(6)]
     for _ in range(sweeps):
-        for leg in range(6):
-            without = rates[..., leg] - own[leg] * found[leg]
-            dry = (slowed[leg] * wanted[..., leg] - without) / yielding[leg]
-            dry = _clipped(dry, bound[..., leg], width)
-            whole = dry - law.viscous[..., leg] * (without + own[leg] * dry) / slowed[leg]
+        before = list(found)
+        for leg, motor in enumerate(motors):
+            whole = motor.answer(rates[..., leg] - motor.own * found[leg])
             rates = rates + pushed[..., leg] * (whole - found[leg])[..., None]
             found[leg] = whole
+        if tolerance and max(float(xp.max(xp.abs(a - b))) for a, b in zip(found, before, strict=True)) <= tolerance:
+            break
     return xp.stack(found, axis=-1)
+
+
+def _per(width: Array | float, by: Array) -> Array | float:
+    return width if isinstance(width, float) and width == 0.0 else width / by
 
 
 def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
@@ -179,3 +228,12 @@ def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
         return xp.minimum(xp.maximum(value, -bound), bound)
     above, below, square = value + bound, value - bound, width * width
     return 0.5 * (xp.sqrt(above * above + square) - xp.sqrt(below * below + square))
+
+
+def _slope(value: Array, bound: Array, width: Array | float) -> Array:
+    """Derivative of `_clipped`."""
+    xp = namespace(value)
+    if isinstance(width, float) and width == 0.0:
+        return xp.where(xp.abs(value) < bound, 1.0 + 0.0 * value, 0.0 * value)
+    above, below, square = value + bound, value - bound, width * width + 1e-300
+    return 0.5 * (above / xp.sqrt(above * above + square) - below / xp.sqrt(below * below + square))

@@ -1,0 +1,329 @@
+"""Training of the policy in the loop: truncated backpropagation, or an evolution strategy, to the least cost.
+
+What is made small is the mean of log J over situations, each kind of them counting alike: a hundredth saved where a
+robot stands still counts like one saved under a push.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from stewart_drake.control.features import FEATURES
+from stewart_drake.control.policy import Layers, Policy
+from stewart_drake.control.settings import SIZE
+from stewart_drake.section import Count, NotNegative, Positive, Section, Seed
+from stewart_drake.training.policy_loops import PolicyInLoops, Situations
+from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
+
+Method = Literal["gradient", "evolution"]
+_SAMPLED = 10
+"""[ticks] between features that are kept for their statistics."""
+_WEIGHTS = ("hidden", "hidden_bias", "output", "output_bias")
+
+
+class PolicyOptions(Section, key="training"):
+    """How to train a policy."""
+
+    seed: Seed = 0
+    """Of the first weights, tastes and, for evolution, directions."""
+    method: Method = "gradient"
+    """gradient: backpropagation through the loops, cut into pieces. evolution: each loop goes another way."""
+    epochs: Annotated[Count, Field(ge=1)] = 20
+    """Rollouts of all situations."""
+    situations: Annotated[Count, Field(ge=1, le=1000)] = 32
+    """Of each kind and robot."""
+    hidden: Annotated[Count, Field(ge=1, le=200)] = 16
+    """Hidden units."""
+    pieces: Annotated[Count, Field(ge=1, le=1000)] = 9
+    """Of the scored half of a run, each with a step of Adam after it."""
+    learning_rate: Positive = 0.02
+    """Of Adam at first; it falls to a tenth along half a cosine."""
+    spread: Positive = 0.1
+    """Of the directions of evolution."""
+    width: NotNegative = 0.05
+    """[-] rounding of friction's corners, as a share of the break-away torque."""
+    tastes: NotNegative = 0.5
+    """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
+    without: tuple[str, ...] = ()
+    """Names of features that it does not get."""
+
+
+@dataclass
+class Progress:
+    """Where a training stands; what a checkpoint holds.
+
+    Attributes:
+        epoch: Done.
+        weights: (n,) of the network, flat.
+        moments: Of Adam, (2, n).
+        steps: Of Adam.
+        fixed: J of every situation at the centre, a robot after the other.
+        latest: J in the last epoch.
+        mean: (13,) of the features.
+        scale: (13,).
+        low: (13,).
+        high: (13,).
+        seconds: [s] of the processor.
+        history: Mean of log J/J at the centre, an epoch after the other; at kappa 0 and at all tastes.
+    """
+
+    epoch: int
+    weights: np.ndarray
+    moments: np.ndarray
+    steps: int
+    fixed: np.ndarray
+    latest: np.ndarray
+    mean: np.ndarray
+    scale: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    seconds: float = 0.0
+    history: list[tuple[float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Settings that a policy can choose, and how fast."""
+
+    centre: np.ndarray
+    reach: np.ndarray
+    rate: float = 10.0
+
+
+class Training:
+    """Situations and options; `run` goes on from a checkpoint.
+
+    Args:
+        options: See there.
+        box: See there.
+        robots: Names of those to train on.
+    """
+
+    def __init__(self, options: PolicyOptions, box: Box, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+        self.options, self.box = options, box
+        torch.set_num_threads(1)
+        rng = np.random.default_rng(options.seed)
+        self._both = 2 if options.method == "evolution" else 1
+        self._groups, self.names, tastes = [], [], []
+        for robot in robots:
+            kinds = kinds_of(robot, trained=True)
+            drawn = [(kind, situation(kind, robot, TRAINING[k])) for k in range(options.situations) for kind in kinds]
+            self.names += [(robot, kind) for kind, _ in drawn]
+            own = rng.random(len(drawn)) < options.tastes
+            kappa = np.where(own, rng.uniform(-1.0, 1.0, len(drawn)), 0.0)
+            tastes.append(kappa)
+            scenarios = [_coarser(scenario) for _, scenario in drawn]
+            self._groups.append(Situations(scenarios * self._both, [*kappa] * self._both, options.width))
+        self.kappa = np.concatenate(tastes)
+        counts = {name: self.names.count(name) for name in self.names}
+        self.share = np.array([1.0 / (counts[name] * len(counts)) for name in self.names])
+
+    def begin(self, tell: Callable[[str], None]) -> Progress:
+        """Costs at the centre, and the statistics of the features there and at settings about it."""
+        options, rng = self.options, np.random.default_rng([self.options.seed, 1])
+        units = options.hidden
+        weights = np.concatenate(
+            [
+                (rng.standard_normal((units, len(FEATURES))) / math.sqrt(len(FEATURES))).ravel(),
+                np.zeros(units + SIZE * units + SIZE),
+            ]
+        )
+        none = np.zeros(len(FEATURES))
+        start = Progress(0, weights, np.zeros((2, len(weights))), 0, none, none, none, none + 1.0, none - 1e5, none + 1e5)
+        fixed, found = self._rollout(start, None, tell)
+        wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
+        _, more = self._rollout(start, wild, tell)
+        sample = np.concatenate([found, more])
+        start.mean, start.scale = sample.mean(axis=0), np.maximum(sample.std(axis=0), 1e-3)
+        start.fixed = start.latest = fixed
+        return start
+
+    def layers(self, at: Progress, weights: Tensor | None = None) -> Layers:
+        """The policy in torch."""
+        units, count = self.options.hidden, len(FEATURES)
+        flat = torch.from_numpy(at.weights) if weights is None else weights
+        ends = np.cumsum([0, units * count, units, SIZE * units, SIZE])
+        parts = [flat[..., a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        lead = flat.shape[:-1]
+        used = torch.tensor([name not in self.options.without for name in FEATURES], dtype=torch.float64)
+        hidden = parts[0].reshape(*lead, units, count) * used
+        numbers = (at.mean, at.scale, self.box.centre, self.box.reach, at.low, at.high)
+        mean, scale, centre, reach, low, high = (torch.from_numpy(np.asarray(each, dtype=float)) for each in numbers)
+        return Layers(
+            mean, scale, hidden, parts[1], parts[2].reshape(*lead, SIZE, units), parts[3], centre, reach, low, high
+        )
+
+    def epoch(self, at: Progress, tell: Callable[[str], None]) -> Progress:
+        """One more epoch."""
+        began = time.process_time()
+        made = self._by_gradient(at, tell) if self.options.method == "gradient" else self._by_evolution(at, tell)
+        made.epoch, made.seconds = at.epoch + 1, at.seconds + time.process_time() - began
+        ratio = np.log(made.latest / made.fixed)
+        plain = self.kappa == 0.0
+        made.history = [*at.history, (self._mean(ratio, plain), self._mean(ratio, plain | True))]
+        return made
+
+    def finished(self, at: Progress, tell: Callable[[str], None]) -> Policy:
+        """The policy, with the hull of what it hears on the situations."""
+        costs, found = self._rollout(at, None, tell, own=True)
+        low, high = np.quantile(found, 0.0005, axis=0), np.quantile(found, 0.9995, axis=0)
+        at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
+        numpy = (np.array(each.detach()) for each in self.layers(at))
+        return Policy(Layers(*numpy), self.box.rate, {"by_kind": self.by_kind(at)})
+
+    def by_kind(self, at: Progress) -> dict[str, float]:
+        """Geometric mean of J over J at the centre, at kappa 0, by robot and kind."""
+        ratio, plain = np.log(at.latest / at.fixed), self.kappa == 0.0
+        return {
+            f"{robot}: {kind}": float(np.exp(ratio[[n == (robot, kind) for n in self.names] & plain].mean()))
+            for robot, kind in dict.fromkeys(self.names)
+        }
+
+    def _mean(self, ratio: np.ndarray, chosen: np.ndarray) -> float:
+        share = self.share * chosen
+        return float((share * ratio).sum() / share.sum())
+
+    def _rate(self, epoch: int) -> float:
+        along = 0.5 * (1.0 + math.cos(math.pi * epoch / self.options.epochs))
+        return self.options.learning_rate * (0.1 + 0.9 * along)
+
+    def _adam(self, at: Progress, gradient: np.ndarray) -> None:
+        size = float(np.linalg.norm(gradient))
+        gradient = gradient / max(1.0, size)
+        at.steps += 1
+        first, second = 0.9 * at.moments[0] + 0.1 * gradient, 0.99 * at.moments[1] + 0.01 * gradient**2
+        at.moments = np.stack([first, second])
+        step = (first / (1.0 - 0.9**at.steps)) / (np.sqrt(second / (1.0 - 0.99**at.steps)) + 1e-8)
+        at.weights = at.weights - self._rate(at.epoch) * step
+
+    def _by_gradient(self, at: Progress, tell: Callable[[str], None]) -> Progress:
+        made = Progress(**vars(at))
+        share = torch.from_numpy(self.share / np.maximum(at.latest, 1e-9) ** 2 * 0.5)
+        with torch.no_grad():
+            layers = self.layers(made)
+            tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in self._groups]
+            states = [
+                group.advance(group.start(tuner), group.scored, tuner)[0]
+                for group, tuner in zip(self._groups, tuners, strict=True)
+            ]
+        squares = np.zeros(len(self.share))
+        for piece in range(self.options.pieces):
+            weights = torch.from_numpy(made.weights.copy()).requires_grad_()
+            layers, parts = self.layers(made, weights), []
+            for k, group in enumerate(self._groups):
+                tuner = PolicyInLoops(layers, group.site, self.box.rate)
+                late = group.ticks - group.scored
+                ticks = late * (piece + 1) // self.options.pieces - late * piece // self.options.pieces
+                states[k], found = group.advance(states[k].detached(), ticks, tuner)
+                parts.append(found)
+            found = torch.cat(parts)
+            (self.options.pieces * (share * found).sum()).backward()
+            gradient = np.zeros_like(made.weights) if weights.grad is None else weights.grad.numpy()
+            squares += found.detach().numpy()
+            if np.isfinite(gradient).all():
+                self._adam(made, gradient)
+            tell(f"piece {piece + 1} of {self.options.pieces}")
+        made.latest = self._costs(squares, states)
+        return made
+
+    def _by_evolution(self, at: Progress, tell: Callable[[str], None]) -> Progress:
+        made = Progress(**vars(at))
+        rng = np.random.default_rng([self.options.seed, 2, at.epoch])
+        ways, logs, start = [], [], 0
+        for group in self._groups:
+            half = len(group.scenarios) // 2
+            way = rng.standard_normal((half, len(at.weights)))
+            ways.append(way)
+            moved = at.weights + self.options.spread * np.concatenate([way, -way])
+            layers = self.layers(made, torch.from_numpy(moved))
+            costs, _ = self._roll(group, layers)
+            logs.append(np.log(costs[:half]) - np.log(costs[half:]))
+            made.latest = made.latest.copy()
+            made.latest[start : start + half] = np.sqrt(costs[:half] * costs[half:])
+            start += half
+            tell("rolled out")
+        slope = self.share * np.concatenate(logs) / (2.0 * self.options.spread)
+        # Of one pair a situation, each a guess of its own slope.
+        self._adam(made, slope @ np.concatenate(ways))
+        return made
+
+    def _rollout(
+        self, at: Progress, wild: np.ndarray | None, tell: Callable[[str], None], own: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """J of all situations at the centre, at settings `wild` of their own or with the policy; features (n, 13)."""
+        costs, found, start = [], [], 0
+        for group in self._groups:
+            count = len(group.scenarios) // self._both
+            layers = self.layers(at)
+            if not own:
+                bias = np.zeros((count, SIZE)) if wild is None else wild[start : start + count]
+                start += count
+                bias = np.concatenate([bias] * self._both)
+                layers = layers._replace(output=0.0 * layers.output, output_bias=torch.from_numpy(bias))
+            cost, heard = self._roll(group, layers)
+            costs.append(cost[:count])
+            found.append(heard)
+            tell("rolled out")
+        return np.concatenate(costs), np.concatenate(found)
+
+    def _roll(self, group: Situations, layers: Layers) -> tuple[np.ndarray, np.ndarray]:
+        with torch.no_grad():
+            tuner = PolicyInLoops(layers, group.site, self.box.rate)
+            state, found = group.start(tuner), []
+            for _ in range(group.scored // _SAMPLED):
+                state, _ = group.advance(state, _SAMPLED, tuner)
+                found.append(state.memory.found.numpy())
+            state, _ = group.advance(state, group.scored - state.tick, tuner) if state.tick < group.scored else (state, 0)
+            squares = np.zeros(len(group.scenarios))
+            while state.tick < group.ticks:
+                state, more = group.advance(state, min(_SAMPLED, group.ticks - state.tick), tuner)
+                squares += more.numpy()
+                found.append(state.memory.found.numpy())
+        return self._costs(squares, [state]), np.concatenate(found[3:])
+
+    def _costs(self, squares: np.ndarray, states: Sequence[Any]) -> np.ndarray:
+        alive = np.concatenate([(state.alive & state.followed).numpy() for state in states])
+        return np.where(alive, np.sqrt(np.maximum(squares, 1e-12)), 100.0)
+
+
+def _coarser(scenario: Any) -> Any:
+    """With fewer steps of the plant where a tick has many."""
+    steps = round(scenario.controller.period / scenario.plant.time_step)
+    return scenario.replace({"plant.time_step": scenario.controller.period / 4}) if steps > 4 else scenario
+
+
+def train_policy(
+    training: Training,
+    checkpoint: Path | None = None,
+    tell: Callable[[float, str], None] | None = None,
+) -> tuple[Policy, Progress]:
+    """Trains, going on from a checkpoint where there is one.
+
+    Args:
+        training: See there.
+        checkpoint: File that is written after each epoch; None for none.
+        tell: Called with epochs done and a word on it.
+    """
+    say = tell or (lambda *_: None)
+    at: Progress | None = None
+    if checkpoint is not None and checkpoint.exists():
+        at = Progress(**torch.load(checkpoint, weights_only=False))
+    if at is None:
+        at = training.begin(lambda text: say(0.0, text))
+    while at.epoch < training.options.epochs:
+        done = float(at.epoch)
+        at = training.epoch(at, lambda text, done=done: say(done, text))
+        say(float(at.epoch), f"J/J fixed {math.exp(at.history[-1][0]):.3f}")
+        if checkpoint is not None:
+            torch.save(vars(at), checkpoint)
+    return training.finished(at, lambda text: say(float(training.options.epochs), text)), at

@@ -1,0 +1,260 @@
+"""What a contest says: costs of contestants over those of one of them, with intervals; and the page that tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from stewart_drake.campaigns.executors import Workplace
+from stewart_drake.campaigns.tables import Row, markdown, to_arrow, write_table
+from stewart_drake.control.objective import CostScales
+from stewart_drake.files.whole import write_atomically
+from stewart_drake.logs.metric_table import Column
+from stewart_drake.training.baselines import Baselines, always, with_pair
+from stewart_drake.training.contest import (
+    MEASURED,
+    Case,
+    Cell,
+    Contest,
+    Contestant,
+    cases_of,
+    cells_for,
+    cells_of,
+    log_cost,
+    with_setting,
+)
+from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes
+
+CONFIDENCE = 0.95
+RESAMPLES = 4999
+SEEDS = 14
+"""Of each kind of each robot: 308 runs of each contestant."""
+BEST_FIXED = "best fixed"
+COLUMNS = (
+    Column("contestant", "", "its name", "text"),
+    Column("kind", "", "of situations", "text"),
+    Column("robot", "", "its name", "text"),
+    Column("seed", "", "of the situation", "whole"),
+    Column("status", "", "how the run ended", "text"),
+    Column("reason", "", "why, where it was not completed", "text"),
+    Column("cost", "1", "J, see `control.objective`"),
+    Column("ratio", "1", f"J over that of `{BEST_FIXED}` in the same situation"),
+    Column("rmse_norm_deg", "deg", "RMS length of the error in rotation over the second half"),
+    Column("rmse_norm_mm", "mm", "likewise in position"),
+    Column("torque_change_rms", "N m", "RMS change of a motor's torque from tick to tick over the second half"),
+)
+
+
+class Estimate(NamedTuple):
+    """A number with an interval of `CONFIDENCE`."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+
+def geometric_mean(logs: Sequence[np.ndarray], seed: int = 0) -> Estimate:
+    """Geometric mean over cells of the geometric means in them, each cell counting alike.
+
+    The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
+
+    Args:
+        logs: For each cell, logarithms (n,).
+        seed: Of the bootstrap.
+    """
+    return _estimate(logs, lambda *runs, axis=-1: np.mean([each.mean(axis=axis) for each in runs], axis=0), seed)
+
+
+def median(logs: Sequence[np.ndarray], seed: int = 0) -> Estimate:
+    """Median of all runs of some cells; as `geometric_mean`."""
+    return _estimate(logs, lambda *runs, axis=-1: np.median(np.concatenate(runs, axis=axis), axis=axis), seed)
+
+
+def _estimate(logs: Sequence[np.ndarray], statistic: Callable[..., Any], seed: int) -> Estimate:
+    # Half a second of import.
+    from scipy.stats import bootstrap
+
+    value = float(statistic(*logs))
+    if all(np.ptp(each) == 0.0 for each in logs):
+        return Estimate(*np.exp([value] * 3).tolist())
+    interval = bootstrap(
+        list(logs),
+        statistic,
+        n_resamples=RESAMPLES,
+        batch=500,
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return Estimate(*np.exp([value, interval.low, interval.high]).tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Runs of contestants in the same situations.
+
+    Attributes:
+        names: Of the contestants, `BEST_FIXED` among them.
+        cases: Of the runs.
+        logs: (contestants, cases) logarithms of J.
+        failed: (contestants, cases) whether a run was not completed.
+    """
+
+    names: tuple[str, ...]
+    cases: tuple[Case, ...]
+    logs: np.ndarray
+    failed: np.ndarray
+
+    @cached_property
+    def ratios(self) -> np.ndarray:
+        """(contestants, cases) logarithms of J over that of `BEST_FIXED`."""
+        return self.logs - self.logs[self.names.index(BEST_FIXED)]
+
+    def of(self, name: str, within: Callable[[Cell], bool] = lambda _: True) -> list[np.ndarray]:
+        """Logarithms of ratios of a contestant, an array for each cell that counts."""
+        row = self.ratios[self.names.index(name)]
+        return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
+
+    def worst_cell(self, name: str) -> tuple[Cell, float]:
+        """The cell with the largest geometric mean of ratios, and that."""
+        cells = list(cells_of(self.cases))
+        means = [float(np.exp(each.mean())) for each in self.of(name)]
+        worst = int(np.argmax(means))
+        return cells[worst], means[worst]
+
+
+GROUPS: Mapping[str, Callable[[Cell], bool]] = {
+    "all kinds": lambda _: True,
+    "without hold": lambda cell: cell[0] != "hold",
+    "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
+    **{f"{robot} alone": lambda cell, robot=robot: cell[1] == robot for robot in ROBOTS},  # type: ignore[misc]
+}
+
+
+def contestants(found: Baselines, more: Mapping[str, Changes]) -> dict[str, Contestant]:
+    """Those of a verdict by name: fixed ones, those that the paper has, an oracle, and more.
+
+    Args:
+        found: What a search has found.
+        more: Name -> changes of the scenario, such as `{"tuner": {"kind": "policy"}}`.
+    """
+    paper = {**with_setting(found.best)(Case("", "", 0), ROBOTS["paper"].base), "tuner": {"kind": "paper"}}
+    return {
+        BEST_FIXED: with_setting(found.best),
+        **{name: always(changes) for name, changes in more.items()},
+        "best fixed of each robot": lambda case, scenario: with_setting(found.best_of_robot[case.robot])(
+            case, scenario
+        ),
+        "best of the nine pairs": lambda case, scenario: with_pair(found.pair[case.robot], found.best)(case, scenario),
+        "the paper's tuner": always(paper),
+        "oracle of each kind": lambda case, scenario: with_setting(found.best_of_kind[case.robot][case.kind])(
+            case, scenario
+        ),
+    }
+
+
+def judge(
+    entered: Mapping[str, Contestant],
+    folder: Path,
+    seeds: int = SEEDS,
+    engine: Literal["drake", "reduced"] = "drake",
+    where: Workplace | Executor | None = None,
+    tell: Callable[[float], None] | None = None,
+    restart: bool = False,
+) -> Verdict:
+    """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
+
+    Args:
+        entered: Contestants by name, `BEST_FIXED` among them.
+        folder: For the rows and the tables.
+        seeds: Of each kind of each robot.
+        engine: See `PlantOptions.engine`.
+        where: Where the runs go; None for processes of this machine.
+        tell: Called with the number of runs done.
+        restart: Throw away what is in the folder.
+
+    Raises:
+        ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `Contest`.
+    """
+    cases = cases_of(cells_for(), HELD_OUT[:seeds])
+    scales = CostScales()
+    with Contest(folder, engine, where, tell, restart) as contest:
+        rows = contest.rows([(contestant, case) for contestant in entered.values() for case in cases])
+    shape = (len(entered), len(cases))
+    verdict = Verdict(
+        tuple(entered),
+        tuple(cases),
+        np.reshape([log_cost(row, scales) for row in rows], shape),
+        np.reshape([row["status"] != "completed" for row in rows], shape),
+    )
+    flat = table_rows(verdict, rows)
+    about = {"seeds": seeds, "engine": engine, "scales": scales.to_dict()}
+    write_table(to_arrow(COLUMNS, flat, "verdict", about), folder, "verdict")
+    write_atomically(folder / "verdict.md", page(verdict).encode())
+    return verdict
+
+
+def table_rows(verdict: Verdict, rows: Sequence[Row]) -> list[Row]:
+    """A row of the table for each run, given those of `Contest.rows`, contestant by contestant."""
+    places = [(name, case) for name in verdict.names for case in verdict.cases]
+    numbers = zip(places, rows, np.exp(verdict.logs).ravel(), np.exp(verdict.ratios).ravel(), strict=True)
+    return [
+        {
+            "contestant": name,
+            **case._asdict(),
+            "status": row["status"],
+            "reason": row["reason"],
+            "cost": cost,
+            "ratio": ratio,
+            **{key: row.get(key) for key in MEASURED},
+        }
+        for (name, case), row, cost, ratio in numbers
+    ]
+
+
+def page(verdict: Verdict) -> str:
+    """The tables as Markdown."""
+    whole = []
+    for name in verdict.names:
+        (kind, robot), mean = verdict.worst_cell(name)
+        whole.append(
+            [
+                name,
+                *(str(geometric_mean(verdict.of(name, within))) for within in GROUPS.values()),
+                str(median(verdict.of(name))),
+                f"{mean:.2f}, {kind}, {robot}",
+                str(int(verdict.failed[verdict.names.index(name)].sum())),
+            ]
+        )
+    header = ["contestant", *GROUPS, "median of runs", "worst kind", "failed"]
+    others = [name for name in verdict.names if name != BEST_FIXED]
+    cells = []
+    for (kind, robot), places in cells_of(verdict.cases).items():
+        own = [verdict.of(name, lambda cell, at=(kind, robot): cell == at) for name in others]  # type: ignore[misc]
+        base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), places].mean())
+        named = kind if KINDS[kind].trained else f"{kind} (never trained on)"
+        cells.append(
+            [named, robot, f"{base:.3g}", *(f"{geometric_mean(each)}; {median(each).value:.2f}" for each in own)]
+        )
+    lines = [
+        f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
+        f"{len(verdict.cases)} runs of each contestant, each kind of each robot counting alike, with intervals of "
+        f"{100 * CONFIDENCE:.0f} % (bootstrap).",
+        "",
+        *markdown(header, whole),
+        "",
+        "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
+        "",
+        *markdown(["kind", "robot", BEST_FIXED, *others], cells),
+    ]
+    return "\n".join(lines) + "\n"
