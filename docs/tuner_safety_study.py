@@ -130,8 +130,8 @@ def share_of_box(scenario, pose):
 
 def common_growth(scenario, pose, share):
     """By what factor a common norm of the whole loop grows in a tick over a part of the box; infinite without one."""
-    vertices = 0.5 + share * (np.concatenate([CENTRE, CORNERS, FACES]) - 0.5)
-    between = 0.5 + share * (np.random.default_rng(1).uniform(size=(40, 4)) - 0.5)
+    vertices = CENTRE + share * (np.concatenate([CENTRE, CORNERS, FACES]) - CENTRE)
+    between = CENTRE + share * (np.random.default_rng(1).uniform(size=(40, 4)) - CENTRE)
     loops = next(setting_loops(scenario, pose[None], BOX.at(vertices)))
     found, norms = chains(loops, scenario.lqi.length), []
     for each in found.matrices:
@@ -235,7 +235,7 @@ class Player:
     """Wants two opposite corners in turn; see `control.policy.Chooser`."""
 
     def __init__(self, corner, half):
-        self.rate, self.centre, self.lowest, self.width = BOX.rate, BOX.centre, BOX.centre - BOX.reach, 2.0 * BOX.reach
+        self.rate, self.centre, self.lowest, self.width = BOX.rate, BOX.centre, BOX.lowest, BOX.width
         self.first, self.half = np.array(corner), half
 
     def choose(self, _, held, period):
@@ -385,7 +385,7 @@ def main():
         pushes.append(f"| {name} | {' | '.join(f'{each:.2f}' for each in errors.max(axis=1))} |")
         print(f"{time.process_time() - start:.0f} s: {pushes[-1]}", flush=True)
     picture(decays, curves)
-    ends = zip(NAMES, BOX.centre - BOX.reach, BOX.centre + BOX.reach, strict=True)
+    ends = zip(NAMES, BOX.lowest, BOX.lowest + BOX.width, strict=True)
     text = TEXT.format(
         names=", ".join(NAMES),
         box=", ".join(f"{key} {low:+.2f} to {high:+.2f}" for key, low, high in ends),
