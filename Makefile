@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins tuner_safety plan reproduction montecarlo fair format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins tuner_safety plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -86,6 +86,19 @@ montecarlo: install
 fair: install
 	$(BIN)/stewart-drake tune fair --out runs/fair-tune
 	$(BIN)/python docs/write_fair.py runs/fair-tune
+
+# What a trained tuner has to beat, in stewart_drake/weights/baselines.yaml: an hour on one core.
+tuner_baselines: install
+	$(BIN)/python docs/tuner_baselines.py runs/tuner-baselines
+
+# Tuners and settings that stay, on Drake's plant, half an hour on two cores; docs/results/tuner.md.
+tuner_verdict: install
+	$(BIN)/stewart-drake tuner judge --out runs/tuner-verdict
+	$(BIN)/python docs/write_tuner.py runs/tuner-verdict
+
+# Error against change of torque, docs/results/tuner_front.md: ten minutes.
+tuner_front: install
+	$(BIN)/python docs/tuner_front.py runs/tuner-front
 
 format: install
 	$(BIN)/ruff check --fix .

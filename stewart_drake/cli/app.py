@@ -16,10 +16,11 @@ import click
 from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_file, out_folder, overrides, quiet_flag
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag
 from stewart_drake.cli.identify_command import excite, identify
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
+from stewart_drake.cli.train_command import collect, train
 from stewart_drake.cli.tuner_command import tuner
 from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
@@ -34,7 +35,6 @@ from stewart_drake.runs.terminal import (
 
 if TYPE_CHECKING:
     from stewart_drake.paper.report import Section
-    from stewart_drake.training.train import Split
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL = 2, 3, 4
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
@@ -132,59 +132,6 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
 
 @cli.command()
-@out_file("runs/dataset.parquet")
-@quiet_flag
-def collect(out: Path, quiet: bool) -> None:
-    """Run the paper's nine experiments and write the tuner's training data (14,400 samples).
-
-    Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
-    """
-    from stewart_drake.campaigns.executors import LocalProcesses
-    from stewart_drake.runs.outputs import SPACE, prepare_file
-    from stewart_drake.training.collect import collect_dataset
-
-    prepare_file(out, SPACE)
-    with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
-        dataset = collect_dataset(progress=advance, where=LocalProcesses())
-    dataset.save(out)
-    click.echo(f"{len(dataset.inputs)} samples in {out}")
-
-
-@cli.command()
-@click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path), default=Path("runs/dataset.parquet"))
-@out_file("runs/tuner.json")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of first weights and split.")
-@click.option("--epochs", type=click.IntRange(1), default=2000, show_default=True, help="Passes over the data.")
-@click.option(
-    "--split",
-    type=click.Choice(["samples", "runs"]),
-    default="samples",
-    show_default=True,
-    help="What is held back for validation: samples at random, which leak from run to run, or whole runs.",
-)
-@quiet_flag
-def train(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
-    """Train the 12-10-2 network on DATASET by back-propagation and write its weights file.
-
-    Exit status: 0 done, 2 bad input, 130 interrupted.
-    """
-    from stewart_drake.runs.outputs import SPACE, prepare_file
-    from stewart_drake.training.dataset import load_dataset
-
-    data = load_dataset(dataset)
-
-    from stewart_drake.training.train import TrainingOptions, train_network
-
-    options = TrainingOptions(seed=seed, epochs=epochs, split=split)
-    prepare_file(out, SPACE)
-    with ProgressBar("training", float(epochs), quiet, unit="epochs") as advance:
-        result = train_network(data, options, progress=advance)
-    result.network.save(out)
-    if not quiet:
-        print_table(f"tuner in {out}", [(name, f"{value:.4g}") for name, value in result.scores.items()])
-
-
-@cli.command()
 @out_folder("runs/reproduction")
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
 @click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
@@ -238,6 +185,7 @@ def schema(out: Path | None) -> None:
 
 
 cli.add_command(calibrate)
+cli.add_command(collect)
 cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(excite)
@@ -246,6 +194,7 @@ cli.add_command(margins)
 cli.add_command(identify)
 cli.add_command(robots)
 cli.add_command(sweep)
+cli.add_command(train)
 cli.add_command(tune)
 cli.add_command(tuner)
 cli.add_command(workspace)

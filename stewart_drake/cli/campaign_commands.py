@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -16,14 +16,24 @@ from stewart_drake.runs.terminal import ProgressBar, console, print_columns, pri
 
 if TYPE_CHECKING:
     from stewart_drake.campaigns.executors import Workplace
-    from stewart_drake.campaigns.plan import Plan
-    from stewart_drake.campaigns.tune_file import Tuning
 
 WIDE = 150
 """Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
 
 
-def _campaign(function: Callable[..., Any]) -> Callable[..., Any]:
+class Runs(Protocol):
+    """What is to be run."""
+
+    @property
+    def name(self) -> str:
+        """For folders and titles."""
+
+    @property
+    def runs(self) -> int:
+        """How many, at most."""
+
+
+def campaign_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """`--workers`, `--scheduler`, `--restart` and `--quiet` of a command of many runs."""
     for option in (
         quiet_flag,
@@ -47,8 +57,8 @@ _robot = click.option(
 
 
 @contextmanager
-def _under_way(
-    plan: Plan | Tuning, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
+def under_way(
+    plan: Runs, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
 ) -> Iterator[tuple[Path, Workplace, Callable[[float], None]]]:
     """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
     from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses
@@ -82,7 +92,7 @@ def _under_way(
 @click.argument("sweep")
 @out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
-@_campaign
+@campaign_options
 def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
     """Run SWEEP many times over: a YAML file, or the name of a shipped one such as initial_offset.
 
@@ -96,7 +106,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
     from stewart_drake.campaigns.sweep_file import load_sweep
 
     loaded = load_sweep(sweep, runs)
-    with _under_way(loaded, **options) as (folder, where, progress):
+    with under_way(loaded, **options) as (folder, where, progress):
         made = run_sweep(loaded, folder, where, progress, restart)
     if not options["quiet"]:
         print_table(loaded.name, [*summary(made.rows), ("table in", str(made.path))])
@@ -109,7 +119,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
 @_robot
-@_campaign
+@campaign_options
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair [default: tracking].
 
@@ -122,7 +132,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
     from stewart_drake.campaigns.comparison_file import load_comparison
 
     loaded = load_comparison(comparison, quick, robot)
-    with _under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
+    with under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
         result = run_comparison(loaded, folder, where, progress, restart)
         for line in write_pictures(loaded, result, folder):
             click.echo(f"stewart-drake: {line}", err=True)
@@ -143,7 +153,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
 @click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
 @click.option("--quick", is_flag=True, help="Short runs and two generations: to see that all is well.")
-@_campaign
+@campaign_options
 def tune(
     comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
 ) -> None:
@@ -160,7 +170,7 @@ def tune(
     from stewart_drake.campaigns.tune_file import load_tuning
 
     loaded = load_tuning(comparison, controllers, budget, quick)
-    with _under_way(loaded, **options, ending="-tune-quick" if quick else "-tune") as (folder, where, progress):
+    with under_way(loaded, **options, ending="-tune-quick" if quick else "-tune") as (folder, where, progress):
         result = run_tuning(loaded, folder, where, progress, restart)
         line = write_picture(result, folder)
         if line is not None:
@@ -176,7 +186,7 @@ def tune(
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @_robot
 @overrides("estimator.kind=observer")
-@_campaign
+@campaign_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
 
@@ -187,7 +197,7 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
     from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
 
     plan = table_plan(quick, robot, overrides)
-    with _under_way(plan, **options) as (folder, where, progress):
+    with under_way(plan, **options) as (folder, where, progress):
         made = make_table(folder, quick, where, progress, restart, robot, overrides)
     if options["quiet"]:
         return

@@ -94,7 +94,7 @@ def answer(
         stats: (4, n) mean, scale, low and high of the features.
         hidden: (h, n + 1) weights and bias.
         output: (m, h + 1) weights and bias.
-        box: (2, m) centre and reach.
+        box: (3, m) centre, reach below and above.
         largest: See `policy.LARGEST`.
         fade: See `policy.FADE`.
         found: (n,).
@@ -120,5 +120,5 @@ def answer(
         total = output[m, units.size]
         for i in range(units.size):
             total += output[m, i] * units[i]
-        wanted[m] = box[0, m] + box[1, m] * np.tanh(total) * own
+        wanted[m] = box[0, m] + box[1 if total < 0.0 else 2, m] * np.tanh(total) * own
     return own

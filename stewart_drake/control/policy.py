@@ -42,7 +42,8 @@ class Layers(NamedTuple):
         hidden: (h, 13). hidden_bias: (h,). Hidden units are tanh.
         output: (4, h). output_bias: (4,). Outputs too.
         centre: (4,) setting in the middle of the box, the best fixed one.
-        reach: (4,) half of the box.
+        below: (4,) how far the box reaches below it; > 0.
+        above: (4,) likewise above.
         low: (13,) least features of the training data.
         high: (13,) largest.
     """
@@ -54,7 +55,8 @@ class Layers(NamedTuple):
     output: Array
     output_bias: Array
     centre: Array
-    reach: Array
+    below: Array
+    above: Array
     low: Array
     high: Array
 
@@ -75,7 +77,8 @@ def answer(layers: Layers, found: Array) -> tuple[Array, Array]:
     scaled = (given - layers.mean) / layers.scale
     hidden = xp.tanh((layers.hidden @ scaled[..., None])[..., 0] + layers.hidden_bias)
     turned = xp.tanh((layers.output @ hidden[..., None])[..., 0] + layers.output_bias)
-    return layers.centre + layers.reach * turned * own[..., None], own
+    reach = xp.where(turned > 0.0, layers.above, layers.below)
+    return layers.centre + reach * turned * own[..., None], own
 
 
 def limited(wanted: Array, before: Array, step: Array) -> Array:
@@ -107,7 +110,7 @@ class Policy:
             array = np.asarray(value, dtype=float)
             if array.shape != shape or 0 in shape or not (np.abs(array) < 1e6).all():
                 raise ConfigurationError(name, value, f"finite numbers of shape {shape}")
-        for name in ("scale", "reach"):
+        for name in ("scale", "below", "above"):
             if not (getattr(self.layers, name) > 0.0).all():
                 raise ConfigurationError(name, getattr(self.layers, name).tolist(), "positive numbers")
         if not (self.layers.low <= self.layers.high).all():
@@ -123,12 +126,12 @@ class Policy:
     @property
     def lowest(self) -> np.ndarray:
         """(4,) lower end of the box."""
-        return self.centre - np.asarray(self.layers.reach)
+        return self.centre - np.asarray(self.layers.below)
 
     @property
     def width(self) -> np.ndarray:
         """(4,) of the box."""
-        return 2.0 * np.asarray(self.layers.reach)
+        return np.asarray(self.layers.below) + np.asarray(self.layers.above)
 
     def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:  # noqa: ARG002
         """See `Chooser`."""
@@ -167,7 +170,8 @@ def _shape(name: str, hidden: int) -> tuple[int, ...]:
         "output": (SIZE, hidden),
         "output_bias": (SIZE,),
         "centre": (SIZE,),
-        "reach": (SIZE,),
+        "below": (SIZE,),
+        "above": (SIZE,),
     }.get(name, (_COUNT,))
 
 
@@ -281,7 +285,7 @@ class _Compiled:
         own = policy.layers
         hidden = np.concatenate([own.hidden, own.hidden_bias[:, None]], axis=1)
         output = np.concatenate([own.output, own.output_bias[:, None]], axis=1)
-        stats, box = np.stack([own.mean, own.scale, own.low, own.high]), np.stack([own.centre, own.reach])
+        stats, box = np.stack([own.mean, own.scale, own.low, own.high]), np.stack([own.centre, own.below, own.above])
         self._fast, self._fixed = fast, (stats, hidden, output, box, LARGEST, FADE)
         self.rate, self.centre, self.lowest, self.width = policy.rate, policy.centre, policy.lowest, policy.width
 

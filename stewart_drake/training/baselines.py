@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.files.yaml_files import read_mapping, to_yaml
 from stewart_drake.section import Real, Section, Text
 from stewart_drake.training.contest import (
@@ -29,13 +28,15 @@ from stewart_drake.training.contest import (
 )
 from stewart_drake.training.situations import KINDS, ROBOTS, TRAINING, Changes, kinds_of
 
-LOW, HIGH = np.array([-0.3, -0.4, -0.7, -1.7]), np.array([0.3, 0.4, 0.7, 0.6])
-"""Decades about the default within which a setting is searched: disk margins stay above 0.24 for either robot."""
+SHIPPED = PACKAGE / "weights" / "baselines.yaml"
+LOW, HIGH = np.array([-0.3, -0.6, -1.2, -1.9]), np.array([0.4, 0.4, 0.7, 0.6])
+"""Decades about the default within which a setting is searched."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
 _FASTER = np.array([0.15, 0.0, 0.0, 1.0])
-_THRESHOLD, _HOLD = (0.1, 1.2), (-2.0, -0.3)
-"""Decades of a schedule's keys within which they are searched."""
+"""By which a schedule's second setting is above its first at the start of its search."""
+_LOWEST, _HIGHEST = np.append(np.tile(LOW, 2), [0.1, -2.0]), np.append(np.tile(HIGH, 2), [1.2, -0.3])
+"""The same for a schedule: two settings, decades of its threshold and of its time."""
 
 Numbers = tuple[Real, Real, Real, Real]
 
@@ -43,6 +44,7 @@ Numbers = tuple[Real, Real, Real, Real]
 class Baselines(Section, key=""):
     """What the search has found: settings (4,) in decades above the default, and what they cost in it."""
 
+    name: Text = "baselines"
     best: Numbers
     """Over both robots."""
     best_of_robot: dict[Text, Numbers]
@@ -59,12 +61,13 @@ class Baselines(Section, key=""):
     """Points in each search, and seeds of each kind."""
 
     @classmethod
-    def load(cls, path: Path) -> Baselines:
-        """Reads the file that `save` writes.
+    def load(cls, path: Path | None = None) -> Baselines:
+        """Reads the file that `save` writes; None takes the one that the package carries.
 
         Raises:
             ConfigurationError: Missing, unreadable or malformed.
         """
+        path = SHIPPED if path is None else path
         return cls.from_dict(read_mapping("settings", path, 200))
 
     def save(self, path: Path) -> None:
@@ -111,7 +114,7 @@ def find_baselines(
 
     Args:
         folder: For the rows.
-        generations: Of each search; of those for one kind a third.
+        generations: Of each search; of those for one robot or kind, which start from the best of all, a third.
         seeds: Of each kind.
         where: Where the runs go; None for processes of this machine.
         tell: Called with what is searched and the number of runs done.
@@ -126,21 +129,25 @@ def find_baselines(
     trained = [cell for cell in every if KINDS[cell[0]].trained]
     with Contest(folder, "reduced", where, lambda done: shown(what, done), restart) as contest:
 
-        def search(name: str, cells: list[Cell], start: np.ndarray, most: int = generations) -> np.ndarray:
+        def search(
+            name: str,
+            cells: list[Cell],
+            start: np.ndarray,
+            most: int = generations,
+            contestant_of: Callable[[np.ndarray], Contestant] = with_setting,
+        ) -> np.ndarray:
             nonlocal what
             what, cases = name, cases_of(cells, run_on)
-            if len(start) == len(LOW):
-                return best_of(contest, with_setting, cases, start, LOW, HIGH, generations=most)
-            low, high = (np.concatenate([box, box, [_THRESHOLD[k], _HOLD[k]]]) for k, box in enumerate((LOW, HIGH)))
-            asked = partial(best_of, contest, lambda numbers: always({"tuner": schedule_of(numbers)}), cases)
-            return asked(start, low, high, generations=most)
+            low, high = (box[: len(start)] for box in (_LOWEST, _HIGHEST))
+            return best_of(contest, contestant_of, cases, start, low, high, most)
 
         best = search("all kinds", trained, np.zeros(4))
         of_kind = {cell: search(" ".join(cell), [cell], best, few) for cell in every}
         # Where the observer is surprised the second setting is faster.
         start = np.concatenate([best, np.clip(best + _FASTER, LOW, HIGH), [0.5, -1.0]])
-        schedule = schedule_of(search("schedule", trained, start))
-        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best) for each in ROBOTS}
+        scheduled = search("schedule", trained, start, contestant_of=lambda x: always({"tuner": schedule_of(x)}))
+        schedule = schedule_of(scheduled)
+        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best, few) for each in ROBOTS}
         pairs = {
             each: _best_pair(contest, cases_of([c for c in trained if c[1] == each], run_on), best) for each in ROBOTS
         }
@@ -165,7 +172,7 @@ def find_baselines(
             "pair": {robot: list(pair) for robot, pair in pairs.items()},
             "schedule": schedule,
             "costs": costs,
-            "evaluations": {"each": 1 + generations * POPULATION, "kind": 1 + few * POPULATION, "seeds": seeds},
+            "evaluations": {"each": 1 + generations * POPULATION, "few": 1 + few * POPULATION, "seeds": seeds},
         }
     )
 

@@ -46,7 +46,7 @@ class PolicyInLoops:
 
     def __init__(self, layers: Layers, site: Site, rate: float, window: int = 49) -> None:
         self._layers, self._site, self._window = layers, site, window
-        self._step = 2.0 * rate * site.period * layers.reach
+        self._step = rate * site.period * (layers.below + layers.above)
 
     def start(self, loops: int) -> Hearing:
         """Before the first tick."""

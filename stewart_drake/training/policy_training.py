@@ -6,12 +6,12 @@ robot stands still counts like one saved under a push.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -21,8 +21,11 @@ from torch import Tensor
 from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import Layers, Policy
 from stewart_drake.control.settings import SIZE
+from stewart_drake.files.whole import checksum
 from stewart_drake.section import Count, NotNegative, Positive, Section, Seed
+from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.policy_loops import PolicyInLoops, Situations
+from stewart_drake.training.policy_progress import Progress, keep, kept
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 Method = Literal["gradient", "evolution"]
@@ -54,49 +57,25 @@ class PolicyOptions(Section, key="training"):
     """[-] rounding of friction's corners, as a share of the break-away torque."""
     tastes: NotNegative = 0.5
     """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
+    fairness: NotNegative = 4.0
+    """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
     without: tuple[str, ...] = ()
     """Names of features that it does not get."""
 
 
-@dataclass
-class Progress:
-    """Where a training stands; what a checkpoint holds.
+class Box(NamedTuple):
+    """Settings that a policy can choose.
 
     Attributes:
-        epoch: Done.
-        weights: (n,) of the network, flat.
-        moments: Of Adam, (2, n).
-        steps: Of Adam.
-        fixed: J of every situation at the centre, a robot after the other.
-        latest: J in the last epoch.
-        mean: (13,) of the features.
-        scale: (13,).
-        low: (13,).
-        high: (13,).
-        seconds: [s] of the processor.
-        history: Mean of log J/J at the centre, an epoch after the other; at kappa 0 and at all tastes.
+        centre: (4,) the best fixed one.
+        lowest: (4,).
+        highest: (4,).
+        rate: [1/s] see `Policy.rate`.
     """
 
-    epoch: int
-    weights: np.ndarray
-    moments: np.ndarray
-    steps: int
-    fixed: np.ndarray
-    latest: np.ndarray
-    mean: np.ndarray
-    scale: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    seconds: float = 0.0
-    history: list[tuple[float, float]] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Box:
-    """Settings that a policy can choose, and how fast."""
-
     centre: np.ndarray
-    reach: np.ndarray
+    lowest: np.ndarray = np.array([-0.1, -0.6, -1.2, -1.9])
+    highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
     rate: float = 10.0
 
 
@@ -105,12 +84,12 @@ class Training:
 
     Args:
         options: See there.
-        box: See there.
+        box: See there; None for that about the best fixed setting.
         robots: Names of those to train on.
     """
 
-    def __init__(self, options: PolicyOptions, box: Box, robots: Sequence[str] = tuple(ROBOTS)) -> None:
-        self.options, self.box = options, box
+    def __init__(self, options: PolicyOptions, box: Box | None = None, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+        self.options, self.box = options, box or Box(np.array(Baselines.load().best))
         torch.set_num_threads(1)
         rng = np.random.default_rng(options.seed)
         self._both = 2 if options.method == "evolution" else 1
@@ -128,6 +107,12 @@ class Training:
         counts = {name: self.names.count(name) for name in self.names}
         self.share = np.array([1.0 / (counts[name] * len(counts)) for name in self.names])
 
+    @property
+    def identity(self) -> str:
+        """Of what a checkpoint must be; the number of epochs is part of it, because the rate follows it."""
+        box = [np.asarray(each).tolist() for each in self.box]
+        return checksum({"options": self.options.to_dict(), "box": box})
+
     def begin(self, tell: Callable[[str], None]) -> Progress:
         """Costs at the centre, and the statistics of the features there and at settings about it."""
         options, rng = self.options, np.random.default_rng([self.options.seed, 1])
@@ -139,7 +124,8 @@ class Training:
             ]
         )
         none = np.zeros(len(FEATURES))
-        start = Progress(0, weights, np.zeros((2, len(weights))), 0, none, none, none, none + 1.0, none - 1e5, none + 1e5)
+        moments, far = np.zeros((2, len(weights))), none + 1e5
+        start = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far)
         fixed, found = self._rollout(start, None, tell)
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
         _, more = self._rollout(start, wild, tell)
@@ -153,14 +139,27 @@ class Training:
         units, count = self.options.hidden, len(FEATURES)
         flat = torch.from_numpy(at.weights) if weights is None else weights
         ends = np.cumsum([0, units * count, units, SIZE * units, SIZE])
-        parts = [flat[..., a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [flat[..., a:b] for a, b in itertools.pairwise(ends)]
         lead = flat.shape[:-1]
         used = torch.tensor([name not in self.options.without for name in FEATURES], dtype=torch.float64)
         hidden = parts[0].reshape(*lead, units, count) * used
-        numbers = (at.mean, at.scale, self.box.centre, self.box.reach, at.low, at.high)
-        mean, scale, centre, reach, low, high = (torch.from_numpy(np.asarray(each, dtype=float)) for each in numbers)
+        box = (self.box.centre, self.box.centre - self.box.lowest, self.box.highest - self.box.centre)
+        numbers = (at.mean, at.scale, *box, at.low, at.high)
+        mean, scale, centre, below, above, low, high = (
+            torch.from_numpy(np.asarray(each, dtype=float)) for each in numbers
+        )
         return Layers(
-            mean, scale, hidden, parts[1], parts[2].reshape(*lead, SIZE, units), parts[3], centre, reach, low, high
+            mean,
+            scale,
+            hidden,
+            parts[1],
+            parts[2].reshape(*lead, SIZE, units),
+            parts[3],
+            centre,
+            below,
+            above,
+            low,
+            high,
         )
 
     def epoch(self, at: Progress, tell: Callable[[str], None]) -> Progress:
@@ -185,9 +184,19 @@ class Training:
         """Geometric mean of J over J at the centre, at kappa 0, by robot and kind."""
         ratio, plain = np.log(at.latest / at.fixed), self.kappa == 0.0
         return {
-            f"{robot}: {kind}": float(np.exp(ratio[[n == (robot, kind) for n in self.names] & plain].mean()))
+            f"{robot}: {kind}": float(np.exp(ratio[own].mean()))
             for robot, kind in dict.fromkeys(self.names)
+            if (own := np.array([name == (robot, kind) for name in self.names]) & plain).any()
         }
+
+    def _weighed(self, at: Progress) -> np.ndarray:
+        """What each situation counts: each kind alike, but more where the policy is worse than the centre."""
+        ratio, names = np.log(at.latest / at.fixed), np.array([f"{robot} {kind}" for robot, kind in self.names])
+        found = self.share.copy()
+        for name in dict.fromkeys(names):
+            own = names == name
+            found[own] *= 1.0 + self.options.fairness * max(0.0, float(ratio[own].mean()))
+        return found
 
     def _mean(self, ratio: np.ndarray, chosen: np.ndarray) -> float:
         share = self.share * chosen
@@ -208,7 +217,8 @@ class Training:
 
     def _by_gradient(self, at: Progress, tell: Callable[[str], None]) -> Progress:
         made = Progress(**vars(at))
-        share = torch.from_numpy(self.share / np.maximum(at.latest, 1e-9) ** 2 * 0.5)
+        # The gradient of log J is half of that of J^2 over J^2.
+        share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
         with torch.no_grad():
             layers = self.layers(made)
             tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in self._groups]
@@ -252,7 +262,7 @@ class Training:
             made.latest[start : start + half] = np.sqrt(costs[:half] * costs[half:])
             start += half
             tell("rolled out")
-        slope = self.share * np.concatenate(logs) / (2.0 * self.options.spread)
+        slope = self._weighed(at) * np.concatenate(logs) / (2.0 * self.options.spread)
         # Of one pair a situation, each a guess of its own slope.
         self._adam(made, slope @ np.concatenate(ways))
         return made
@@ -280,10 +290,9 @@ class Training:
         with torch.no_grad():
             tuner = PolicyInLoops(layers, group.site, self.box.rate)
             state, found = group.start(tuner), []
-            for _ in range(group.scored // _SAMPLED):
-                state, _ = group.advance(state, _SAMPLED, tuner)
+            while state.tick < group.scored:
+                state, _ = group.advance(state, min(_SAMPLED, group.scored - state.tick), tuner)
                 found.append(state.memory.found.numpy())
-            state, _ = group.advance(state, group.scored - state.tick, tuner) if state.tick < group.scored else (state, 0)
             squares = np.zeros(len(group.scenarios))
             while state.tick < group.ticks:
                 state, more = group.advance(state, min(_SAMPLED, group.ticks - state.tick), tuner)
@@ -299,31 +308,31 @@ class Training:
 def _coarser(scenario: Any) -> Any:
     """With fewer steps of the plant where a tick has many."""
     steps = round(scenario.controller.period / scenario.plant.time_step)
-    return scenario.replace({"plant.time_step": scenario.controller.period / 4}) if steps > 4 else scenario
+    return scenario.replace({"plant.time_step": scenario.controller.period / 2}) if steps > 2 else scenario
 
 
 def train_policy(
-    training: Training,
-    checkpoint: Path | None = None,
-    tell: Callable[[float, str], None] | None = None,
-) -> tuple[Policy, Progress]:
-    """Trains, going on from a checkpoint where there is one.
+    training: Training, checkpoint: Path | None = None, tell: Callable[[float, str], None] | None = None
+) -> Policy:
+    """Trains, going on from a checkpoint where there is one; the same options give the same policy.
 
     Args:
         training: See there.
-        checkpoint: File that is written after each epoch; None for none.
+        checkpoint: File that is written after each epoch, and taken away at the end; None for none.
         tell: Called with epochs done and a word on it.
+
+    Raises:
+        ConfigurationError: See `policy_progress.kept`.
     """
     say = tell or (lambda *_: None)
-    at: Progress | None = None
-    if checkpoint is not None and checkpoint.exists():
-        at = Progress(**torch.load(checkpoint, weights_only=False))
-    if at is None:
-        at = training.begin(lambda text: say(0.0, text))
+    at = kept(checkpoint, training.identity) or training.begin(lambda text: say(0.0, text))
     while at.epoch < training.options.epochs:
         done = float(at.epoch)
-        at = training.epoch(at, lambda text, done=done: say(done, text))
-        say(float(at.epoch), f"J/J fixed {math.exp(at.history[-1][0]):.3f}")
+        at = training.epoch(at, lambda text, done=done: say(done, text))  # type: ignore[misc]
+        say(float(at.epoch), f"J {math.exp(at.history[-1][0]):.3f} of fixed")
         if checkpoint is not None:
-            torch.save(vars(at), checkpoint)
-    return training.finished(at, lambda text: say(float(training.options.epochs), text)), at
+            keep(at, training.identity, checkpoint)
+    policy = training.finished(at, lambda text: say(float(training.options.epochs), text))
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    return policy

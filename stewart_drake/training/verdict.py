@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.tables import Row, markdown, to_arrow, write_table
 from stewart_drake.control.objective import CostScales
-from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.whole import locked_folder, write_atomically
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.training.baselines import Baselines, always, with_pair
 from stewart_drake.training.contest import (
@@ -224,19 +224,20 @@ def table_rows(verdict: Verdict, rows: Sequence[Row]) -> list[Row]:
 
 def page(verdict: Verdict) -> str:
     """The tables as Markdown."""
+    groups = {name: within for name, within in GROUPS.items() if any(map(within, cells_of(verdict.cases)))}
     whole = []
     for name in verdict.names:
         (kind, robot), mean = verdict.worst_cell(name)
         whole.append(
             [
                 name,
-                *(str(geometric_mean(verdict.of(name, within))) for within in GROUPS.values()),
+                *(str(geometric_mean(verdict.of(name, within))) for within in groups.values()),
                 str(median(verdict.of(name))),
                 f"{mean:.2f}, {kind}, {robot}",
                 str(int(verdict.failed[verdict.names.index(name)].sum())),
             ]
         )
-    header = ["contestant", *GROUPS, "median of runs", "worst kind", "failed"]
+    header = ["contestant", *groups, "median of runs", "worst kind", "failed"]
     others = [name for name in verdict.names if name != BEST_FIXED]
     cells = []
     for (kind, robot), places in cells_of(verdict.cases).items():
@@ -258,3 +259,20 @@ def page(verdict: Verdict) -> str:
         *markdown(["kind", "robot", BEST_FIXED, *others], cells),
     ]
     return "\n".join(lines) + "\n"
+
+
+def write_picture(verdict: Verdict, folder: Path) -> str | None:
+    """Draws verdict.png; a line where it is beyond matplotlib."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import draw
+    from stewart_drake.plotting.tuner_plots import plot_costs
+
+    cells = cells_of(verdict.cases)
+    ratios = {
+        name: [geometric_mean(verdict.of(name, lambda cell, at=at: cell == at)) for at in cells]  # type: ignore[misc]
+        for name in verdict.names
+        if name != BEST_FIXED
+    }
+    labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells]
+    with locked_folder(folder):
+        return draw(partial(plot_costs, labels, ratios, BEST_FIXED), folder / "verdict.png")
