@@ -31,23 +31,25 @@ RATE = 10.0
 
 
 class Box(NamedTuple):
-    """Settings between centre - reach and centre + reach (4,), at so many widths a second."""
+    """Settings from `lowest`, so wide, around the one that is fixed (4,), at so many widths a second."""
 
     centre: np.ndarray
-    reach: np.ndarray
+    lowest: np.ndarray
+    width: np.ndarray
     rate: float
 
     def at(self, places):
         """Settings (..., 4) of places of the unit box."""
-        return self.centre + self.reach * (2.0 * places - 1.0)
+        return self.lowest + self.width * places
 
 
 def shipped_box():
     """The box of the policy that is shipped; without one, the box that it is to be trained in."""
     if not default_policy_path().exists():
-        return Box(np.array([0.0, 0.1, -0.3, -0.5]), np.array([0.3, 0.35, 0.6, 1.1]), RATE)
+        centre, reach = np.array([0.0, 0.1, -0.3, -0.5]), np.array([0.3, 0.35, 0.6, 1.1])
+        return Box(centre, centre - reach, 2.0 * reach, RATE)
     policy = load_policy()
-    return Box(policy.centre, np.asarray(policy.layers.reach), policy.rate)
+    return Box(policy.centre, policy.lowest, policy.width, policy.rate)
 
 
 BOX = shipped_box()
@@ -57,9 +59,9 @@ LOOPS = {
     "Reachy Mini, 100 Hz, 1 tick": ("reachy_nod", "command_delay=1"),
 }
 TUNERS_OF_SETTINGS = "systems.setting_tuner:add_setting_tuner", "control.tuners:chosen_settings"
-CENTRE = np.full((1, 4), 0.5)
+CENTRE = ((BOX.centre - BOX.lowest) / BOX.width)[None]
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=4)))
-FACES = 0.5 + 0.5 * np.concatenate([np.eye(4), -np.eye(4)])
+FACES = np.concatenate([np.where(np.eye(4) > 0.0, end, CENTRE) for end in (0.0, 1.0)])
 _RNG = np.random.default_rng(0)
 RANDOM = np.concatenate([np.repeat(_RNG.uniform(size=(8, 3)), 2, 0), np.tile(_RNG.uniform(size=(2, 1)), (8, 1))], 1)
 PLACES = np.concatenate([CENTRE, CORNERS, FACES, RANDOM])
@@ -133,8 +135,8 @@ def share_of_box(scenario, pose):
 
 def common_growth(scenario, pose, share):
     """By what factor a common norm of the whole loop grows in a tick over a part of the box; infinite without one."""
-    vertices = 0.5 + share * (np.concatenate([CENTRE, CORNERS, FACES]) - 0.5)
-    between = 0.5 + share * (np.random.default_rng(1).uniform(size=(40, 4)) - 0.5)
+    vertices = CENTRE + share * (np.concatenate([CENTRE, CORNERS, FACES]) - CENTRE)
+    between = CENTRE + share * (np.random.default_rng(1).uniform(size=(40, 4)) - CENTRE)
     loops = next(setting_loops(scenario, pose[None], BOX.at(vertices)))
     found, norms = chains(loops, scenario.lqi.length), []
     for each in found.matrices:
@@ -238,7 +240,7 @@ class Player:
     """Wants two opposite corners in turn; see `control.policy.Chooser`."""
 
     def __init__(self, corner, half):
-        self.rate, self.centre, self.lowest, self.width = BOX.rate, BOX.centre, BOX.centre - BOX.reach, 2.0 * BOX.reach
+        self.rate, self.centre, self.lowest, self.width = BOX.rate, BOX.centre, BOX.lowest, BOX.width
         self.first, self.half = np.array(corner), half
 
     def choose(self, _, held, period):
@@ -388,7 +390,7 @@ def main():
         pushes.append(f"| {name} | {' | '.join(f'{each:.2f}' for each in errors.max(axis=1))} |")
         print(f"{time.process_time() - start:.0f} s: {pushes[-1]}", flush=True)
     picture(decays, curves)
-    ends = zip(NAMES, BOX.centre - BOX.reach, BOX.centre + BOX.reach, strict=True)
+    ends = zip(NAMES, BOX.lowest, BOX.lowest + BOX.width, strict=True)
     text = TEXT.format(
         names=", ".join(NAMES),
         box=", ".join(f"{key} {low:+.2f} to {high:+.2f}" for key, low, high in ends),
