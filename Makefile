@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins tuner_safety plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from stewart_drake import run
-from stewart_drake.control.policy import default_policy_path, load_policy
+from stewart_drake.control.policy import load_policy
 from stewart_drake.control.settings import NAMES
 from stewart_drake.control.tuners import SettingTuner
 from stewart_drake.plotting import panels as look
@@ -26,16 +26,14 @@ POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
 FEW = max(2, POSES // 50)
 """Poses at which settings change."""
 FREQUENCIES = 120
-RATE = 10.0
-"""[1/s] widths of the box in a second, where no policy is shipped."""
 
 
 class Box(NamedTuple):
-    """Settings from `lowest`, so wide, around the one that is fixed (4,), at so many widths a second."""
+    """Settings from `lowest` on for `width` (4,), around a centre (4,), at so many widths a second."""
 
-    centre: np.ndarray
     lowest: np.ndarray
     width: np.ndarray
+    centre: np.ndarray
     rate: float
 
     def at(self, places):
@@ -44,12 +42,9 @@ class Box(NamedTuple):
 
 
 def shipped_box():
-    """The box of the policy that is shipped; without one, the box that it is to be trained in."""
-    if not default_policy_path().exists():
-        centre, reach = np.array([0.0, 0.1, -0.3, -0.5]), np.array([0.3, 0.35, 0.6, 1.1])
-        return Box(centre, centre - reach, 2.0 * reach, RATE)
+    """The box of the policy that is shipped."""
     policy = load_policy()
-    return Box(policy.centre, policy.lowest, policy.width, policy.rate)
+    return Box(policy.lowest, policy.width, policy.centre, policy.rate)
 
 
 BOX = shipped_box()

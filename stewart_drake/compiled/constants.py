@@ -66,7 +66,8 @@ TUNER_MEMORY = _fields(
     "TunerMemory",
     weights=4, disturbance=1, setting=4, outside=1, recent=RECENT.size, held=1,
 )  # fmt: skip
-"""See `policy.TunerMemory`."""
+"""What a tuner of settings says: weights, [rad/s^2 per sqrt(s)] for the observer, setting, and from 0 to
+1 how far what it hears lies outside of its training; then `RECENT`, and [s] that a schedule goes on."""
 OBSERVER_MEMORY = _fields(
     "ObserverMemory",
     pose=6, rate=6, pose_ahead=6, rate_ahead=6, compensation=6, innovation=6, surplus=6, missed=6, side=1,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import RECENT, TUNER_SITE
+from stewart_drake.compiled.constants import RECENT, TUNER_MEMORY, TUNER_SITE
 from stewart_drake.compiled.jit import njit
 
-_R, _S = RECENT, TUNER_SITE
+_R, _S, _T = RECENT, TUNER_SITE, TUNER_MEMORY
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,3 +122,34 @@ def answer(
             total += output[m, i] * units[i]
         wanted[m] = box[0, m] + box[1 if total < 0.0 else 2, m] * np.tanh(total) * own
     return own
+
+
+@njit(cache=True, error_model="numpy")
+def settle(
+    wanted: np.ndarray,
+    step: np.ndarray,
+    weights: np.ndarray,
+    disturbance: float,
+    before: np.ndarray,
+    result: np.ndarray,
+) -> None:
+    """References `policy.limited`, `settings.weights_of` and `settings.disturbance_of`.
+
+    Args:
+        wanted: (4,) setting.
+        step: (4,) by which it may change.
+        weights: (4,) of the base.
+        disturbance: Of the base.
+        before: `TUNER_MEMORY` of the tick before.
+        result: Out: weights, disturbance and setting of a `TUNER_MEMORY`.
+    """
+    setting = result[_T.setting : _T.outside]
+    for k in range(4):
+        old = before[_T.setting + k]
+        setting[k] = old + min(max(wanted[k] - old, -step[k]), step[k])
+    speed, damping, integral = setting[0], setting[1], setting[2]
+    result[_T.weights] = weights[0] * 10.0 ** (4.0 * speed)
+    result[_T.weights + 1] = weights[1] * 10.0 ** (2.0 * speed + damping)
+    result[_T.weights + 2] = weights[2] * 10.0 ** (6.0 * speed + integral)
+    result[_T.weights + 3] = weights[3]
+    result[_T.disturbance] = disturbance * 10.0 ** setting[3]

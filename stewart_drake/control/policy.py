@@ -6,8 +6,8 @@ outside of what a network was trained on, its answer fades to the middle of the 
 
 from __future__ import annotations
 
-import itertools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -29,6 +29,8 @@ FADE = 0.5
 """[-] what a feature may lie outside of the training data, in their standard deviations, until the answer has faded."""
 LARGEST = 30.0
 """[-] features are held within it."""
+_ABSURD = 1e9
+"""What is heard is below it, in any unit; squares of it stay finite."""
 _M = TUNER_MEMORY
 _COUNT = len(FEATURES)
 
@@ -299,36 +301,6 @@ class _Compiled:
         return self
 
 
-class TunerMemory(NamedTuple):
-    """What a tick says, and what the next one needs of it.
-
-    Attributes:
-        weights: (4,) q_pose, q_rate, q_integral, r.
-        disturbance: (1,) [rad/s^2 per sqrt(s)] for the observer.
-        setting: (4,) decades, see `settings`.
-        outside: (1,) [-] 0 where all that is heard is as in training, 1 where the fixed setting is all that is left.
-        recent: (18,) see `features.Recent`.
-        held: (1,) what the chooser remembers.
-    """
-
-    weights: np.ndarray
-    disturbance: np.ndarray
-    setting: np.ndarray
-    outside: np.ndarray
-    recent: np.ndarray
-    held: np.ndarray
-
-    def flat(self) -> np.ndarray:
-        """All in one vector, in the order of the attributes."""
-        return np.concatenate(self)
-
-    @classmethod
-    def from_flat(cls, values: np.ndarray) -> TunerMemory:
-        """Inverse of `flat`."""
-        parts = [values[start:end] for start, end in itertools.pairwise(_M)]
-        return cls(*parts)
-
-
 def setting_part(
     chooser: Chooser, site: Site, weights: np.ndarray, disturbance: float, compiled: bool = False
 ) -> Sampled:
@@ -343,23 +315,43 @@ def setting_part(
 
     Returns:
         Its tick takes densities (12,), error (6,), torque (6,), innovation (6,), reference (18,) and memory. Where one
-        of them is not finite the setting goes to the centre.
+        of them is not finite, or absurd, the setting goes to the centre.
     """
     step = chooser.rate * chooser.width * site.period
-    hear = flat_features(site, compiled)
+    hear, say = flat_features(site, compiled), _saying(weights, disturbance, step, compiled)
     chooser = chooser.compiled() if compiled else chooser
 
-    def said(setting: np.ndarray) -> tuple[np.ndarray, ...]:
-        return weights_of(weights, setting), np.atleast_1d(disturbance_of(disturbance, setting)), setting
-
     def tick(*given: np.ndarray) -> np.ndarray:
-        memory = TunerMemory.from_flat(given[-1])
-        recent, own, held, wanted = memory.recent, 0.0, 0.0, chooser.centre
-        if np.isfinite(np.concatenate(given)).all():
+        memory, result = given[-1], np.empty(_M.size)
+        recent, own, held, wanted = memory[_M.recent : _M.held], 0.0, 0.0, chooser.centre
+        if np.abs(np.concatenate(given)).max() < _ABSURD:
             found, recent = hear(*given[:-1], recent)
-            wanted, own, held = chooser.choose(found, float(memory.held[0]), site.period)
-        setting = limited(wanted, memory.setting, step)
-        return TunerMemory(*said(setting), np.array([1.0 - own]), recent, np.array([held])).flat()
+            wanted, own, held = chooser.choose(found, float(memory[_M.held]), site.period)
+        say(wanted, memory, result)
+        result[_M.outside], result[_M.recent : _M.held], result[_M.held] = 1.0 - own, recent, held
+        return result
 
-    none = np.zeros(1)
-    return Sampled(TunerMemory(*said(chooser.centre), none, nothing_yet(np.zeros(6)).flat(), none).flat(), tick)
+    first = np.zeros(_M.size)
+    first[_M.setting : _M.outside], first[_M.recent : _M.held] = chooser.centre, nothing_yet(np.zeros(6)).flat()
+    say(chooser.centre, first.copy(), first)
+    return Sampled(first, tick)
+
+
+def _saying(
+    weights: np.ndarray, disturbance: float, step: np.ndarray, compiled: bool
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], None]:
+    """From the setting that is wanted and the memory before to weights, disturbance and setting in the one after."""
+    if compiled:
+        from stewart_drake.compiled.policy import settle
+
+        return lambda wanted, before, result: settle(wanted, step, weights, disturbance, before, result)
+
+    def say(wanted: np.ndarray, before: np.ndarray, result: np.ndarray) -> None:
+        setting = limited(wanted, before[_M.setting : _M.outside], step)
+        result[: _M.disturbance], result[_M.disturbance] = (
+            weights_of(weights, setting),
+            disturbance_of(disturbance, setting),
+        )
+        result[_M.setting : _M.outside] = setting
+
+    return say

@@ -28,18 +28,24 @@ class SettingSource(LeafSystem):
         torque: in (6,) [N m].
         innovation: in (6,) [rad].
         reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
-        said: out, a `policy.TunerMemory` in a row: weights (4,), disturbance (1,) [rad/s^2 per sqrt(s)], setting (4,)
-            [decades], outside (1,) [-], and what the next tick needs.
+        said: out (29,), see `constants.TUNER_MEMORY`: weights (4,), disturbance (1,) [rad/s^2 per sqrt(s)], setting
+            (4,) [decades], outside (1,) [-], and what the next tick needs.
     """
 
+    density: InputPort
+    error: InputPort
+    torque: InputPort
+    innovation: InputPort
+    reference: InputPort
     said: OutputPort
-    _seen: list[InputPort]
 
     def __init__(self, part: Sampled, period: float) -> None:
         super().__init__()
         first, self._tick = part
         sizes = {"density": 12, "error": 6, "torque": 6, "innovation": 6, "reference": 18}
         self._seen = [self.DeclareVectorInputPort(name, size) for name, size in sizes.items()]
+        for port in self._seen:
+            setattr(self, port.get_name(), port)
         self.said = self.DeclareStateOutputPort("said", self.DeclareDiscreteState(first))
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=on_grid(period), offset_sec=0.0, update=self._update)
 

@@ -16,14 +16,14 @@ from torch import Tensor
 
 from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
-from stewart_drake.hardware.observer import SLIP, SMALLEST_NOISE, ObserverOptions
+from stewart_drake.hardware.observer import ObserverOptions
+from stewart_drake.hardware.observing import observer_at
 from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.logs.cost import FAILED, CostScales, cost
 from stewart_drake.mechanics import kinematics_core
 from stewart_drake.mechanics.arrays import fitted, robot_like
-from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import FrictionLaw
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.closed_chain import loaded, starting_state
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
@@ -359,18 +359,20 @@ class BatchedLoops:
         return Plant(robot, law if rubs else None, scenarios[0].gravity, step, rounded)
 
     def _made_observer(self, sites: Sequence[LoopSite], ahead: Sequence[int]) -> BatchedObserver:
-        scenarios, robot = self.scenarios, self.scenarios[0].believed_robot
+        scenarios = self.scenarios
         options: list[Any] = [scenario.estimator for scenario in scenarios]
-        home = robot.home_pose
-        most = float(np.diag(pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)).max())
+        placed = [
+            observer_at(each, site, scenario.sensors).observer
+            for each, site, scenario in zip(options, sites, scenarios, strict=True)
+        ]
         looking = torch.tensor(list(ahead), device=self._device)
         groups = [torch.nonzero(looking > step)[:, 0] for step in range(max(ahead))]
         return BatchedObserver(
             self._believed,
             scenarios[0].gravity,
             self.period,
-            self._tensor([max(scenario.sensors.reading_noise, SMALLEST_NOISE) for scenario in scenarios]),
-            self._tensor([SLIP * site.friction * most for site in sites]),
+            self._tensor([each.reading_noise for each in placed]),
+            self._tensor([each.slip for each in placed]),
             self._tensor([each.max_innovation for each in options]),
             self._tensor([each.hold_ticks for each in options]),
             looking,
@@ -416,7 +418,7 @@ class BatchedLoops:
 
     def _late(self, scenario: Scenario, count: int) -> Tensor:
         """(ticks,) of the second half."""
-        tick = torch.arange(count, device=self._device)
+        tick = torch.arange(count, dtype=torch.float64, device=self._device)
         return (tick * self.period >= 0.5 * scenario.duration - 1e-9) & (tick <= self._last_tick(scenario))
 
     def _tensor(self, values: Any) -> Tensor:

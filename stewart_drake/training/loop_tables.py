@@ -208,4 +208,4 @@ def looked_ahead(scenario: Scenario) -> int:
     options = scenario.estimator
     if not isinstance(options, ObserverOptions):
         return 0
-    return scenario.command_delay if options.delay is None else options.delay
+    return options.ahead(scenario.command_delay)

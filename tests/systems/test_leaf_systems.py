@@ -17,11 +17,13 @@ from strategies import ROBOT, poses, vectors
 from stewart_drake import systems
 from stewart_drake.control.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
 from stewart_drake.control.density import density
+from stewart_drake.control.features import Site
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.joint_pid import PidMemory, PidOptions, pid_tick
 from stewart_drake.control.lqi import initial_memory as lqi_start
 from stewart_drake.control.lqi import lqi_tick
 from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.policy import Schedule, setting_part
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
@@ -48,6 +50,7 @@ from stewart_drake.systems.platform_wrench import PlatformWrench
 from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
 from stewart_drake.systems.safety_layer import SafetyLayer
+from stewart_drake.systems.setting_tuner import SettingSource
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 from stewart_drake.systems.ticked import SampledSystem, TickedSystem
 from stewart_drake.systems.tracking_controller import TrackingController
@@ -61,6 +64,8 @@ PLANT = PLANTS["universal"]
 LQI = LqiOptions(solver="split", period=PERIOD)
 ENCODERS = EncoderOptions(resolution_bits=17, rate_cutoff=80.0, hold_ticks=2)
 OBSERVER = Observer(ROBOT, ObserverOptions(), GRAVITY, PERIOD, 2e-5)
+SCHEDULE = Schedule(np.zeros(4), np.ones(4), threshold=2.0, hold=0.1)
+
 EVERY = [
     NetworkTuner(make_network(), PERIOD),
     CommandLink(LinkOptions(), PERIOD, 1, np.zeros(6)),
@@ -78,6 +83,7 @@ EVERY = [
     PoseEstimator(ROBOT, ENCODERS, PERIOD, START),
     ReferenceSource(paper_reference()),
     SafetyLayer(ROBOT, SafetyOptions(), GRAVITY, PERIOD, np.zeros(6)),
+    SettingSource(setting_part(SCHEDULE, Site(PERIOD, 2e-5, PERIOD, 0.1), np.ones(4), 16.0), PERIOD),
     TaskSpaceSensor(PLANT),
     TrackingError(PERIOD),
 ]
