@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -51,6 +51,10 @@ calibration-example: install
 # docs/results/margins.md and its picture, five minutes on one core.
 margins: install
 	$(BIN)/python docs/margins_study.py
+
+# docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
+tuner_safety: install
+	$(ONE_THREAD) $(BIN)/python docs/tuner_safety_study.py
 
 # docs/results/identification.md: half an hour.
 identification: install

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -115,14 +115,15 @@ class Verdict:
     logs: np.ndarray
     failed: np.ndarray
 
-    @cached_property
-    def ratios(self) -> np.ndarray:
-        """(contestants, cases) logarithms of J over that of `BEST_FIXED`."""
-        return self.logs - self.logs[self.names.index(BEST_FIXED)]
+    def ratios(self, over: str = BEST_FIXED) -> np.ndarray:
+        """(contestants, cases) logarithms of J over that of one of them."""
+        return self.logs - self.logs[self.names.index(over)]
 
-    def of(self, name: str, within: Callable[[Cell], bool] = lambda _: True) -> list[np.ndarray]:
+    def of(
+        self, name: str, within: Callable[[Cell], bool] = lambda _: True, over: str = BEST_FIXED
+    ) -> list[np.ndarray]:
         """Logarithms of ratios of a contestant, an array for each cell that counts."""
-        row = self.ratios[self.names.index(name)]
+        row = self.ratios(over)[self.names.index(name)]
         return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
 
     def worst_cell(self, name: str) -> tuple[Cell, float]:
@@ -207,7 +208,7 @@ def judge(
 def table_rows(verdict: Verdict, rows: Sequence[Row]) -> list[Row]:
     """A row of the table for each run, given those of `Contest.rows`, contestant by contestant."""
     places = [(name, case) for name in verdict.names for case in verdict.cases]
-    numbers = zip(places, rows, np.exp(verdict.logs).ravel(), np.exp(verdict.ratios).ravel(), strict=True)
+    numbers = zip(places, rows, np.exp(verdict.logs).ravel(), np.exp(verdict.ratios()).ravel(), strict=True)
     return [
         {
             "contestant": name,
@@ -223,7 +224,7 @@ def table_rows(verdict: Verdict, rows: Sequence[Row]) -> list[Row]:
 
 
 def page(verdict: Verdict) -> str:
-    """The tables as Markdown."""
+    """The tables as Markdown; the contestant after `BEST_FIXED` is set against all others."""
     groups = {name: within for name, within in GROUPS.items() if any(map(within, cells_of(verdict.cases)))}
     whole = []
     for name in verdict.names:
@@ -239,6 +240,11 @@ def page(verdict: Verdict) -> str:
         )
     header = ["contestant", *groups, "median of runs", "worst kind", "failed"]
     others = [name for name in verdict.names if name != BEST_FIXED]
+    first, *rivals = others
+    duels = [
+        [name, *(str(geometric_mean(verdict.of(first, within, over=rival))) for rival in rivals)]
+        for name, within in groups.items()
+    ]
     cells = []
     for (kind, robot), places in cells_of(verdict.cases).items():
         own = [verdict.of(name, lambda cell, at=(kind, robot): cell == at) for name in others]  # type: ignore[misc]
@@ -254,6 +260,7 @@ def page(verdict: Verdict) -> str:
         "",
         *markdown(header, whole),
         "",
+        *([f"J of `{first}` over that of", "", *markdown(["", *rivals], duels), ""] if rivals else []),
         "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
         "",
         *markdown(["kind", "robot", BEST_FIXED, *others], cells),

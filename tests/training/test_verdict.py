@@ -47,6 +47,21 @@ def test_ratios_are_to_the_best_fixed_setting_in_the_same_run():
     assert verdict.worst_cell("rival") == (("fast", "paper"), pytest.approx(np.exp(fast.mean())))
 
 
+def test_a_duel_is_told_beside_the_ratios_to_the_best_fixed_setting():
+    fixed = made_verdict()
+    third = Verdict(
+        (*fixed.names, "third"),
+        CASES,
+        np.vstack([fixed.logs, fixed.logs[1:] + np.log(4.0)]),
+        np.zeros((3, len(CASES)), bool),
+    )
+    assert geometric_mean(third.of("rival", over="third")).value == pytest.approx(0.25)
+    lines = page(third).splitlines()
+    told = lines[lines.index("J of `rival` over that of") + 2 :]
+    assert told[0] == "|  | third |"
+    assert told[2] == "| all kinds | 0.25 (0.25 to 0.25) |"
+
+
 def test_an_interval_has_the_true_mean_as_often_as_it_says():
     rng = np.random.default_rng(1)
     within = 0
