@@ -7,113 +7,32 @@ be differentiated by whatever chose its settings. A loop that fails stands still
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from stewart_drake.control.objective import CostScales, cost
 from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.hardware.estimator import EncoderOptions, estimate, initial_memory
 from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.hardware.observing import observer_at
 from stewart_drake.hardware.sensing import LoopSite
-from stewart_drake.logs.cost import FAILED, CostScales, cost
+from stewart_drake.logs.cost import FAILED
 from stewart_drake.mechanics import kinematics_core
 from stewart_drake.mechanics.arrays import fitted, robot_like
-from stewart_drake.mechanics.friction import FrictionLaw
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.closed_chain import loaded, starting_state
-from stewart_drake.sampling import on_grid, steps_per
+from stewart_drake.plant.closed_chain import starting_state
+from stewart_drake.sampling import steps_per
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.gains import Regulator, product
-from stewart_drake.training.loop_model import (
-    BatchedObserver,
-    Chain,
-    ObserverState,
-    Plant,
-    PlantState,
-    solved,
-)
+from stewart_drake.training.loop_model import BatchedObserver, Chain, ObserverState, Plant, PlantState, solved
+from stewart_drake.training.loop_state import Costs, LoopState, Observed, Tuner, frozen, kept
 from stewart_drake.training.loop_tables import LoopTables, Row, looked_ahead, refuse
 
 _WILD = 1e4
 """[rad/s, m/s] beyond which a loop is lost, whatever else."""
-
-
-class Observed(NamedTuple):
-    """What a tuner sees of a tick.
-
-    Attributes:
-        error: (B, 6) [rad, m] of the pose that the controller sees.
-        torque: (B, 6) [N m] that it asks for.
-        innovation: (B, 6) [rad]; zeros without an observer.
-        reference: (B, 18) that it follows.
-    """
-
-    error: Tensor
-    torque: Tensor
-    innovation: Tensor
-    reference: Tensor
-
-
-Tuner = Callable[[Observed, Any], tuple[Tensor, Any]]
-"""From what is observed and its own memory to settings (B, 4), which act from the next tick on, and the memory."""
-
-
-class LoopState(NamedTuple):
-    """Of all loops before a tick.
-
-    Attributes:
-        tick: Its number.
-        plant: See there.
-        observer: See there; None for sensors that are believed.
-        integral: (6, B) [rad s, m s].
-        sent: Commands (6, B) [N m] of the ticks before, less what friction takes of them, oldest first.
-        asked: Torques (6, B) [N m] likewise, as asked for.
-        last: (6, B) [N m] torque of the last tick, within the motors' limits.
-        alive: (B,) whether a loop has not failed.
-        followed: (B,) whether it has come near its reference.
-        setting: (B, 4) in force, see `control.settings`.
-        memory: Of the tuner.
-    """
-
-    tick: int
-    plant: PlantState
-    observer: ObserverState | None
-    integral: Tensor
-    sent: tuple[Tensor, ...]
-    asked: tuple[Tensor, ...]
-    last: Tensor
-    alive: Tensor
-    followed: Tensor
-    setting: Tensor
-    memory: Any = None
-
-    def detached(self) -> LoopState:
-        """The same without a graph."""
-        found: LoopState = _mapped(lambda each: each.detach(), self)
-        return found
-
-
-class Costs(NamedTuple):
-    """What each tick costs, (B, ticks).
-
-    Attributes:
-        rotation: [deg^2] squared length of the error.
-        position: [mm^2] likewise.
-        change: [(N m)^2] mean square over the motors of the torque's change since the tick before.
-    """
-
-    rotation: Tensor
-    position: Tensor
-    change: Tensor
-
-    @classmethod
-    def joined(cls, parts: Sequence[Costs]) -> Costs:
-        """Of ticks one after the other."""
-        return cls(*(torch.cat(each, dim=-1) for each in zip(*parts, strict=True)))
 
 
 class BatchedLoops:
@@ -139,18 +58,17 @@ class BatchedLoops:
         first = scenarios[0]
         self.scenarios, self.period, self._options = tuple(scenarios), first.controller.period, first.lqi
         self._device = torch.device("cpu" if device is None else device)
-        step = on_grid(first.plant.time_step)
         self._steps = steps_per("controller.period", self.period, first.plant.time_step)
         sites = [LoopSite.of(scenario) for scenario in scenarios]
         like = self._tensor(0.0)
         self._believed = fitted(robot_like(first.believed_robot, like), 1)
-        self._plant = self._made_plant(step, width)
+        self._plant = Plant.of(scenarios, width, self._tensor)
         payload = any(scenario.plant.payload_mass > 0.0 for scenario in scenarios)
         self._shared = not payload and first.believed_robot == first.robot
         ahead = [looked_ahead(scenario) for scenario in scenarios]
         self._observer = None
         if isinstance(first.estimator, ObserverOptions):
-            self._observer = self._made_observer(sites, ahead)
+            self._observer = BatchedObserver.of(scenarios, sites, self._believed, self._tensor)
         self._tables = LoopTables(scenarios, ahead, self._device)
         self._delay = torch.tensor([scenario.command_delay for scenario in scenarios], device=self._device)
         self._delays, self._aheads = [max(s.command_delay for s in scenarios)], [max(ahead)]
@@ -257,7 +175,7 @@ class BatchedLoops:
             wrench = None if row.wrench is None else row.wrench[step]
             ahead = self._plant.pushed(plant, chain, applied, wrench)
             good = good & (ahead.twist.abs() < _WILD).all(dim=0)
-            plant = _kept(good, ahead, plant)
+            plant = kept(good, ahead, plant)
 
         memory, setting = state.memory, state.setting
         if tuner is not None:
@@ -281,7 +199,7 @@ class BatchedLoops:
             setting,
             memory,
         )
-        return _frozen(alive, later, before), _kept(alive, costs, Costs(*(each.detach() * 0.0 for each in costs)))
+        return frozen(alive, later, before), kept(alive, costs, Costs(*(each.detach() * 0.0 for each in costs)))
 
     def _regulated(
         self, state: LoopState, row: Row, pose: Tensor, rate: Tensor, error: Tensor, push: Tensor
@@ -342,43 +260,6 @@ class BatchedLoops:
         changed = (change * change).mean(dim=0)
         return Costs((180.0 / math.pi) ** 2 * squares[0], 1e6 * squares[1], changed if tick > 0 else 0.0 * changed)
 
-    def _made_plant(self, step: float, width: float) -> Plant:
-        scenarios = self.scenarios
-        options = [scenario.plant for scenario in scenarios]
-        own = [loaded(scenario.robot, scenario.plant) for scenario in scenarios]
-        robot = fitted(robot_like(scenarios[0].robot, self._tensor(0.0)), 1)
-        if any(each.payload_mass > 0.0 for each in options):
-            fields = ("platform_mass", "platform_moment", "platform_inertia")
-            robot = robot._replace(
-                **{name: self._tensor(np.stack([getattr(each, name) for each in own], axis=-1)) for name in fields}
-            )
-        laws = [each.friction_law(scenario.robot) for each, scenario in zip(options, scenarios, strict=True)]
-        law = FrictionLaw(*(self._tensor(np.stack(each, axis=-1)).T for each in zip(*laws, strict=True)))
-        rubs = bool((law.break_away > 0.0).any() or (law.viscous > 0.0).any())
-        rounded = width * law.break_away if width > 0.0 else 0.0
-        return Plant(robot, law if rubs else None, scenarios[0].gravity, step, rounded)
-
-    def _made_observer(self, sites: Sequence[LoopSite], ahead: Sequence[int]) -> BatchedObserver:
-        scenarios = self.scenarios
-        options: list[Any] = [scenario.estimator for scenario in scenarios]
-        placed = [
-            observer_at(each, site, scenario.sensors).observer
-            for each, site, scenario in zip(options, sites, scenarios, strict=True)
-        ]
-        looking = torch.tensor(list(ahead), device=self._device)
-        groups = [torch.nonzero(looking > step)[:, 0] for step in range(max(ahead))]
-        return BatchedObserver(
-            self._believed,
-            scenarios[0].gravity,
-            self.period,
-            self._tensor([each.reading_noise for each in placed]),
-            self._tensor([each.slip for each in placed]),
-            self._tensor([each.max_innovation for each in options]),
-            self._tensor([each.hold_ticks for each in options]),
-            looking,
-            tuple(None if len(group) == len(scenarios) else group for group in groups),
-        )
-
     def _start(self, sites: Sequence[LoopSite]) -> LoopState:
         scenarios, count = self.scenarios, len(self.scenarios)
         states = [starting_state(s.robot, site.pose, site.pose_rate) for s, site in zip(scenarios, sites, strict=True)]
@@ -435,29 +316,3 @@ def _clipped(values: Tensor, bound: Tensor) -> Tensor:
 
 def _pose_rate(plant: PlantState) -> Tensor:
     return torch.cat([kinematics_core.euler_rates(plant.pose.T, plant.twist[:3]), plant.twist[3:]])
-
-
-def _mapped(function: Callable[[Tensor], Tensor], value: Any) -> Any:
-    """A nest of tuples with a function on its tensors."""
-    if isinstance(value, Tensor):
-        return function(value)
-    if isinstance(value, tuple):
-        parts = [_mapped(function, each) for each in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value
-
-
-def _kept(good: Tensor, new: Any, old: Any) -> Any:
-    """New tensors (..., B) of loops that are good, old ones of the others."""
-    if isinstance(new, Tensor):
-        return torch.where(good, new, old)
-    parts = [_kept(good, *each) for each in zip(new, old, strict=True)]
-    return type(new)(*parts) if hasattr(new, "_fields") else tuple(parts)
-
-
-def _frozen(alive: Tensor, later: LoopState, before: LoopState) -> LoopState:
-    """The state after a tick, in which loops that have failed stay as they were."""
-    if bool(alive.all()):
-        return later
-    names = ("plant", "integral", "sent", "asked", "last") + (("observer",) if later.observer is not None else ())
-    return later._replace(**{name: _kept(alive, getattr(later, name), getattr(before, name)) for name in names})

@@ -6,17 +6,24 @@ Vectors are (6, B), components first, as in `kinematics_core`; matrices for line
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from stewart_drake.hardware.observer import ARRIVED, RESTS
+from stewart_drake.hardware.observing import observer_at
+from stewart_drake.hardware.sensing import LoopSite
 from stewart_drake.mechanics import dynamics_core, kinematics_core
-from stewart_drake.mechanics.arrays import Robot, cross, namespace
+from stewart_drake.mechanics.arrays import Robot, cross, fitted, namespace, robot_like
 from stewart_drake.mechanics.friction import Bristles, FrictionLaw, Motor, implicit_torque, moved
 from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.mechanics.kinematics_core import Legs
+from stewart_drake.plant.closed_chain import loaded
+from stewart_drake.sampling import on_grid
+from stewart_drake.scenario import Scenario
 from stewart_drake.training.gains import kalman_gains, product
 
 SETTLED = 1e-12
@@ -94,6 +101,24 @@ class Plant(NamedTuple):
     gravity: float
     step: float
     width: Tensor | float
+
+    @classmethod
+    def of(cls, scenarios: Sequence[Scenario], width: float, tensor: Callable[[Any], Tensor]) -> Plant:
+        """That of some scenarios, with friction's corners rounded by a share `width` of the break-away torque."""
+        robot, options = scenarios[0].robot, [scenario.plant for scenario in scenarios]
+        fixed = fitted(robot_like(robot, tensor(0.0)), 1)
+        if any(each.payload_mass > 0.0 for each in options):
+            own = [loaded(robot, each) for each in options]
+            names = ("platform_mass", "platform_moment", "platform_inertia")
+            fixed = fixed._replace(
+                **{name: tensor(np.stack([getattr(each, name) for each in own], axis=-1)) for name in names}
+            )
+        laws = zip(*(each.friction_law(robot) for each in options), strict=True)
+        law = FrictionLaw(*(tensor(np.stack(each, axis=-1)).T for each in laws))
+        rubs = bool((law.break_away > 0.0).any() or (law.viscous > 0.0).any())
+        rounded = width * law.break_away if width > 0.0 else 0.0
+        step = on_grid(options[0].time_step)
+        return cls(fixed, law if rubs else None, scenarios[0].gravity, step, rounded)
 
     def arrived(self, state: PlantState) -> tuple[PlantState, Legs]:
         """Cranks and bristles brought to where the pose is."""
@@ -224,6 +249,29 @@ class BatchedObserver(NamedTuple):
     hold_ticks: Tensor
     ahead: Tensor
     groups: tuple[Tensor | None, ...]
+
+    @classmethod
+    def of(
+        cls, scenarios: Sequence[Scenario], sites: Sequence[LoopSite], robot: Robot, tensor: Callable[[Any], Tensor]
+    ) -> BatchedObserver:
+        """That of some scenarios, all of which have one."""
+        options: list[Any] = [scenario.estimator for scenario in scenarios]
+        given = zip(options, sites, scenarios, strict=True)
+        placed = [observer_at(each, site, scenario.sensors) for each, site, scenario in given]
+        own = [each.observer for each in placed]
+        ahead = tensor([each.ahead for each in placed]).long()
+        groups = [torch.nonzero(ahead > step)[:, 0] for step in range(max(each.ahead for each in placed))]
+        return cls(
+            robot,
+            scenarios[0].gravity,
+            own[0].period,
+            tensor([each.reading_noise for each in own]),
+            tensor([each.slip for each in own]),
+            tensor([each.max_innovation for each in options]),
+            tensor([each.hold_ticks for each in options]),
+            ahead,
+            tuple(None if len(group) == len(own) else group for group in groups),
+        )
 
     def corrected(
         self, state: ObserverState, angles: Tensor, wanted: Tensor, disturbance: Tensor

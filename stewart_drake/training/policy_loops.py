@@ -13,7 +13,8 @@ from stewart_drake.control.features import Heard, Recent, Site, features, nothin
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import Layers, answer, limited
 from stewart_drake.scenario import Scenario
-from stewart_drake.training.batched_loops import BatchedLoops, Costs, LoopState, Observed
+from stewart_drake.training.batched_loops import BatchedLoops
+from stewart_drake.training.loop_state import Costs, LoopState, Observed
 
 
 class Hearing(NamedTuple):

@@ -18,8 +18,9 @@ from stewart_drake.plant.closed_chain import advanced, loaded, starting_state
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import load_scenario
-from stewart_drake.training.batched_loops import BatchedLoops, Costs
+from stewart_drake.training.batched_loops import BatchedLoops
 from stewart_drake.training.loop_model import BatchedObserver, Chain, ObserverState, Plant, PlantState
+from stewart_drake.training.loop_state import Costs
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 PUSH = {"kind": "step", "wrench": [0.02, 0, 0, 3, -2, -4], "time": 0.01, "until": 0.15}
@@ -156,14 +157,14 @@ def test_pieces_and_places_in_a_batch_do_not_matter():
 @pytest.mark.parametrize("name", ["exact_breathing", "reachy_nod"])
 def test_the_gradient_of_a_runs_cost_is_that_of_differences(name):
     """With friction's corners rounded, and no counts, whose steps have no slope."""
-    quiet = base(name, 0.08 if name == "exact_breathing" else 0.5).replace({"sensors.resolution_bits": 0})
+    quiet = base(name, 0.04 if name == "exact_breathing" else 0.25).replace({"sensors.resolution_bits": 0})
     changes = [
         {},
         {"command_delay": 3},
         {"command_delay": 0, "plant.payload_mass": 0.05},
         {"plant.motor_friction": 0.03},
     ]
-    push = [{**PUSH, "wrench": [0.1 * part for part in PUSH["wrench"]], "time": 0.05}]
+    push = [{**PUSH, "wrench": [0.1 * part for part in PUSH["wrench"]], "time": 0.02}]
     loops = BatchedLoops([quiet.replace({"disturbances": push, **each}) for each in changes], width=0.2)
 
     def scores(setting):
