@@ -23,7 +23,7 @@ ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": ("estimator.kind=difference", BLOCK),
     MAIN: (OBSERVER, WEIGHTS),
     "observer, default weights": (OBSERVER, BLOCK),
-    **{f"observer, disturbance {level}": (OBSERVER, WEIGHTS, f"estimator.disturbance={level}") for level in (5, 10, 40)},
+    **{f"observer, disturbance {one}": (OBSERVER, WEIGHTS, f"estimator.disturbance={one}") for one in (5, 10, 40)},
     **{f"observer, {ticks} ticks of delay": (OBSERVER, WEIGHTS, f"command_delay={ticks}") for ticks in (0, 2, 4)},
     "observer, 10 ms, 1 tick of delay, default weights": (OBSERVER, "controller.period=0.01", BLOCK),
     "observer, ideal sensors": (OBSERVER, WEIGHTS, "sensors={kind: ideal}"),

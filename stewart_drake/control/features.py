@@ -209,9 +209,16 @@ def flat_features(site: Site, compiled: bool) -> Callable[..., tuple[np.ndarray,
     )
     times = np.array([*TIMES, DRIFT_TIME])
 
-    def quick(*given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def quick(
+        density: np.ndarray,
+        error: np.ndarray,
+        torque: np.ndarray,
+        innovation: np.ndarray,
+        reference: np.ndarray,
+        before: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         found, recent = np.empty(len(FEATURES)), np.empty(RECENT.size)
-        fast(packed, times, *given, found, recent)
+        fast(packed, times, density, error, torque, innovation, reference, before, found, recent)
         return found, recent
 
     return quick

@@ -124,14 +124,14 @@ class FixedTuner(PairTuner):
     kind: Literal["fixed"] = "fixed"
 
 
-class BlockTuner(Tuner):
-    """Q = diag(q_pose I, q_rate I, q_integral I), R = r I, held as given; see `controller.weight_length`.
+class BlockWeights(Tuner):
+    """What tuners of block weights have: Q = diag(q_pose I, q_rate I, q_integral I), R = r I.
 
     The defaults are for the paper's robot; for any other a scenario scales them by what a torque does there, so that
     the loop is as fast. Where commands act later than after 5 ms it is slower in proportion.
     """
 
-    kind: Literal["block"] = "block"
+    kind: str
     q_pose: Annotated[Positive, POSE_WEIGHT] = 4.0e5
     """Weight of the pose's error."""
     q_rate: Annotated[Positive, RATE_WEIGHT] = 30.0
@@ -145,6 +145,12 @@ class BlockTuner(Tuner):
     def weights(self) -> tuple[float, ...]:
         """Weights as the controller takes them."""
         return self.q_pose, self.q_rate, self.q_integral, self.r
+
+
+class BlockTuner(BlockWeights):
+    """Block weights that stay as given; see `controller.weight_length`."""
+
+    kind: Literal["block"] = "block"
 
 
 class AnnTuner(PairTuner):
@@ -177,7 +183,7 @@ class AnnTuner(PairTuner):
         return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
 
 
-class SettingTuner(BlockTuner):
+class SettingTuner(BlockWeights):
     """What tuners of settings have; a setting is decades above these weights and `estimator.disturbance`.
 
     They hear the innovations of an observer, see `features`, and change its bandwidth too.

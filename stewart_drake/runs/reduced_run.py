@@ -71,7 +71,8 @@ class ReducedRun:
         site = ControllerSite(believed, scenario.gravity, len(scenario.tuner.weights), at.guarded, compiled)
         self._control = _control(scenario, site)
         self._tuner, self._density = None, None
-        self._weights, self._level = np.array(scenario.tuner.weights), None
+        self._weights = np.array(scenario.tuner.weights)
+        self._level: np.ndarray | None = None
         if self._control.weighted:
             tuner = scenario.tuner
             self._density = Running(density_part(tuner.window, tuner.density, compiled))

@@ -63,4 +63,4 @@ def add_setting_tuner(wiring: Any, options: SettingTuner, density: OutputPort) -
     rest = len(part.initial) - sum(_SAID)
     split = wiring.add("settings", Demultiplexer(output_ports_sizes=[*_SAID, rest]), u0=added.said)
     weights, wiring.level, wiring.signals["setting"] = (split.get_output_port(k) for k in range(len(_SAID)))
-    return weights  # type: ignore[no-any-return]
+    return weights

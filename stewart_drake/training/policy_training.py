@@ -59,6 +59,8 @@ class PolicyOptions(Section, key="training"):
     """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
     fairness: NotNegative = 4.0
     """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
+    turns: tuple[str, ...] = ()
+    """Names of robots whose situations an epoch goes through by themselves, one after the other, before all of them."""
     without: tuple[str, ...] = ()
     """Names of features that it does not get."""
 
@@ -93,7 +95,7 @@ class Training:
         torch.set_num_threads(1)
         rng = np.random.default_rng(options.seed)
         self._both = 2 if options.method == "evolution" else 1
-        self._groups, self.names, tastes = [], [], []
+        self._groups, self.names, tastes, self._robots = [], [], [], list(robots)
         for robot in robots:
             kinds = kinds_of(robot, trained=True)
             drawn = [(kind, situation(kind, robot, TRAINING[k])) for k in range(options.situations) for kind in kinds]
@@ -104,6 +106,7 @@ class Training:
             scenarios = [_coarser(scenario) for _, scenario in drawn]
             self._groups.append(Situations(scenarios * self._both, [*kappa] * self._both, options.width))
         self.kappa = np.concatenate(tastes)
+        self._robot_of = np.repeat(np.arange(len(tastes)), [len(each) for each in tastes])
         counts = {name: self.names.count(name) for name in self.names}
         self.share = np.array([1.0 / (counts[name] * len(counts)) for name in self.names])
 
@@ -113,8 +116,13 @@ class Training:
         box = [np.asarray(each).tolist() for each in self.box]
         return checksum({"options": self.options.to_dict(), "box": box})
 
-    def begin(self, tell: Callable[[str], None]) -> Progress:
-        """Costs at the centre, and the statistics of the features there and at settings about it."""
+    def begin(self, tell: Callable[[str], None], start: Policy | None = None) -> Progress:
+        """Costs at the centre, and the statistics of the features there and at settings about it.
+
+        Args:
+            tell: See `train_policy`.
+            start: A policy to go on from, whose statistics stay; None for weights of zero.
+        """
         options, rng = self.options, np.random.default_rng([self.options.seed, 1])
         units = options.hidden
         weights = np.concatenate(
@@ -125,14 +133,20 @@ class Training:
         )
         none = np.zeros(len(FEATURES))
         moments, far = np.zeros((2, len(weights))), none + 1e5
-        start = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far)
-        fixed, found = self._rollout(start, None, tell)
+        begun = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far)
+        fixed, found = self._rollout(begun, None, tell)
+        if start is not None:
+            own = start.layers
+            begun.mean, begun.scale = np.asarray(own.mean), np.asarray(own.scale)
+            begun.weights = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
+            begun.fixed, (begun.latest, _) = fixed, self._rollout(begun, None, tell, own=True)
+            return begun
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
-        _, more = self._rollout(start, wild, tell)
+        _, more = self._rollout(begun, wild, tell)
         sample = np.concatenate([found, more])
-        start.mean, start.scale = sample.mean(axis=0), np.maximum(sample.std(axis=0), 1e-3)
-        start.fixed = start.latest = fixed
-        return start
+        begun.mean, begun.scale = sample.mean(axis=0), np.maximum(sample.std(axis=0), 1e-3)
+        begun.fixed = begun.latest = fixed
+        return begun
 
     def layers(self, at: Progress, weights: Tensor | None = None) -> Layers:
         """The policy in torch."""
@@ -217,33 +231,42 @@ class Training:
 
     def _by_gradient(self, at: Progress, tell: Callable[[str], None]) -> Progress:
         made = Progress(**vars(at))
+        for turn in self.options.turns:
+            made = self._pass(made, [self._robots.index(turn)], tell)
+        return self._pass(made, range(len(self._groups)), tell)
+
+    def _pass(self, at: Progress, chosen: Sequence[int], tell: Callable[[str], None]) -> Progress:
+        """Once through the situations of some robots, by their numbers, all at once."""
+        made, groups = Progress(**vars(at)), [self._groups[k] for k in chosen]
+        own = np.concatenate([np.flatnonzero(self._robot_of == k) for k in chosen])
         # The gradient of log J is half of that of J^2 over J^2.
-        share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
+        share = torch.from_numpy((self._weighed(at) / at.latest**2 * 0.5)[own])
         with torch.no_grad():
             layers = self.layers(made)
-            tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in self._groups]
+            tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in groups]
             states = [
                 group.advance(group.start(tuner), group.scored, tuner)[0]
-                for group, tuner in zip(self._groups, tuners, strict=True)
+                for group, tuner in zip(groups, tuners, strict=True)
             ]
-        squares = np.zeros(len(self.share))
+        squares = np.zeros(len(own))
         for piece in range(self.options.pieces):
             weights = torch.from_numpy(made.weights.copy()).requires_grad_()
             layers, parts = self.layers(made, weights), []
-            for k, group in enumerate(self._groups):
+            for k, group in enumerate(groups):
                 tuner = PolicyInLoops(layers, group.site, self.box.rate)
                 late = group.ticks - group.scored
                 ticks = late * (piece + 1) // self.options.pieces - late * piece // self.options.pieces
                 states[k], found = group.advance(states[k].detached(), ticks, tuner)
                 parts.append(found)
             found = torch.cat(parts)
-            (self.options.pieces * (share * found).sum()).backward()
+            (self.options.pieces * (share * found).sum()).backward()  # type: ignore[no-untyped-call]
             gradient = np.zeros_like(made.weights) if weights.grad is None else weights.grad.numpy()
             squares += found.detach().numpy()
             if np.isfinite(gradient).all():
                 self._adam(made, gradient)
             tell(f"piece {piece + 1} of {self.options.pieces}")
-        made.latest = self._costs(squares, states)
+        made.latest = at.latest.copy()
+        made.latest[own] = self._costs(squares, states)
         return made
 
     def _by_evolution(self, at: Progress, tell: Callable[[str], None]) -> Progress:
@@ -312,7 +335,10 @@ def _coarser(scenario: Any) -> Any:
 
 
 def train_policy(
-    training: Training, checkpoint: Path | None = None, tell: Callable[[float, str], None] | None = None
+    training: Training,
+    checkpoint: Path | None = None,
+    tell: Callable[[float, str], None] | None = None,
+    start: Policy | None = None,
 ) -> Policy:
     """Trains, going on from a checkpoint where there is one; the same options give the same policy.
 
@@ -320,12 +346,13 @@ def train_policy(
         training: See there.
         checkpoint: File that is written after each epoch, and taken away at the end; None for none.
         tell: Called with epochs done and a word on it.
+        start: A policy to go on from.
 
     Raises:
         ConfigurationError: See `policy_progress.kept`.
     """
     say = tell or (lambda *_: None)
-    at = kept(checkpoint, training.identity) or training.begin(lambda text: say(0.0, text))
+    at = kept(checkpoint, training.identity) or training.begin(lambda text: say(0.0, text), start)
     while at.epoch < training.options.epochs:
         done = float(at.epoch)
         at = training.epoch(at, lambda text, done=done: say(done, text))  # type: ignore[misc]

@@ -16,6 +16,7 @@ from stewart_drake.training.batched_loops import BatchedLoops
 COUNTS = (1024, 4096)
 IDEAL = {
     "sensors": {"kind": "ideal"},
+    "tuner": {"kind": "block", "q_pose": 8e5, "q_rate": 150.0, "q_integral": 5e6},
     "estimator": {"kind": "difference"},
     "plant": {},
     "friction_compensation": None,

@@ -27,7 +27,7 @@ OBSERVER = ("estimator={kind: observer}", "friction_compensation={coulomb: 0.01}
 )
 def test_a_whole_run(benchmark, name, changes):
     """Reading, checks, compiled ticks of the exact-model LQI at 1 kHz, plant, log, figures; 2.5 s of breathing."""
-    scenario = load_scenario("exact_breathing", ("duration=2.5", *changes))
+    scenario = load_scenario("exact_breathing", ("duration=2.5", "tuner=block", *changes))
     reduced = scenario.replace({"plant.engine": "reduced"})
     mine, drake = [], []
 

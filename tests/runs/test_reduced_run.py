@@ -20,6 +20,7 @@ ENCODERS = "sensors={kind: encoders, resolution_bits: 0}"
 """Without counts: a reading that is rounded the other way is a difference that neither engine can help."""
 PUSH = "disturbances=[{kind: step, wrench: [0.02, 0, 0.03, 3, -2, -4], time: 0.2, until: 0.4}]"
 OBSERVER = "estimator={kind: observer}"
+HELD = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 
 
 def both(name, *changes):
@@ -37,37 +38,40 @@ def apart(one, other):
 
 CASES = {
     # Smooth loops at 1 kHz: what is left is the gap of Drake's loops and the order of the method.
-    "breathing": (("exact_breathing", ENCODERS), 1e-7, 1e-6),
-    "heart, friction": (("exact_heart", ENCODERS, "plant.motor_friction=0.01"), 1e-7, 1e-6),
+    "breathing": (("exact_breathing", HELD, ENCODERS), 1e-7, 1e-6),
+    "heart, friction": (("exact_heart", HELD, ENCODERS, "plant.motor_friction=0.01"), 1e-7, 1e-6),
     "push, payload": (
-        ("exact_breathing", ENCODERS, PUSH, "plant.payload_mass=0.3", "plant.payload_position=[0.02, 0.01, 0.05]"),
+        ("exact_breathing", HELD, ENCODERS, PUSH, "plant.payload_mass=0.3",
+         "plant.payload_position=[0.02, 0.01, 0.05]"),
         1e-6,
         1e-5,
     ),
-    "delay": (("exact_breathing", ENCODERS, "command_delay=4"), 1e-7, 1e-6),
+    "delay": (("exact_breathing", HELD, ENCODERS, "command_delay=4"), 1e-7, 1e-6),
     "observer": (
-        ("exact_heart", ENCODERS, OBSERVER, "command_delay=2", "plant.motor_friction=0.01",
+        ("exact_heart", HELD, ENCODERS, OBSERVER, "command_delay=2", "plant.motor_friction=0.01",
          "friction_compensation={coulomb: 0.01}"),
         1e-7,
         1e-6,
     ),
-    "observer of a pose": (("exact_heart", "sensors={kind: ideal}", OBSERVER), 1e-7, 1e-6),
+    "observer of a pose": (("exact_heart", HELD, "sensors={kind: ideal}", OBSERVER), 1e-7, 1e-6),
     "link, motors": (
-        ("exact_breathing", ENCODERS, "plant.time_step=0.0005", "link={drop_probability: 0.05, late_probability: 0.05}",
+        ("exact_breathing", HELD, ENCODERS, "plant.time_step=0.0005",
+         "link={drop_probability: 0.05, late_probability: 0.05}",
          "motors={ripple: 0.01}"),
         2e-6,
         1e-5,
     ),
     "late sensor": (
-        ("exact_breathing", "sensors={kind: ideal, faults: [{kind: late, delay: 0.002, time: 0.1}]}", "safety={}"),
+        ("exact_breathing", HELD, "sensors={kind: ideal, faults: [{kind: late, delay: 0.002, time: 0.1}]}",
+         "safety={}"),
         1e-6,
         1e-5,
     ),
-    "pid": (("exact_breathing", ENCODERS, "controller={kind: pid}"), 1e-6, 1e-5),
-    "computed torque": (("exact_breathing", ENCODERS, "controller={kind: computed_torque}"), 1e-6, 1e-5),
+    "pid": (("exact_breathing", HELD, ENCODERS, "controller={kind: pid}"), 1e-6, 1e-5),
+    "computed torque": (("exact_breathing", HELD, ENCODERS, "controller={kind: computed_torque}"), 1e-6, 1e-5),
     "network": (("exact_fig7", "tuner={kind: paper}"), 5e-5, 1e-3),
     # Noise and counts: a reading at the edge of a count falls to the other side, and both go on from there.
-    "noise": (("exact_breathing", "sensors.noise=2.0e-5", "command_delay=1"), 1e-5, 1e-4),
+    "noise": (("exact_breathing", HELD, "sensors.noise=2.0e-5", "command_delay=1"), 1e-5, 1e-4),
     # Soft loops at 200 Hz show the first order of both methods.
     "paper": (("paper_fig7",), 1e-5, 1e-4),
     "tool path": (("tool_path",), 5e-4, 5e-4),
@@ -100,12 +104,12 @@ def test_it_is_the_run_on_drakes_plant(given, metres, radians):
 
 
 ENDS = {
-    "silent link": ("exact_breathing", ENCODERS, "safety={}", "link={stop_time: 0.2}"),
-    "jump": ("exact_breathing", "safety={}", "sensors.faults=[{leg: 2, kind: jump, size: 0.3, time: 0.2}]"),
-    "nan": ("exact_breathing", "sensors.faults=[{leg: 1, kind: nan, time: 0.2}]"),
-    "torque beyond numbers": ("exact_breathing", "link={faults: [{kind: inf, leg: 0, time: 0.2}]}"),
+    "silent link": ("exact_breathing", HELD, ENCODERS, "safety={}", "link={stop_time: 0.2}"),
+    "jump": ("exact_breathing", HELD, "safety={}", "sensors.faults=[{leg: 2, kind: jump, size: 0.3, time: 0.2}]"),
+    "nan": ("exact_breathing", HELD, "sensors.faults=[{leg: 1, kind: nan, time: 0.2}]"),
+    "torque beyond numbers": ("exact_breathing", HELD, "link={faults: [{kind: inf, leg: 0, time: 0.2}]}"),
     "falls": ("paper_fig7_uncompensated",),
-    "dead motor": ("exact_breathing", ENCODERS, "safety={}", "motors={dead: {leg: 1, time: 0.2}}"),
+    "dead motor": ("exact_breathing", HELD, ENCODERS, "safety={}", "motors={dead: {leg: 1, time: 0.2}}"),
 }
 
 
@@ -127,7 +131,9 @@ def test_it_ends_as_the_run_on_drakes_plant_ends(given):
 def test_a_log_is_written_read_and_replayed_and_runs_repeat_to_the_last_bit(tmp_path):
     from stewart_drake.runs.replay import write_replay
 
-    scenario = load_scenario("exact_breathing", (*FAST, "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002"))
+    scenario = load_scenario(
+        "exact_breathing", (HELD, *FAST, "duration=0.1", "sensors.noise=2.0e-5", "log_period=0.002")
+    )
     log = run(scenario)
     assert (log.status, len(log.time), log.state_names) == ("completed", 51, ())
     log.save(tmp_path / "log.parquet")
@@ -157,7 +163,7 @@ def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
 def test_more_rows_than_there_was_place_for(monkeypatch):
     monkeypatch.setattr(reduced_run, "_ROWS", 7)
     monkeypatch.setattr(simulation, "CHUNK", 0.03)
-    log = run(load_scenario("exact_breathing", (*FAST, "duration=0.1")), check=False)
+    log = run(load_scenario("exact_breathing", (HELD, *FAST, "duration=0.1")), check=False)
     np.testing.assert_allclose(log.time, 0.001 * np.arange(101), rtol=1e-14)
     assert (np.diff(log["reference"][:, 5]) != 0.0).all()
 
@@ -167,7 +173,7 @@ def test_ctrl_c_keeps_whole_rows():
         if time >= 0.1:
             raise KeyboardInterrupt
 
-    log = run(load_scenario("exact_breathing", (*FAST, "duration=1")), progress=progress, check=False)
+    log = run(load_scenario("exact_breathing", (HELD, *FAST, "duration=1")), progress=progress, check=False)
     assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.1, 101)
 
 
@@ -219,7 +225,7 @@ def test_a_controller_of_ones_own_runs_as_in_the_diagram(period):
 
 
 def test_an_error_in_a_controller_of_ones_own_ends_the_run_with_its_name():
-    scenario = load_scenario("exact_breathing", ("duration=0.05", "plant.engine=reduced")).replace(
+    scenario = load_scenario("exact_breathing", (HELD, "duration=0.05", "plant.engine=reduced")).replace(
         {"controller": {"kind": Broken}}
     )
     log = run(scenario)

@@ -14,7 +14,7 @@ from stewart_drake.stability.margins import loop_margins
 
 @pytest.fixture(scope="module")
 def loops():
-    made = load_scenario("exact_breathing")
+    made = load_scenario("exact_breathing", ["tuner=block"])
     return linear_loops(made, sample_poses(made.robot, NEAR, 20, np.random.default_rng(3)).poses)
 
 

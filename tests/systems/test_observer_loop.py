@@ -139,7 +139,7 @@ def test_a_robot_with_friction_comes_to_rest_and_stays(believed, level):
         "friction_compensation": {"coulomb": believed},
         "reference": {"kind": "minimum_jerk", "poses": [HOME, [0.05, 0, 0, 0.01, 0, 0.31]], "durations": [0.5]},
         "duration": 6.0,
-        "tuner": load_scenario("exact_breathing").to_dict()["tuner"],
+        "tuner": {"kind": "block", "q_pose": 8e5, "q_rate": 150.0, "q_integral": 5e6},
     }
     log = run(made(**rest))
     late = log.signals["time"] >= 3.5
