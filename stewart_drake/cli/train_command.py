@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stewart_drake.training.policy_training import Method
     from stewart_drake.training.train import Split
 
-_POLICY_EPOCHS, _PAPER_EPOCHS = 16, 2000
+_POLICY_EPOCHS, _MORE_EPOCHS, _PAPER_EPOCHS = 10, 3, 2000
 
 
 @click.command()
@@ -51,7 +51,8 @@ def collect(out: Path, quiet: bool) -> None:
 @click.option(
     "--epochs",
     type=click.IntRange(1),
-    help=f"Passes over the data [default: {_PAPER_EPOCHS}] or the situations [default: {_POLICY_EPOCHS}].",
+    help=f"Passes over the data [default: {_PAPER_EPOCHS}], or over the situations [default: {_POLICY_EPOCHS}; with "
+    f"--start: {_MORE_EPOCHS}].",
 )
 @click.option(
     "--split",
@@ -67,6 +68,11 @@ def collect(out: Path, quiet: bool) -> None:
     show_default=True,
     help="Of the policy: backpropagation through the loops, or an evolution strategy.",
 )
+@click.option(
+    "--start",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Of the policy: a file to go on from, in smaller steps.",
+)
 @quiet_flag
 def train(
     dataset: Path | None,
@@ -76,6 +82,7 @@ def train(
     epochs: int | None,
     split: Split,
     method: Method,
+    start: Path | None,
     quiet: bool,
 ) -> None:
     """Train a tuner and write its file.
@@ -93,16 +100,21 @@ def train(
     if dataset is not None:
         raise ConfigurationError("DATASET", str(dataset), "nothing, for --tuner policy: it is trained in the loop")
 
-    from stewart_drake.training.policy_training import PolicyOptions, Training, train_policy
+    from stewart_drake.control.policy import load_policy
+    from stewart_drake.training.policy_training import REFINED, PolicyOptions, Training, train_policy
 
-    options = PolicyOptions(seed=seed, epochs=epochs or _POLICY_EPOCHS, method=method)
+    more = {} if start is None else REFINED
+    epochs = epochs or (_POLICY_EPOCHS if start is None else _MORE_EPOCHS)
+    options = PolicyOptions(seed=seed, epochs=epochs, method=method, **more)
+    first = None if start is None else load_policy(start)
     prepare_file(out, SPACE)
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     with ProgressBar("policy: situations", float(options.epochs), quiet, unit="epochs") as advance:
-        policy = train_policy(Training(options), checkpoint, lambda done, word: advance(done, f"policy: {word}"))
+        tell = lambda done, word: advance(done, f"policy: {word}")  # noqa: E731
+        policy = train_policy(Training(options), checkpoint, tell, first)
     policy.save(out)
     if not quiet:
-        ratios = policy.provenance["by_kind"].items()
+        ratios = policy.provenance["J_over_best_fixed_in_training"].items()
         print_table(f"J over that of the best fixed setting, policy in {out}", [(k, f"{v:.3f}") for k, v in ratios])
 
 

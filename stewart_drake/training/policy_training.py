@@ -10,6 +10,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -22,6 +23,7 @@ from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import Layers, Policy
 from stewart_drake.control.settings import SIZE
 from stewart_drake.files.whole import checksum
+from stewart_drake.logs.versions import collect_versions
 from stewart_drake.section import Count, NotNegative, Positive, Section, Seed
 from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.policy_loops import PolicyInLoops, Situations
@@ -41,15 +43,15 @@ class PolicyOptions(Section, key="training"):
     """Of the first weights, tastes and, for evolution, directions."""
     method: Method = "gradient"
     """gradient: backpropagation through the loops, cut into pieces. evolution: each loop goes another way."""
-    epochs: Annotated[Count, Field(ge=1)] = 20
+    epochs: Annotated[Count, Field(ge=1)] = 10
     """Rollouts of all situations."""
-    situations: Annotated[Count, Field(ge=1, le=1000)] = 32
+    situations: Annotated[Count, Field(ge=1, le=1000)] = 20
     """Of each kind and robot."""
     hidden: Annotated[Count, Field(ge=1, le=200)] = 16
     """Hidden units."""
     pieces: Annotated[Count, Field(ge=1, le=1000)] = 9
     """Of the scored half of a run, each with a step of Adam after it."""
-    learning_rate: Positive = 0.02
+    learning_rate: Positive = 0.03
     """Of Adam at first; it falls to a tenth along half a cosine."""
     spread: Positive = 0.1
     """Of the directions of evolution."""
@@ -63,6 +65,11 @@ class PolicyOptions(Section, key="training"):
     """Names of robots whose situations an epoch goes through by themselves, one after the other, before all of them."""
     without: tuple[str, ...] = ()
     """Names of features that it does not get."""
+
+
+REFINED: dict[str, Any] = {"learning_rate": 0.01, "fairness": 8.0, "pieces": 6, "turns": ("reachy_mini",) * 5}
+"""Options of a second training that goes on from a policy: small steps, and more of them for the slow robot, whose runs
+are cheap."""
 
 
 class Box(NamedTuple):
@@ -192,7 +199,24 @@ class Training:
         low, high = np.quantile(found, 0.0005, axis=0), np.quantile(found, 0.9995, axis=0)
         at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
         numpy = (np.array(each.detach()) for each in self.layers(at))
-        return Policy(Layers(*numpy), self.box.rate, {"by_kind": self.by_kind(at)})
+        return Policy(Layers(*numpy), self.box.rate, self._card(at))
+
+    def _card(self, at: Progress) -> dict[str, Any]:
+        """Where a policy comes from."""
+        kinds = {robot: kinds_of(robot, trained=True) for robot in self._robots}
+        versions = {name: version for name, version in collect_versions().items() if version is not None}
+        return {
+            "made_by": "stewart-drake train --tuner policy",
+            "date": date.today().isoformat(),
+            "data": {"situations": kinds, "of_each": self.options.situations, "seeds": f"from {TRAINING[0]} on"},
+            "cost": "J of control/objective.py at kappa 0; other tastes in half of the situations",
+            "options": self.options.to_dict(),
+            "epochs_J_over_best_fixed": [round(math.exp(plain), 3) for plain, _ in at.history],
+            "J_over_best_fixed_in_training": {name: round(value, 3) for name, value in self.by_kind(at).items()},
+            "processor_seconds": round(at.seconds),
+            "limits": "robots, sensors and motions of training/situations.py; see docs/results/tuner.md",
+            "versions": {**versions, "torch": torch.__version__},
+        }
 
     def by_kind(self, at: Progress) -> dict[str, float]:
         """Geometric mean of J over J at the centre, at kappa 0, by robot and kind."""
