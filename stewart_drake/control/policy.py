@@ -63,12 +63,14 @@ class Layers(NamedTuple):
     high: Array
 
 
-def answer(layers: Layers, found: Array) -> tuple[Array, Array]:
+def answer(layers: Layers, found: Array, leak: float = 0.0) -> tuple[Array, Array]:
     """Setting (..., 4) that a policy wants, and what of its own it is (...): 1 within the training data, 0 far outside.
 
     Args:
         layers: See there.
         found: (..., 13) features; one that is not finite counts as far outside.
+        leak: [-] for training in torch: slope that a gradient finds at the ends of the box, where there is none, in
+            units of that in the middle.
     """
     xp = namespace(found)
     known = xp.isfinite(found)
@@ -78,7 +80,10 @@ def answer(layers: Layers, found: Array) -> tuple[Array, Array]:
     own = xp.clip(1.0 - xp.max(off, axis=-1) / FADE, 0.0, 1.0)
     scaled = (given - layers.mean) / layers.scale
     hidden = xp.tanh((layers.hidden @ scaled[..., None])[..., 0] + layers.hidden_bias)
-    turned = xp.tanh((layers.output @ hidden[..., None])[..., 0] + layers.output_bias)
+    pressed = (layers.output @ hidden[..., None])[..., 0] + layers.output_bias
+    turned = xp.tanh(pressed)
+    if leak:
+        turned = turned + leak * (pressed - pressed.detach())
     reach = xp.where(turned > 0.0, layers.above, layers.below)
     return layers.centre + reach * turned * own[..., None], own
 

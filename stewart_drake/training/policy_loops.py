@@ -17,6 +17,10 @@ from stewart_drake.training.batched_loops import BatchedLoops
 from stewart_drake.training.loop_state import Costs, LoopState, Observed
 
 
+LEAK = 0.1
+"""See `policy.answer`; without it what is once at an end of its box never comes back."""
+
+
 class Hearing(NamedTuple):
     """What a policy in batched loops remembers.
 
@@ -67,7 +71,7 @@ class PolicyInLoops:
             flat = mean < MEAN_FLOOR
             density = torch.where(flat, 1.0, (sample / torch.where(flat, 1.0, mean)).clamp(max=count))
             found, recent = features(self._site, Heard(density, *(each.detach() for each in seen)), memory.recent)
-        wanted, _ = answer(self._layers, found)
+        wanted, _ = answer(self._layers, found, LEAK)
         setting = limited(wanted.detach(), memory.setting, self._step)
         return setting + (wanted - wanted.detach()), Hearing(recent, window, total, setting, found)
 
