@@ -16,7 +16,6 @@ from stewart_drake.scenario import Scenario
 from stewart_drake.training.batched_loops import BatchedLoops
 from stewart_drake.training.loop_state import Costs, LoopState, Observed
 
-
 LEAK = 0.1
 """See `policy.answer`; without it what is once at an end of its box never comes back."""
 
