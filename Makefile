@@ -87,7 +87,7 @@ fair: install
 	$(BIN)/stewart-drake tune fair --out runs/fair-tune
 	$(BIN)/python docs/write_fair.py runs/fair-tune
 
-# What a trained tuner has to beat, in stewart_drake/weights/baselines.yaml: an hour on one core.
+# What a trained tuner has to beat, in stewart_drake/weights/baselines.yaml: half an hour on one core.
 tuner_baselines: install
 	$(BIN)/python docs/tuner_baselines.py runs/tuner-baselines
 

@@ -15,19 +15,21 @@ from stewart_drake.stability.margins import loop_margins
 
 OUT = Path(__file__).parent / "results"
 POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-OBSERVER, BLOCK = "estimator.kind=observer", "tuner={kind: block}"
+BLOCK = "tuner={kind: block}"
+OBSERVER = "estimator.kind=observer"
+WEIGHTS = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 MAIN = "observer"
 ROWS = {
     "difference of readings, low pass of 150 Hz; default weights": ("estimator.kind=difference", BLOCK),
-    MAIN: (OBSERVER,),
+    MAIN: (OBSERVER, WEIGHTS),
     "observer, default weights": (OBSERVER, BLOCK),
-    **{f"observer, disturbance {level}": (OBSERVER, f"estimator.disturbance={level}") for level in (5, 10, 40)},
-    **{f"observer, {ticks} ticks of delay": (OBSERVER, f"command_delay={ticks}") for ticks in (0, 2, 4)},
+    **{f"observer, disturbance {level}": (OBSERVER, WEIGHTS, f"estimator.disturbance={level}") for level in (5, 10, 40)},
+    **{f"observer, {ticks} ticks of delay": (OBSERVER, WEIGHTS, f"command_delay={ticks}") for ticks in (0, 2, 4)},
     "observer, 10 ms, 1 tick of delay, default weights": (OBSERVER, "controller.period=0.01", BLOCK),
-    "observer, ideal sensors": (OBSERVER, "sensors={kind: ideal}"),
-    "observer, platform believed 30 % too heavy": (OBSERVER, "model_robot={platform_mass: 1.3}"),
-    "computed torque, observer": (OBSERVER, "controller={kind: computed_torque}"),
-    "joint-space PID, observer": (OBSERVER, "controller={kind: pid}"),
+    "observer, ideal sensors": (OBSERVER, WEIGHTS, "sensors={kind: ideal}"),
+    "observer, platform believed 30 % too heavy": (OBSERVER, WEIGHTS, "model_robot={platform_mass: 1.3}"),
+    "computed torque, observer": (OBSERVER, WEIGHTS, "controller={kind: computed_torque}"),
+    "joint-space PID, observer": (OBSERVER, WEIGHTS, "controller={kind: pid}"),
     "joint-space PID, difference of readings": ("estimator.kind=difference", "controller={kind: pid}"),
 }
 TEXT = """# How far the loop is from instability

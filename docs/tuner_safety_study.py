@@ -56,7 +56,7 @@ LOOPS = {
 TUNERS_OF_SETTINGS = "systems.setting_tuner:add_setting_tuner", "control.tuners:chosen_settings"
 CENTRE = ((BOX.centre - BOX.lowest) / BOX.width)[None]
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=4)))
-FACES = 0.5 + 0.5 * np.concatenate([np.eye(4), -np.eye(4)])
+FACES = np.concatenate([np.where(np.eye(4) > 0.0, end, CENTRE) for end in (0.0, 1.0)])
 _RNG = np.random.default_rng(0)
 RANDOM = np.concatenate([np.repeat(_RNG.uniform(size=(8, 3)), 2, 0), np.tile(_RNG.uniform(size=(2, 1)), (8, 1))], 1)
 PLACES = np.concatenate([CENTRE, CORNERS, FACES, RANDOM])

@@ -58,10 +58,12 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
+    from stewart_drake.control.policy import load_policy
     from stewart_drake.training.baselines import Baselines
     from stewart_drake.training.contest import cells_for
     from stewart_drake.training.verdict import contestants, judge, write_picture
 
+    load_policy(file)
     found = Baselines.load()
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
     entered = contestants(found, {"policy": {"tuner": policy}, "schedule": {"tuner": found.schedule}})

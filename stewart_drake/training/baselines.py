@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,10 @@ from stewart_drake.training.situations import KINDS, ROBOTS, TRAINING, Changes, 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 LOW, HIGH = np.array([-0.3, -0.6, -1.2, -1.9]), np.array([0.4, 0.4, 0.7, 0.6])
 """Decades about the default within which a setting is searched."""
+START = np.array([0.142, -0.347, -0.692, -1.217])
+"""Where the search over all kinds starts: the best of an earlier one, from the default and in a smaller box."""
+EARLIER = 151
+"""Evaluations of that one."""
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
 _FASTER = np.array([0.15, 0.0, 0.0, 1.0])
@@ -90,6 +94,14 @@ def with_pair(pair: tuple[float, float], setting: Sequence[float] | np.ndarray) 
     return changes
 
 
+class Generations(NamedTuple):
+    """Of the searches, `POPULATION` points each: over all kinds, of the schedule, for one robot or kind."""
+
+    best: int = 6
+    schedule: int = 10
+    few: int = 3
+
+
 def schedule_of(numbers: np.ndarray) -> Changes:
     """Keys of a `ScheduleTuner` from ten numbers: two settings, and decades of its threshold and of its time."""
     calm, alert, (threshold, hold) = np.split(np.round(numbers, DIGITS), [4, 8])
@@ -104,7 +116,7 @@ def always(changes: Changes) -> Contestant:
 
 def find_baselines(
     folder: Path,
-    generations: int = 15,
+    generations: Generations = Generations(),  # noqa: B008 - it cannot be changed
     seeds: int = 3,
     where: Workplace | Executor | None = None,
     tell: Callable[[str, float], None] | None = None,
@@ -114,7 +126,7 @@ def find_baselines(
 
     Args:
         folder: For the rows.
-        generations: Of each search; of those for one robot or kind, which start from the best of all, a third.
+        generations: Of the searches; all but the first start from what that has found.
         seeds: Of each kind.
         where: Where the runs go; None for processes of this machine.
         tell: Called with what is searched and the number of runs done.
@@ -123,7 +135,7 @@ def find_baselines(
     Raises:
         ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `Contest`.
     """
-    run_on, what, few = TRAINING[:seeds], "", max(1, generations // 3)
+    run_on, what = TRAINING[:seeds], ""
     shown = tell or (lambda *_: None)
     every = cells_for()
     trained = [cell for cell in every if KINDS[cell[0]].trained]
@@ -133,7 +145,7 @@ def find_baselines(
             name: str,
             cells: list[Cell],
             start: np.ndarray,
-            most: int = generations,
+            most: int,
             contestant_of: Callable[[np.ndarray], Contestant] = with_setting,
         ) -> np.ndarray:
             nonlocal what
@@ -141,13 +153,15 @@ def find_baselines(
             low, high = (box[: len(start)] for box in (_LOWEST, _HIGHEST))
             return best_of(contest, contestant_of, cases, start, low, high, most)
 
-        best = search("all kinds", trained, np.zeros(4))
+        best = search("all kinds", trained, START, generations.best)
+        few = generations.few
         of_kind = {cell: search(" ".join(cell), [cell], best, few) for cell in every}
+        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best, few) for each in ROBOTS}
         # Where the observer is surprised the second setting is faster.
         start = np.concatenate([best, np.clip(best + _FASTER, LOW, HIGH), [0.5, -1.0]])
-        scheduled = search("schedule", trained, start, contestant_of=lambda x: always({"tuner": schedule_of(x)}))
-        schedule = schedule_of(scheduled)
-        of_robot = {each: search(each, [cell for cell in trained if cell[1] == each], best, few) for each in ROBOTS}
+        schedule = schedule_of(
+            search("schedule", trained, start, generations.schedule, lambda x: always({"tuner": schedule_of(x)}))
+        )
         pairs = {
             each: _best_pair(contest, cases_of([c for c in trained if c[1] == each], run_on), best) for each in ROBOTS
         }
@@ -172,7 +186,12 @@ def find_baselines(
             "pair": {robot: list(pair) for robot, pair in pairs.items()},
             "schedule": schedule,
             "costs": costs,
-            "evaluations": {"each": 1 + generations * POPULATION, "few": 1 + few * POPULATION, "seeds": seeds},
+            "evaluations": {
+                "each": EARLIER + 1 + generations.best * POPULATION,
+                "schedule": 1 + generations.schedule * POPULATION,
+                "few": 1 + few * POPULATION,
+                "seeds": seeds,
+            },
         }
     )
 

@@ -30,7 +30,8 @@ def made(hidden=3):
         output=rng.normal(size=(4, hidden)),
         output_bias=np.zeros(4),
         centre=np.array([0.0, 0.1, -0.3, -0.5]),
-        reach=np.array([0.3, 0.35, 0.6, 1.1]),
+        below=np.array([0.3, 0.35, 0.6, 1.1]),
+        above=np.array([0.3, 0.35, 0.6, 1.0]),
         low=-np.ones(COUNT),
         high=np.ones(COUNT),
     )
@@ -47,7 +48,7 @@ def test_the_card_says_box_inputs_and_provenance(show, tmp_path):
     status, out, err = show("mine.json")
     assert (status, err) == (0, "")
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
-    assert ["disturbance", "-1.6", "-0.5", "0.6"] in rows
+    assert ["disturbance", "-1.6", "-0.5", "0.5"] in rows
     told = {row[0]: row[1] for row in rows if len(row) == 2}
     assert told["figures.J over best fixed"] == "0.791"
     assert (told["seeds"], told["date"], told["limits"]) == ("3, 4", "2026-11-22", "[none] known")

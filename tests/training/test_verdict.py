@@ -3,7 +3,7 @@ import pytest
 
 from stewart_drake.campaigns.executors import SerialExecutor
 from stewart_drake.control.settings import SIZE
-from stewart_drake.training.baselines import Baselines, schedule_of
+from stewart_drake.training.baselines import HIGH, LOW, PAIRS, Baselines, Generations, find_baselines, schedule_of
 from stewart_drake.training.contest import Case, with_setting
 from stewart_drake.training.situations import HELD_OUT, ROBOTS, kinds_of, situation
 from stewart_drake.training.verdict import BEST_FIXED, Verdict, contestants, geometric_mean, judge, median, page
@@ -117,3 +117,31 @@ def test_a_small_verdict_is_written_and_taken_up_again(tmp_path, monkeypatch):
     hold = verdict.of("quiet", lambda cell: cell[0] == "hold")
     assert geometric_mean(hold).value < 0.8
     assert not verdict.failed.any()
+
+
+def test_the_shipped_baselines_are_whole_and_within_the_box_of_their_search():
+    found = Baselines.load()
+    for robot in ROBOTS:
+        assert set(found.best_of_kind[robot]) == set(kinds_of(robot))
+        assert tuple(found.pair[robot]) in PAIRS
+        for setting in (found.best, found.best_of_robot[robot], *found.best_of_kind[robot].values()):
+            assert (np.array(setting) >= LOW).all()
+            assert (np.array(setting) <= HIGH).all()
+    case = Case("hold", "paper", HELD_OUT[0])
+    assert situation(*case).replace({"tuner": found.schedule}).tuner.kind == "schedule"
+
+
+@pytest.mark.slow
+def test_a_small_search_finds_what_costs_no_more_than_its_start(tmp_path, monkeypatch):
+    few = {"paper": ["hold"], "reachy_mini": ["nod"]}
+    for module in ("contest", "baselines"):
+        monkeypatch.setattr(f"stewart_drake.training.{module}.kinds_of", lambda robot: few[robot])
+    once = Generations(1, 1, 1)
+    found = find_baselines(tmp_path, once, seeds=1, where=SerialExecutor())
+    assert found == find_baselines(tmp_path, once, seeds=1, where=SerialExecutor())
+    for robot, (kind,) in few.items():
+        costs = found.costs[robot][kind]
+        assert costs["best_of_kind"] <= costs["best"]
+        assert costs["best_of_robot"] <= costs["best"]
+    hold = found.costs["paper"]["hold"]
+    assert hold["best"] < hold["default"]
