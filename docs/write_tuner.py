@@ -23,7 +23,6 @@ error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of th
   evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
 - *policy*: the network of `tuner: policy`; `stewart-drake tuner show` prints its card.
 - *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
-- *best fixed of each robot*: searched on from there for each robot alone, {few} evaluations more.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),
   with the observer of the best fixed setting.
 - *the paper's tuner*: its network as printed, with that observer.
@@ -44,7 +43,6 @@ def main(folder: Path) -> None:
         untrained=sum(not kind.trained for kind in KINDS.values()),
         evaluations=f"{found.evaluations['each']:g}",
         schedule=f"{found.evaluations['schedule']:g}",
-        few=f"{found.evaluations['few']:g}",
         seeds=f"{found.evaluations['seeds']:g}",
         best=", ".join(f"{name} {value:g}" for name, value in zip(names, found.best, strict=True))
         + " in decades above the defaults",

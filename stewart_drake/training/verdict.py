@@ -153,9 +153,6 @@ def contestants(found: Baselines, more: Mapping[str, Changes]) -> dict[str, Cont
     return {
         BEST_FIXED: with_setting(found.best),
         **{name: always(changes) for name, changes in more.items()},
-        "best fixed of each robot": lambda case, scenario: with_setting(found.best_of_robot[case.robot])(
-            case, scenario
-        ),
         "best of the nine pairs": lambda case, scenario: with_pair(found.pair[case.robot], found.best)(case, scenario),
         "the paper's tuner": always(paper),
         "oracle of each kind": lambda case, scenario: with_setting(found.best_of_kind[case.robot][case.kind])(
