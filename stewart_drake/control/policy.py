@@ -107,7 +107,7 @@ class Policy:
     """
 
     layers: Layers
-    rate: float = 10.0
+    rate: float = 30.0
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -229,7 +229,7 @@ class Schedule:
     alert: np.ndarray
     threshold: float
     hold: float
-    rate: float = 10.0
+    rate: float = 30.0
 
     @property
     def centre(self) -> np.ndarray:

@@ -31,6 +31,8 @@ from stewart_drake.training.policy_progress import Progress, keep, kept
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 Method = Literal["gradient", "evolution"]
+_AGAIN = 0.5
+"""Outputs of a policy to go on from are made so much smaller: from the ends of the box gradients are small."""
 _SAMPLED = 10
 """[ticks] between features that are kept for their statistics."""
 _WEIGHTS = ("hidden", "hidden_bias", "output", "output_bias")
@@ -67,7 +69,13 @@ class PolicyOptions(Section, key="training"):
     """Names of features that it does not get."""
 
 
-REFINED: dict[str, Any] = {"learning_rate": 0.01, "fairness": 8.0, "pieces": 6, "turns": ("reachy_mini",) * 5}
+REFINED: dict[str, Any] = {
+    "learning_rate": 0.02,
+    "fairness": 8.0,
+    "pieces": 6,
+    "situations": 14,
+    "turns": ("reachy_mini",) * 4,
+}
 """Options of a second training that goes on from a policy: small steps, and more of them for the slow robot, whose runs
 are cheap."""
 
@@ -85,7 +93,7 @@ class Box(NamedTuple):
     centre: np.ndarray
     lowest: np.ndarray = np.array([-0.1, -0.6, -1.2, -1.9])
     highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
-    rate: float = 10.0
+    rate: float = 30.0
 
 
 class Training:
@@ -145,7 +153,8 @@ class Training:
         if start is not None:
             own = start.layers
             begun.mean, begun.scale = np.asarray(own.mean), np.asarray(own.scale)
-            begun.weights = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
+            parts = [np.ravel(getattr(own, name)) for name in _WEIGHTS]
+            begun.weights = np.concatenate([*parts[:2], *(_AGAIN * part for part in parts[2:])])
             begun.fixed, (begun.latest, _) = fixed, self._rollout(begun, None, tell, own=True)
             return begun
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))

