@@ -7,11 +7,16 @@ import pytest
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
-NAMES = ("01_robot_and_plant", "02_build_the_diagram", "03_follow_a_heart", "reproduce_paper")
+NAMES = ("01_robot_and_plant", "02_build_the_diagram", "03_follow_a_heart", "05_the_tuner", "reproduce_paper")
 MAX_DEFINITION_LINES = 10
 SHORTER = {
     "02_build_the_diagram": {"DURATION = 3.2": "DURATION = 0.5"},
     "03_follow_a_heart": {"duration = 3.0": "duration = 0.4"},
+    "05_the_tuner": {
+        '"fast", "payload", "pushes", "noise", "stiction", "mixture")': ")",
+        "HELD_OUT[:3]": "HELD_OUT[:1]",
+        '{"duration": 4.0}': '{"duration": 0.4}',
+    },
     "reproduce_paper": {
         "DURATION = 2.2": "DURATION = 0.4",
         "SAMPLES = 320": "SAMPLES = 80",

@@ -488,6 +488,8 @@ def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(n
     for path in ("durration", "plant.time_stp", "reference.centre", "controller.perid", "tuner.omega"):
         *section, key = path.split(".")
         wrong = json.loads(json.dumps(data))
+        if section and isinstance(wrong.get(section[0]), str):
+            wrong[section[0]] = {"kind": wrong[section[0]]}
         (wrong.setdefault(section[0], {}) if section else wrong)[key] = 1
         with pytest.raises(jsonschema.ValidationError):
             validator.validate(wrong)

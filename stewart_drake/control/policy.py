@@ -329,7 +329,7 @@ def setting_part(
     def tick(*given: np.ndarray) -> np.ndarray:
         memory, result = given[-1], np.empty(_M.size)
         recent, own, held, wanted = memory[_M.recent : _M.held], 0.0, 0.0, chooser.centre
-        if np.abs(np.concatenate(given)).max() < _ABSURD:
+        if np.abs(np.concatenate(given[:-1])).max() < _ABSURD:
             found, recent = hear(*given[:-1], recent)
             wanted, own, held = chooser.choose(found, float(memory[_M.held]), site.period)
         say(wanted, memory, result)
