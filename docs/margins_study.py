@@ -113,7 +113,7 @@ def main():
         rows="\n".join(lines),
         gap=100.0 * max(gaps),
         left_out=f"poses were left out of: {', '.join(left_out)}." if left_out else "no pose was left out.",
-        setting=OBSERVER,
+        setting=f'"{WEIGHTS}"',
         header=" | ".join(HEADER[1:]),
         table="\n".join(kept),
         facts=told,
