@@ -101,17 +101,17 @@ def train(
         raise ConfigurationError("DATASET", str(dataset), "nothing, for --tuner policy: it is trained in the loop")
 
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.policy_training import REFINED, PolicyOptions, Training, train_policy
+    from stewart_drake.training.policy_training import REFINED, Box, PolicyOptions, Training, train_policy
 
-    more = {} if start is None else REFINED
+    first = None if start is None else load_policy(start)
+    more = {} if first is None else {**REFINED, "hidden": len(first.layers.hidden)}
     epochs = epochs or (_POLICY_EPOCHS if start is None else _MORE_EPOCHS)
     options = PolicyOptions(seed=seed, epochs=epochs, method=method, **more)
-    first = None if start is None else load_policy(start)
     prepare_file(out, SPACE)
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     with ProgressBar("policy: situations", float(options.epochs), quiet, unit="epochs") as advance:
         tell = lambda done, word: advance(done, f"policy: {word}")  # noqa: E731
-        policy = train_policy(Training(options), checkpoint, tell, first)
+        policy = train_policy(Training(options, None if first is None else Box.of(first)), checkpoint, tell, first)
     policy.save(out)
     if not quiet:
         ratios = policy.provenance["J_over_best_fixed_in_training"].items()

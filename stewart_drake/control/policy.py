@@ -248,8 +248,9 @@ class Schedule:
 
     def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:
         """See `Chooser`."""
-        held = self.hold if 10.0 ** found[0] > self.threshold**2 else held - period
-        return self.alert if held > 0.0 else self.calm, 1.0, max(held, 0.0)
+        surprised = 10.0 ** found[0] > self.threshold**2
+        held = self.hold if surprised else max(held - period, 0.0)
+        return self.alert if surprised or held > 0.0 else self.calm, 1.0, held
 
     def compiled(self) -> Chooser:
         """See `Chooser`."""

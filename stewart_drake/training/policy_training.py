@@ -95,6 +95,11 @@ class Box(NamedTuple):
     highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
     rate: float = 30.0
 
+    @classmethod
+    def of(cls, policy: Policy) -> Box:
+        """That of a policy."""
+        return cls(policy.centre, policy.lowest, policy.lowest + policy.width, policy.rate)
+
 
 class Training:
     """Situations and options; `run` goes on from a checkpoint.
@@ -129,7 +134,7 @@ class Training:
     def identity(self) -> str:
         """Of what a checkpoint must be; the number of epochs is part of it, because the rate follows it."""
         box = [np.asarray(each).tolist() for each in self.box]
-        return checksum({"options": self.options.to_dict(), "box": box})
+        return checksum({"options": self.options.to_dict(), "box": box, "robots": self._robots})
 
     def begin(self, tell: Callable[[str], None], start: Policy | None = None) -> Progress:
         """Costs at the centre, and the statistics of the features there and at settings about it.
@@ -206,6 +211,8 @@ class Training:
         """The policy, with the hull of what it hears on the situations."""
         costs, found = self._rollout(at, None, tell, own=True)
         low, high = np.quantile(found, 0.0005, axis=0), np.quantile(found, 0.9995, axis=0)
+        # All tastes were drawn, if not to the last one.
+        low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
         at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
         numpy = (np.array(each.detach()) for each in self.layers(at))
         return Policy(Layers(*numpy), self.box.rate, self._card(at))
@@ -385,13 +392,14 @@ def train_policy(
         ConfigurationError: See `policy_progress.kept`.
     """
     say = tell or (lambda *_: None)
-    at = kept(checkpoint, training.identity) or training.begin(lambda text: say(0.0, text), start)
+    identity = checksum([training.identity, None if start is None else checksum(start.to_bytes().decode())])
+    at = kept(checkpoint, identity) or training.begin(lambda text: say(0.0, text), start)
     while at.epoch < training.options.epochs:
         done = float(at.epoch)
         at = training.epoch(at, lambda text, done=done: say(done, text))  # type: ignore[misc]
         say(float(at.epoch), f"J {math.exp(at.history[-1][0]):.3f} of fixed")
         if checkpoint is not None:
-            keep(at, training.identity, checkpoint)
+            keep(at, identity, checkpoint)
     policy = training.finished(at, lambda text: say(float(training.options.epochs), text))
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)

@@ -207,6 +207,13 @@ def test_a_schedule_is_alert_for_as_long_as_it_says():
     np.testing.assert_array_equal(wanted, schedule.calm)
 
 
+def test_a_schedule_without_a_hold_is_alert_while_it_is_surprised():
+    schedule, loud = Schedule(np.zeros(SIZE), np.ones(SIZE), threshold=1.5, hold=0.0), np.zeros(13)
+    loud[0] = 1.0
+    np.testing.assert_array_equal(schedule.choose(loud, 0.0, 1e-3)[0], schedule.alert)
+    np.testing.assert_array_equal(schedule.choose(np.zeros(13), 0.0, 1e-3)[0], schedule.calm)
+
+
 # --- the file --------------------------------------------------------------------------------------------------------
 
 

@@ -58,7 +58,7 @@ def test_interrupted_it_goes_on_to_the_same_policy(tmp_path, method):
     with pytest.raises(KeyboardInterrupt):
         train_policy(made(method=method), file, stop)
     # Told after the epoch, and before it is kept: the next call does it again.
-    assert not file.exists() or kept(file, made(method=method).identity).epoch >= 0
+    assert not file.exists()
     with pytest.raises(KeyboardInterrupt):
         train_policy(made(method=method), file, lambda done, word: stop(done, word) if "piece" in word else None)
     again = train_policy(made(method=method), file)
@@ -71,8 +71,8 @@ def test_interrupted_it_goes_on_to_the_same_policy(tmp_path, method):
 @pytest.mark.usefixtures("short")
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):
     training, file = made(epochs=1), tmp_path / "checkpoint"
-    policy_training.keep(training.begin(lambda _: None), training.identity, file)
-    assert kept(file, training.identity).epoch == 0
+    policy_training.keep(training.begin(lambda _: None), "its own", file)
+    assert kept(file, "its own").epoch == 0
     with pytest.raises(ConfigurationError, match="of other options"):
         train_policy(made(seed=1), file)
     file.write_bytes(b"no checkpoint")
