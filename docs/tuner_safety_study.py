@@ -285,7 +285,8 @@ def pushed(name):
 
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
-`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades ({names}), see `control/settings.py`. The box: {box}; a setting goes
+`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades ({names}), see
+`control/settings.py`. The box: {box}; a setting goes
 through all of it in {seconds:g} s. Base: the default weights of `tuner: block` for each robot, and the observer's own
 disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact model in the LQI;
 no friction, no saturation, no counts.
