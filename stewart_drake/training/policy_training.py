@@ -214,7 +214,7 @@ class Training:
         # All tastes were drawn, if not to the last one.
         low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
         at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
-        numpy = (np.array(each.detach()) for each in self.layers(at))
+        numpy = (each.detach().numpy().copy() for each in self.layers(at))
         return Policy(Layers(*numpy), self.box.rate, self._card(at))
 
     def _card(self, at: Progress) -> dict[str, Any]:
