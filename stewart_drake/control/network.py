@@ -145,15 +145,9 @@ class TunerNetwork:
 
         Numbers of the provenance that are not finite become null, see `files.plain_json`.
         """
-        document = {
-            "format": FORMAT,
-            "version": VERSION,
-            "density": self.density,
-            "window": self.window,
-            **{name: getattr(self, name).tolist() for name in _SHAPES},
-            "provenance": plain_json(self.provenance),
-        }
-        return (json.dumps(seal(document), indent=1) + "\n").encode()
+        numbers = {name: getattr(self, name).tolist() for name in _SHAPES}
+        content = {"density": self.density, "window": self.window, **numbers}
+        return sealed(FORMAT, VERSION, content, self.provenance)
 
     def save(self, path: str | Path) -> None:
         """Writes `to_bytes` to a file.
@@ -210,6 +204,12 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         return TunerNetwork(**arrays, density=kind, window=window, provenance=provenance)
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+
+
+def sealed(kind: str, version: int, content: dict[str, Any], provenance: dict[str, Any]) -> bytes:
+    """A weights file of a kind and version, as JSON with a checksum, for `read_sealed`."""
+    document = {"format": kind, "version": version, **content, "provenance": plain_json(provenance)}
+    return (json.dumps(seal(document), indent=1) + "\n").encode()
 
 
 def read_sealed(path: Path, kind: str, version: int) -> dict[str, Any]:

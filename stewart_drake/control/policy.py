@@ -6,7 +6,6 @@ outside of what a network was trained on, its answer fades to the middle of the 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +15,10 @@ import numpy as np
 
 from stewart_drake.compiled.constants import TUNER_MEMORY
 from stewart_drake.control.features import FEATURES, Site, flat_features, nothing_yet
-from stewart_drake.control.network import numbers, read_sealed
+from stewart_drake.control.network import numbers, read_sealed, sealed
 from stewart_drake.control.settings import SIZE, disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import PACKAGE, plain_json, seal, write_atomically
+from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.mechanics.arrays import Array, namespace
 from stewart_drake.sampling import Sampled
 
@@ -151,15 +150,9 @@ class Policy:
 
     def to_bytes(self) -> bytes:
         """The policy as JSON with a checksum; the same policy gives the same bytes."""
-        document = {
-            "format": FORMAT,
-            "version": VERSION,
-            "features": list(FEATURES),
-            "rate": self.rate,
-            **{name: np.asarray(value).tolist() for name, value in self.layers._asdict().items()},
-            "provenance": plain_json(self.provenance),
-        }
-        return (json.dumps(seal(document), indent=1) + "\n").encode()
+        layers = {name: np.asarray(value).tolist() for name, value in self.layers._asdict().items()}
+        content = {"features": list(FEATURES), "rate": self.rate, **layers}
+        return sealed(FORMAT, VERSION, content, self.provenance)
 
     def save(self, path: str | Path) -> None:
         """Writes `to_bytes` to a file.
