@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-ITERATIONS = 60
-"""At most; about ten do."""
-UNSETTLED = 1e-3
-"""Relative step of a root after the last iteration above which it counts as not found."""
+from stewart_drake.compiled.constants import ITERATIONS, UNSETTLED
 
 
 def spectral_factor(a2: np.ndarray, a1: np.ndarray, a0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stewart_drake.compiled.constants import ITERATIONS, UNSETTLED
 from stewart_drake.compiled.jit import njit
-from stewart_drake.spectral import ITERATIONS, UNSETTLED
 
 
 @njit(cache=True, error_model="numpy")
