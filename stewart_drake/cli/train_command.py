@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stewart_drake.training.policy_training import Method
     from stewart_drake.training.train import Split
 
-_POLICY_EPOCHS, _MORE_EPOCHS, _PAPER_EPOCHS = 10, 3, 2000
+_PAPER_EPOCHS = 2000
 
 
 @click.command()
@@ -45,14 +45,13 @@ def collect(out: Path, quiet: bool) -> None:
     type=click.Choice(["paper", "policy"]),
     default="paper",
     show_default=True,
-    help="paper: the network of the paper, on DATASET. policy: in the loop, which takes 40 minutes.",
+    help="paper: the network of the paper, on DATASET. policy: in the loop, which takes twenty minutes.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of first weights, split, tastes.")
 @click.option(
     "--epochs",
     type=click.IntRange(1),
-    help=f"Passes over the data [default: {_PAPER_EPOCHS}], or over the situations [default: {_POLICY_EPOCHS}; with "
-    f"--start: {_MORE_EPOCHS}].",
+    help=f"Passes over the data [default: {_PAPER_EPOCHS}], or over the situations.",
 )
 @click.option(
     "--split",
@@ -64,9 +63,7 @@ def collect(out: Path, quiet: bool) -> None:
 @click.option(
     "--method",
     type=click.Choice(["gradient", "evolution"]),
-    default="gradient",
-    show_default=True,
-    help="Of the policy: backpropagation through the loops, or an evolution strategy.",
+    help="Of the policy: backpropagation through the loops [default], or an evolution strategy [default with --start].",
 )
 @click.option(
     "--start",
@@ -81,7 +78,7 @@ def train(
     seed: int,
     epochs: int | None,
     split: Split,
-    method: Method,
+    method: Method | None,
     start: Path | None,
     quiet: bool,
 ) -> None:
@@ -95,18 +92,21 @@ def train(
     from stewart_drake.runs.outputs import SPACE, prepare_file
 
     if tuner == "paper":
+        for option, given in (("--method", method), ("--start", start)):
+            if given is not None:
+                raise ConfigurationError(option, str(given), "nothing, for --tuner paper: it is of the policy")
         _train_paper(dataset or Path("runs/dataset.parquet"), out, seed, epochs or _PAPER_EPOCHS, split, quiet)
         return
     if dataset is not None:
         raise ConfigurationError("DATASET", str(dataset), "nothing, for --tuner policy: it is trained in the loop")
 
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.policy_training import REFINED, Box, PolicyOptions, Training, train_policy
+    from stewart_drake.training.policy_training import POLISH, Box, PolicyOptions, Training, train_policy
 
     first = None if start is None else load_policy(start)
-    more = {} if first is None else {**REFINED, "hidden": len(first.layers.hidden)}
-    epochs = epochs or (_POLICY_EPOCHS if start is None else _MORE_EPOCHS)
-    options = PolicyOptions(seed=seed, epochs=epochs, method=method, **more)
+    asked = {"seed": seed, "epochs": epochs, "method": method}
+    more = {} if first is None else {**POLISH, "hidden": len(first.layers.hidden)}
+    options = PolicyOptions.from_dict({**more, **{key: value for key, value in asked.items() if value is not None}})
     prepare_file(out, SPACE)
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     with ProgressBar("policy: situations", float(options.epochs), quiet, unit="epochs") as advance:

@@ -31,8 +31,6 @@ from stewart_drake.training.policy_progress import Progress, keep, kept
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
 Method = Literal["gradient", "evolution"]
-_AGAIN = 0.5
-"""Outputs of a policy to go on from are made so much smaller: from the ends of the box gradients are small."""
 _SAMPLED = 10
 """[ticks] between features that are kept for their statistics."""
 _WEIGHTS = ("hidden", "hidden_bias", "output", "output_bias")
@@ -45,8 +43,8 @@ class PolicyOptions(Section, key="training"):
     """Of the first weights, tastes and, for evolution, directions."""
     method: Method = "gradient"
     """gradient: backpropagation through the loops, cut into pieces. evolution: each loop goes another way."""
-    epochs: Annotated[Count, Field(ge=1)] = 10
-    """Rollouts of all situations."""
+    epochs: Annotated[Count, Field(ge=1)] = 6
+    """Rollouts of all situations; of evolution, with more of those that are short."""
     situations: Annotated[Count, Field(ge=1, le=1000)] = 20
     """Of each kind and robot."""
     hidden: Annotated[Count, Field(ge=1, le=200)] = 16
@@ -63,21 +61,21 @@ class PolicyOptions(Section, key="training"):
     """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
     fairness: NotNegative = 4.0
     """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
-    turns: tuple[str, ...] = ()
-    """Names of robots whose situations an epoch goes through by themselves, one after the other, before all of them."""
     without: tuple[str, ...] = ()
     """Names of features that it does not get."""
 
 
-REFINED: dict[str, Any] = {
-    "learning_rate": 0.02,
+POLISH: dict[str, Any] = {
+    "method": "evolution",
+    "epochs": 10,
+    "situations": 40,
+    "learning_rate": 0.01,
+    "spread": 0.05,
+    "width": 0.0,
     "fairness": 8.0,
-    "pieces": 6,
-    "situations": 14,
-    "turns": ("reachy_mini",) * 4,
 }
-"""Options of a second training that goes on from a policy: small steps, and more of them for the slow robot, whose runs
-are cheap."""
+"""Options of a second training, that goes on from a policy. Whole runs tell what a gradient cannot: that a tuner which
+hears an unrest of its own making stays as it is, and so keeps it up."""
 
 
 class Box(NamedTuple):
@@ -158,8 +156,7 @@ class Training:
         if start is not None:
             own = start.layers
             begun.mean, begun.scale = np.asarray(own.mean), np.asarray(own.scale)
-            parts = [np.ravel(getattr(own, name)) for name in _WEIGHTS]
-            begun.weights = np.concatenate([*parts[:2], *(_AGAIN * part for part in parts[2:])])
+            begun.weights = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
             begun.fixed, (begun.latest, _) = fixed, self._rollout(begun, None, tell, own=True)
             return begun
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
@@ -207,15 +204,16 @@ class Training:
         made.history = [*at.history, (self._mean(ratio, plain), self._mean(ratio, plain | True))]
         return made
 
-    def finished(self, at: Progress, tell: Callable[[str], None]) -> Policy:
-        """The policy, with the hull of what it hears on the situations."""
+    def finished(self, at: Progress, tell: Callable[[str], None], start: Policy | None = None) -> Policy:
+        """The policy, with the hull of what it hears on the situations, and a card with that of its start."""
         costs, found = self._rollout(at, None, tell, own=True)
         low, high = np.quantile(found, 0.0005, axis=0), np.quantile(found, 0.9995, axis=0)
         # All tastes were drawn, if not to the last one.
         low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
         at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
         numpy = (each.detach().numpy().copy() for each in self.layers(at))
-        return Policy(Layers(*numpy), self.box.rate, self._card(at))
+        before = {} if start is None else {"start": dict(start.provenance)}
+        return Policy(Layers(*numpy), self.box.rate, {**self._card(at), **before})
 
     def _card(self, at: Progress) -> dict[str, Any]:
         """Where a policy comes from."""
@@ -270,17 +268,9 @@ class Training:
         at.weights = at.weights - self._rate(at.epoch) * step
 
     def _by_gradient(self, at: Progress, tell: Callable[[str], None]) -> Progress:
-        made = Progress(**vars(at))
-        for turn in self.options.turns:
-            made = self._pass(made, [self._robots.index(turn)], tell)
-        return self._pass(made, range(len(self._groups)), tell)
-
-    def _pass(self, at: Progress, chosen: Sequence[int], tell: Callable[[str], None]) -> Progress:
-        """Once through the situations of some robots, by their numbers, all at once."""
-        made, groups = Progress(**vars(at)), [self._groups[k] for k in chosen]
-        own = np.concatenate([np.flatnonzero(self._robot_of == k) for k in chosen])
+        made, groups = Progress(**vars(at)), self._groups
         # The gradient of log J is half of that of J^2 over J^2.
-        share = torch.from_numpy((self._weighed(at) / at.latest**2 * 0.5)[own])
+        share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
         with torch.no_grad():
             layers = self.layers(made)
             tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in groups]
@@ -288,7 +278,7 @@ class Training:
                 group.advance(group.start(tuner), group.scored, tuner)[0]
                 for group, tuner in zip(groups, tuners, strict=True)
             ]
-        squares = np.zeros(len(own))
+        squares = np.zeros(len(share))
         for piece in range(self.options.pieces):
             weights = torch.from_numpy(made.weights.copy()).requires_grad_()
             layers, parts = self.layers(made, weights), []
@@ -305,30 +295,39 @@ class Training:
             if np.isfinite(gradient).all():
                 self._adam(made, gradient)
             tell(f"piece {piece + 1} of {self.options.pieces}")
-        made.latest = at.latest.copy()
-        made.latest[own] = self._costs(squares, states)
+        made.latest = self._costs(squares, states)
         return made
 
     def _by_evolution(self, at: Progress, tell: Callable[[str], None]) -> Progress:
         made = Progress(**vars(at))
         rng = np.random.default_rng([self.options.seed, 2, at.epoch])
-        ways, logs, start = [], [], 0
-        for group in self._groups:
-            half = len(group.scenarios) // 2
-            way = rng.standard_normal((half, len(at.weights)))
-            ways.append(way)
-            moved = at.weights + self.options.spread * np.concatenate([way, -way])
-            layers = self.layers(made, torch.from_numpy(moved))
+        ticks = [group.ticks for group in self._groups]
+        # Short runs are cheap: each robot gets about the same time.
+        often = [max(ticks) // each for each in ticks]
+        for step in reversed(range(max(often))):
+            self._step([k for k, times in enumerate(often) if step < times], made, rng)
+            tell(f"{step} more steps")
+        return made
+
+    def _step(self, chosen: Sequence[int], made: Progress, rng: np.random.Generator) -> None:
+        """One of evolution, by the situations of some robots."""
+        ways, logs, owns = [], [], []
+        made.latest = made.latest.copy()
+        for k in chosen:
+            group, own = self._groups[k], np.flatnonzero(self._robot_of == k)
+            half = len(own)
+            way = rng.standard_normal((half, len(made.weights)))
+            layers = self.layers(
+                made, torch.from_numpy(made.weights + self.options.spread * np.concatenate([way, -way]))
+            )
             costs, _ = self._roll(group, layers)
+            made.latest[own] = np.sqrt(costs[:half] * costs[half:])
+            ways.append(way)
             logs.append(np.log(costs[:half]) - np.log(costs[half:]))
-            made.latest = made.latest.copy()
-            made.latest[start : start + half] = np.sqrt(costs[:half] * costs[half:])
-            start += half
-            tell("rolled out")
-        slope = self._weighed(at) * np.concatenate(logs) / (2.0 * self.options.spread)
+            owns.append(own)
+        slope = self._weighed(made)[np.concatenate(owns)] * np.concatenate(logs) / (2.0 * self.options.spread)
         # Of one pair a situation, each a guess of its own slope.
         self._adam(made, slope @ np.concatenate(ways))
-        return made
 
     def _rollout(
         self, at: Progress, wild: np.ndarray | None, tell: Callable[[str], None], own: bool = False
@@ -400,7 +399,7 @@ def train_policy(
         say(float(at.epoch), f"J {math.exp(at.history[-1][0]):.3f} of fixed")
         if checkpoint is not None:
             keep(at, identity, checkpoint)
-    policy = training.finished(at, lambda text: say(float(training.options.epochs), text))
+    policy = training.finished(at, lambda text: say(float(training.options.epochs), text), start)
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     return policy
