@@ -24,10 +24,8 @@ def filled(fields: Any, **values: Any) -> np.ndarray:
     return np.concatenate([np.atleast_1d(np.asarray(values[name], dtype=float)) for name in fields._fields[:-1]])
 
 
-ITERATIONS = 60
-"""Of `spectral.spectral_factor`, at most; about ten do."""
-UNSETTLED = 1e-3
-"""Relative step of a root after the last of them above which it counts as not found."""
+NEWTON = 6
+"""Steps of `spectral.spectral_factor`: five find all digits whatever the numbers."""
 
 LQI_MEMORY = _fields("LqiMemory", torque=6, error=6, integral=6, gain=108, feedforward=6, weights=4, held=1)
 """See `lqi.LqiMemory`."""

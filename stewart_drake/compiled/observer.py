@@ -87,11 +87,9 @@ def advance(
 def kalman_gains(bandwidth: float, period: float, gains: np.ndarray) -> bool:
     """Reference `observer.kalman_gains`, of a bandwidth [rad/s]; gains (3,) out, False where there are none."""
     wandering, white = (bandwidth * period) ** 6, WHITE_SHARE**2 * (bandwidth * period) ** 4
-    if not spectral_factor(-0.25 * white, white - 0.25 * wandering, wandering, gains):
-        return False
-    c2, c1, c0 = gains
-    gains[0], gains[1], gains[2] = c2 - c1 + c0, (c1 - 1.5 * c0) / period, c0 / period**2
-    return True
+    c2, c1, c0, low = spectral_factor(0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)
+    gains[0], gains[1], gains[2] = (c2 + 0.25 * c0) * low, c1 * low / period, c0 * low / period**2
+    return gains[0] > 0.0 and gains[0] < np.inf
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,72 +1,26 @@
-"""The six 3-state Riccati equations of `riccati.split_gain`, each solved through its spectral polynomial."""
+"""Gains of the six chains of integrators into which an LQI splits, each through its spectral factor."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.compiled.constants import ITERATIONS, UNSETTLED
+from stewart_drake.compiled.constants import NEWTON
 from stewart_drake.compiled.jit import njit
 
 
 @njit(cache=True, error_model="numpy")
-def spectral_factor(a2: float, a1: float, a0: float, c: np.ndarray) -> bool:
-    """Reference `spectral.spectral_factor`.
-
-    Args:
-        a2: Of the cubic.
-        a1: Likewise.
-        a0: Likewise, > 0.
-        c: (3,) out: c2, c1, c0.
-
-    Returns:
-        False where the iteration did not converge or left floating point.
-    """
-    if not (0.0 < a0 < np.inf and abs(a1) < np.inf and abs(a2) < np.inf):
-        return False
-    x = np.empty(3, np.complex128)
-    _starts(a2, a1, a0, x)
-    moved = np.inf
-    for _ in range(ITERATIONS):
-        moved = 0.0
-        for i in range(3):
-            z = x[i]
-            value = ((z + a2) * z + a1) * z + a0
-            slope = (3.0 * z + 2.0 * a2) * z + a1
-            # Complex division by zero raises, whatever the error model; the other roots' moves lead out of it.
-            if value == 0.0 or slope == 0.0:
-                continue
-            newton = value / slope
-            pull = 0.0 + 0.0j
-            for j in range(3):
-                if j != i and z != x[j]:
-                    pull += 1.0 / (z - x[j])
-            bottom = 1.0 - newton * pull
-            if bottom == 0.0:
-                continue
-            move = newton / bottom
-            x[i] = z - move
-            moved = max(moved, abs(move) / abs(x[i]))
-        if not moved < np.inf:
-            return False
-        # The iteration is of third order: this step's length is the cube root of what is left.
-        if moved < 1e-7:
-            break
-    # Roots that coincide are never still, but for that they are near.
-    if moved > UNSETTLED:
-        return False
-    # d^2 + x d + x = 0 has the roots z - 1 and 1/z - 1; the stable one has |1 + d| < 1.
-    d = np.empty(3, np.complex128)
-    for i in range(3):
-        root = np.sqrt(x[i] * x[i] - 4.0 * x[i])
-        large = -0.5 * (x[i] + root) if (x[i].conjugate() * root).real >= 0.0 else -0.5 * (x[i] - root)
-        if large == 0.0:
-            return False
-        small = x[i] / large
-        d[i] = large if abs(1.0 + large) < abs(1.0 + small) else small
-    c[0] = -(d[0] + d[1] + d[2]).real
-    c[1] = (d[0] * d[1] + d[0] * d[2] + d[1] * d[2]).real
-    c[2] = -(d[0] * d[1] * d[2]).real
-    return True
+def spectral_factor(b2: float, b1: float, b0: float) -> tuple[float, float, float, float]:
+    """c2, c1, c0 and `low` of `spectral.Factor`; reference `spectral.spectral_factor`."""
+    c0 = np.sqrt(b0)
+    unit = c0 ** (1.0 / 3.0)
+    f2, f1 = b2 / (unit * unit), b1 / (unit * unit * unit * unit)
+    y = 2.0 + np.sqrt(f2) + np.sqrt(2.0 * np.sqrt(f1))
+    for _ in range(NEWTON):
+        root = np.sqrt(f1 + 2.0 * y)
+        to = np.sqrt(f2 + 2.0 * root)
+        y -= (y - to) / (1.0 - 1.0 / (to * root))
+    c2, c1 = unit * y, unit * unit * np.sqrt(f1 + 2.0 * y)
+    return c2, c1, c0, 1.0 / (1.0 + 0.5 * c2 + 0.25 * c1 + 0.125 * c0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -86,37 +40,20 @@ def chain_gain(
         gain: (3,) out: k_e, k_v, k_z.
 
     Returns:
-        False where the iteration did not converge or left floating point.
+        False where the numbers leave floating point.
     """
     t, g = period, s * s / r
-    a0 = g * q_z * t**6
+    rate, pose, integral = g * (q_v * t**2), g * (q_e * t**4), g * (q_z * t**6)
     if exact:
-        a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
-        a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
+        lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
+        b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
     else:
-        a1, a2 = g * q_e * t**4, g * q_v * t**2
-    c = np.empty(3)
-    if not spectral_factor(a2, a1, a0, c):
-        return False
-    c2, c1, c0 = c
-    gain[0] = (c1 - c0) / (s * t * t) if exact else c1 / (s * t * t)
-    gain[1] = (c2 - 0.5 * (c1 - c0) - c0 / 6.0) / (s * t) if exact else c2 / (s * t)
-    gain[2] = c0 / (s * t**3)
+        lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
+        b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
+    c2, c1, c0, low = spectral_factor(b2 * lead, b1 * lead, integral * lead)
+    k_e, k_v = (c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0) if exact else (c1 + 1.5 * c0, c2 + c1 + 0.75 * c0)
+    low /= s * t
+    gain[0] = k_e * low / t
+    gain[1] = k_v * low
+    gain[2] = c0 * low / t**2
     return np.isfinite(gain[0]) and np.isfinite(gain[1]) and np.isfinite(gain[2])
-
-
-@njit(cache=True, error_model="numpy")
-def _starts(a2: float, a1: float, a0: float, x: np.ndarray) -> None:
-    """First guesses on the circles of the Newton polygon of x^3 + a2 x^2 + a1 x + a0; a0 > 0."""
-    size = np.array([abs(a0), abs(a1), abs(a2), 1.0])
-    low = 0
-    while low < 3:
-        best, to = np.inf, 3
-        for k in range(low + 1, 4):
-            if size[k] > 0.0:
-                radius = (size[low] / size[k]) ** (1.0 / (k - low))
-                if radius <= best:
-                    best, to = radius, k
-        for k in range(low, to):
-            x[k] = best * np.exp(1j * (2.0 * np.pi * (k - low) / (to - low) + 2.3 + 0.7 * k))
-        low = to

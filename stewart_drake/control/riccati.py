@@ -119,11 +119,9 @@ def split_gain(
 def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: Discretization = "exact") -> np.ndarray:
     """Optimal gains of chains of integrators z' = e, e' = v, v' = s u, sampled with period T.
 
-    On the unit circle let x = (z - 1)(1/z - 1). The return difference times x^3 is a cubic in x. Each of its roots
-    gives a stable pole z = 1 + d by d^2 + x d + x = 0, and the gains are read off the closed loop's polynomial in d
-    (spectral factorisation, as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
-    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart. Where two roots coincide
-    to all digits half of the digits are.
+    The return difference on the unit circle is a cubic, see `spectral`; the gains are read off the closed loop's
+    polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
+    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
     Args:
         s: (n,) > 0.
@@ -138,13 +136,18 @@ def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: 
     s = np.asarray(s, dtype=float)
     with np.errstate(all="ignore"):
         g = s * s / r
-        a0 = g * (q_z * t**6)
+        rate, pose, integral = g * (q_v * t**2), g * (q_e * t**4), g * (q_z * t**6)
         if method == "exact":
-            a1 = g * (q_e * t**4 - q_z * t**6 / 3.0)
-            a2 = g * (q_v * t**2 - 0.25 * q_e * t**4 + q_z * t**6 / 36.0)
+            lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
+            b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
         else:
-            a1, a2 = g * (q_e * t**4), g * (q_v * t**2)
-        c2, c1, c0 = spectral_factor(a2, a1, a0)
+            lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
+            b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
+        factor = spectral_factor(b2 * lead, b1 * lead, integral * lead)
+        c2, c1, c0 = factor
         if method == "exact":
-            c2, c1 = c2 - 0.5 * (c1 - c0) - c0 / 6.0, c1 - c0
-        return np.stack([c1 / (s * t * t), c2 / (s * t), c0 / (s * t**3)], axis=-1)
+            k_e, k_v = c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0
+        else:
+            k_e, k_v = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0
+        low = factor.low / (s * t)
+        return np.stack([k_e * low / t, k_v * low, c0 * low / t**2], axis=-1)

@@ -135,10 +135,9 @@ def bandwidth(noise: float, disturbance: float, period: float) -> float:
 def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains:
     """Gains of the steady Kalman filter of one crank, in closed form.
 
-    With d = z - 1 and x = d (1/z - 1) the spectrum of the readings is proportional to
-    x^3 - (a/4) x^2 + (a - g/4) x + g, where g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white
-    acceleration: surplus and acceleration reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2. The
-    filter's poles are the stable roots.
+    With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
+    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: surplus and acceleration reach
+    the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
 
     Args:
         noise: [rad] standard deviation of a reading.
@@ -147,9 +146,9 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, SHARE**2 * turn**4
-    cubic = (np.atleast_1d(each) for each in (-0.25 * white, white - 0.25 * wandering, wandering))
-    c2, c1, c0 = (float(each[0]) for each in spectral_factor(*cubic))
-    return KalmanGains(c2 - c1 + c0, (c1 - 1.5 * c0) / period, c0 / period**2)
+    factor = spectral_factor(*map(np.float64, (0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)))
+    c2, c1, c0 = (float(each * factor.low) for each in factor)
+    return KalmanGains(c2 + 0.25 * c0, c1 / period, c0 / period**2)
 
 
 class ObserverMemory(NamedTuple):

@@ -1,14 +1,6 @@
 """Gains of regulator and observer for many loops at once, in torch, with their exact derivatives.
 
-Both are spectral factors of a cubic. On the unit circle let z = (1 + s/2) / (1 - s/2), s imaginary. A chain of three
-integrators with quadratic weights, and one observed through noise, lead to
-
-    u^3 + b2 u^2 + b1 u + b0,   u = -s^2,   all b positive,
-
-which is to be written as p(s) p(-s), p(s) = s^3 + c2 s^2 + c1 s + c0 with roots on the left. Comparing coefficients,
-c0 = sqrt(b0), c1 = sqrt(b1 + 2 c0 c2), and c2 is the largest root of one convex function, which Newton's method finds
-from above. In d = z - 1 = s / (1 - s/2) that is the closed loop's polynomial, off which gains are read. Reference:
-`riccati.chain_gains` and `observer.kalman_gains`, which find the roots instead.
+Both are read off spectral factors, see `spectral`, as `riccati.chain_gains` and `observer.kalman_gains` do.
 
 The gain of a whole robot is a function of one symmetric matrix, X = A A' with A = S M^-1 tau: K = A' f(X) S for each of
 pose, rate and integral. Its derivative is that of Y. Daleckii and S. Krein (1951), safe where eigenvalues coincide, as
@@ -23,52 +15,33 @@ import torch
 from torch import Tensor
 
 from stewart_drake.hardware.observer import SHARE
+from stewart_drake.spectral import Factor, spectral_factor
 
-_FIXED, _NEWTON = 2, 6
-"""Steps from above: of a fixed point, which is robust, and of Newton, which doubles the digits."""
 _TOGETHER = 1e-6
 """Relative distance of eigenvalues below which a divided difference is taken as the derivative between them."""
 
 
-class Factor(NamedTuple):
-    """p(d) = d^3 + c2 d^2 + c1 d + c0 in d = z - 1; tensors of one shape."""
-
-    c2: Tensor
-    c1: Tensor
-    c0: Tensor
-
-
-def spectral_factor(b2: Tensor, b1: Tensor, b0: Tensor) -> Factor:
-    """Stable factor, in d, of u^3 + b2 u^2 + b1 u + b0, all > 0; differentiable by the implicit function theorem."""
-    c0 = torch.sqrt(b0)
+def factor(b2: Tensor, b1: Tensor, b0: Tensor) -> Factor:
+    """`spectral.spectral_factor`, differentiable by the implicit function theorem."""
     with torch.no_grad():
-        # In units in which c0 is one: (y^2 - f2)^2 = 4 (2 y + f1).
-        unit = b0 ** (1.0 / 6.0)
-        f2, f1 = b2 / (unit * unit), b1 / unit**4
-        y = 2.0 + torch.sqrt(f2) + torch.sqrt(2.0 * torch.sqrt(f1))
-        for _ in range(_FIXED):
-            y = torch.sqrt(f2 + 2.0 * torch.sqrt(f1 + 2.0 * y))
-        for _ in range(_NEWTON):
-            over = y * y - f2
-            y = y - (0.25 * over * over - 2.0 * y - f1) / (y * over - 2.0)
-        c2 = unit * y
-        c1 = torch.sqrt(b1 + 2.0 * c0 * c2)
+        c2, c1, c0 = spectral_factor(b2, b1, b0)
     if any(each.requires_grad for each in (b2, b1, b0)):
+        c0 = torch.sqrt(b0)
         # Both equations at the solution found: their values are zero, their derivatives are not.
         first, second = b1 + 2.0 * c0 * c2 - c1 * c1, b2 + 2.0 * c1 - c2 * c2
         with torch.no_grad():
             scale = 0.5 / (c1 * c2 - c0)
         c1, c2 = c1 + (c2 * first + c0.detach() * second) * scale, c2 + (first + c1 * second) * scale
-    low = 1.0 / (1.0 + 0.5 * c2 + 0.25 * c1 + 0.125 * c0)
-    return Factor((c2 + c1 + 0.75 * c0) * low, (c1 + 1.5 * c0) * low, c0 * low)
+    return Factor(c2, c1, c0)
 
 
 def kalman_gains(noise: Tensor, disturbance: Tensor, period: float) -> tuple[Tensor, Tensor, Tensor]:
     """Of `observer.kalman_gains`, for tensors of one shape: to angle [-], rate [1/s] and surplus [1/s^2]."""
     wandering = disturbance * disturbance * (period**5 / (noise * noise))
     white = SHARE**2 * wandering ** (2.0 / 3.0)
-    c2, c1, c0 = spectral_factor(0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)
-    return c2 - c1 + c0, (c1 - 1.5 * c0) / period, c0 / period**2
+    found = factor(0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)
+    c2, c1, c0 = (each * found.low for each in found)
+    return c2 + 0.25 * c0, c1 / period, c0 / period**2
 
 
 def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
@@ -86,10 +59,10 @@ def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
     pose, rate, integral = (g * (weights[k] * period**power) for k, power in enumerate((4, 2, 6)))
     lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
     b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
-    c2, c1, c0 = spectral_factor(b2 * lead, b1 * lead, integral * lead)
-    held = c1 - c0
-    over = 1.0 / (square * period)
-    return torch.stack([held * over / period, (c2 - 0.5 * held - c0 / 6.0) * over, c0 * over / period**2])
+    found = factor(b2 * lead, b1 * lead, integral * lead)
+    c2, c1, c0 = found
+    over = found.low / (square * period)
+    return torch.stack([(c1 + 0.5 * c0) * over / period, (c2 + 0.5 * c1 + c0 / 3.0) * over, c0 * over / period**2])
 
 
 def chain_slopes(square: Tensor, weights: Tensor, period: float) -> Tensor:
