@@ -104,6 +104,10 @@ class Situations:
         self._rotation, self._position = scales.rotation**-2, scales.position**-2
         self._change = (1e-3 / period / scales.torque_change) ** 2 * 10.0 ** (2.0 * taste)
 
+    def tuner(self, layers: Layers, rate: float) -> PolicyInLoops:
+        """A policy in these runs, see there."""
+        return PolicyInLoops(layers, self.site, rate)
+
     def start(self, tuner: PolicyInLoops) -> LoopState:
         """Before the first tick."""
         memory = tuner.start(len(self.scenarios))

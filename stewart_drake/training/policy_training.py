@@ -26,7 +26,7 @@ from stewart_drake.files.whole import checksum
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.section import Count, NotNegative, Positive, Section, Seed
 from stewart_drake.training.baselines import Baselines
-from stewart_drake.training.policy_loops import PolicyInLoops, Situations
+from stewart_drake.training.policy_loops import Situations
 from stewart_drake.training.policy_progress import Progress, keep, kept
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of, situation
 
@@ -106,17 +106,24 @@ class Training:
         options: See there.
         box: See there; None for that about the best fixed setting.
         robots: Names of those to train on.
+        seeds: Of the situations.
     """
 
-    def __init__(self, options: PolicyOptions, box: Box | None = None, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+    def __init__(
+        self,
+        options: PolicyOptions,
+        box: Box | None = None,
+        robots: Sequence[str] = tuple(ROBOTS),
+        seeds: Sequence[int] = TRAINING,
+    ) -> None:
         self.options, self.box = options, box or Box(np.array(Baselines.load().best))
         torch.set_num_threads(1)
         rng = np.random.default_rng(options.seed)
         self._both = 2 if options.method == "evolution" else 1
-        self._groups, self.names, tastes, self._robots = [], [], [], list(robots)
+        self._groups, self.names, tastes, self._robots, self._seeds = [], [], [], list(robots), seeds[0]
         for robot in robots:
             kinds = kinds_of(robot, trained=True)
-            drawn = [(kind, situation(kind, robot, TRAINING[k])) for k in range(options.situations) for kind in kinds]
+            drawn = [(kind, situation(kind, robot, seeds[k])) for k in range(options.situations) for kind in kinds]
             self.names += [(robot, kind) for kind, _ in drawn]
             own = rng.random(len(drawn)) < options.tastes
             kappa = np.where(own, rng.uniform(-1.0, 1.0, len(drawn)), 0.0)
@@ -222,7 +229,7 @@ class Training:
         return {
             "made_by": "stewart-drake train --tuner policy",
             "date": date.today().isoformat(),
-            "data": {"situations": kinds, "of_each": self.options.situations, "seeds": f"from {TRAINING[0]} on"},
+            "data": {"situations": kinds, "of_each": self.options.situations, "seeds": f"from {self._seeds} on"},
             "cost": "J of control/objective.py at kappa 0; other tastes in half of the situations",
             "options": self.options.to_dict(),
             "epochs_J_over_best_fixed": [round(math.exp(plain), 3) for plain, _ in at.history],
@@ -273,7 +280,7 @@ class Training:
         share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
         with torch.no_grad():
             layers = self.layers(made)
-            tuners = [PolicyInLoops(layers, group.site, self.box.rate) for group in groups]
+            tuners = [group.tuner(layers, self.box.rate) for group in groups]
             states = [
                 group.advance(group.start(tuner), group.scored, tuner)[0]
                 for group, tuner in zip(groups, tuners, strict=True)
@@ -283,7 +290,7 @@ class Training:
             weights = torch.from_numpy(made.weights.copy()).requires_grad_()
             layers, parts = self.layers(made, weights), []
             for k, group in enumerate(groups):
-                tuner = PolicyInLoops(layers, group.site, self.box.rate)
+                tuner = group.tuner(layers, self.box.rate)
                 late = group.ticks - group.scored
                 ticks = late * (piece + 1) // self.options.pieces - late * piece // self.options.pieces
                 states[k], found = group.advance(states[k].detached(), ticks, tuner)
@@ -350,7 +357,7 @@ class Training:
 
     def _roll(self, group: Situations, layers: Layers) -> tuple[np.ndarray, np.ndarray]:
         with torch.no_grad():
-            tuner = PolicyInLoops(layers, group.site, self.box.rate)
+            tuner = group.tuner(layers, self.box.rate)
             state, found = group.start(tuner), []
             while state.tick < group.scored:
                 state, _ = group.advance(state, min(_SAMPLED, group.scored - state.tick), tuner)
