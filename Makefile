@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_safety format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_policy tuner_ablation tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -51,6 +51,15 @@ calibration-example: install
 # docs/results/margins.md and its picture, five minutes on one core.
 margins: install
 	$(BIN)/python docs/margins_study.py
+
+# The policy that is shipped, forty minutes on one core; goes on where it stopped.
+tuner_policy: install
+	$(ONE_THREAD) $(BIN)/stewart-drake train --tuner policy --out runs/tuner-policy/gradient.json
+	$(ONE_THREAD) $(BIN)/stewart-drake train --tuner policy --start runs/tuner-policy/gradient.json --out runs/tuner-policy/policy.json
+
+# docs/results/tuner_ablation.md, an hour on one core.
+tuner_ablation: install
+	$(ONE_THREAD) $(BIN)/python docs/tuner_ablation.py runs/tuner-ablation
 
 # docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
 tuner_safety: install

@@ -35,8 +35,8 @@ VARIANTS = {
 TEXT = """# What a policy's features are worth
 
 `make tuner_ablation`: short trainings by the gradient ({epochs} epochs, {situations} situations of each kind and robot,
-the same first weights), each without a group of features, and one that hears the reference of {ahead:g} s later in place
-of now's. J over that of the best fixed setting at kappa 0, in {judged} situations of each kind on which nothing was
+the same first weights), each without a group of features, and one that hears the reference of {ahead:g} s later in
+place of now's. J over that of the best fixed setting at kappa 0, in {judged} situations of each kind on which nothing was
 trained, batched loops with friction as it is; geometric means over the kinds.
 
 {table}
@@ -60,9 +60,9 @@ class Ahead(PolicyInLoops):
 class WithPreview(Situations):
     """Runs in which a policy hears so."""
 
-    def tuner(self, layers, rate):
+    def tuner(self, layers):
         """See there."""
-        found = Ahead(layers, self.site, rate)
+        found = Ahead(layers, self.site)
         if not hasattr(self, "path"):
             times = self.site.period * np.arange(self.ticks) + AHEAD
             paths = [np.concatenate(each.reference.evaluate(times), axis=-1) for each in self.scenarios]

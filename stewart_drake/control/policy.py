@@ -1,6 +1,6 @@
 """Tuners of settings: a network, or two settings and a threshold; from what they hear to weights and disturbance.
 
-Whatever they want, a setting stays within a box and changes no faster than at its rate; where what they hear lies
+Whatever they want, a setting stays within a box and moves by a small share of it in a tick; where what they hear lies
 outside of what a network was trained on, its answer fades to the middle of the box, the best fixed setting.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from stewart_drake.compiled.constants import TUNER_MEMORY
 from stewart_drake.control.features import FEATURES, Site, flat_features, nothing_yet
 from stewart_drake.control.network import numbers, read_sealed, sealed
-from stewart_drake.control.settings import SIZE, disturbance_of, weights_of
+from stewart_drake.control.settings import SIZE, STEP, disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.mechanics.arrays import Array, namespace
@@ -98,7 +98,6 @@ class Policy:
 
     Attributes:
         layers: In numpy.
-        rate: [1/s] widths of the box in which a setting may change in a second.
         provenance: Where it comes from: data, seeds, cost, date, figures, limits.
 
     Raises:
@@ -106,7 +105,6 @@ class Policy:
     """
 
     layers: Layers
-    rate: float = 30.0
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -121,8 +119,6 @@ class Policy:
                 raise ConfigurationError(name, getattr(self.layers, name).tolist(), "positive numbers")
         if not (self.layers.low <= self.layers.high).all():
             raise ConfigurationError("low", self.layers.low.tolist(), "at most `high`")
-        if not 0.0 < self.rate < 1e6:
-            raise ConfigurationError("rate", self.rate, "a positive number")
 
     @property
     def centre(self) -> np.ndarray:
@@ -151,7 +147,7 @@ class Policy:
     def to_bytes(self) -> bytes:
         """The policy as JSON with a checksum; the same policy gives the same bytes."""
         layers = {name: np.asarray(value).tolist() for name, value in self.layers._asdict().items()}
-        content = {"features": list(FEATURES), "rate": self.rate, **layers}
+        content = {"features": list(FEATURES), **layers}
         return sealed(FORMAT, VERSION, content, self.provenance)
 
     def save(self, path: str | Path) -> None:
@@ -198,10 +194,10 @@ def load_policy(path: str | Path | None = None) -> Policy:
         hidden = document.get("hidden")
         units = len(hidden) if isinstance(hidden, list) else 0
         layers = Layers(*(numbers(name, document.get(name), _shape(name, units)) for name in Layers._fields))
-        rate, provenance = numbers("rate", document.get("rate"), ()), document.get("provenance", {})
-        if not isinstance(provenance, dict) or rate.shape != ():
-            raise ConfigurationError("provenance", provenance, "a mapping, beside a rate that is a number")
-        return Policy(layers, float(rate), provenance)
+        provenance = document.get("provenance", {})
+        if not isinstance(provenance, dict):
+            raise ConfigurationError("provenance", provenance, "a mapping")
+        return Policy(layers, provenance)
     except ConfigurationError as error:
         raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
 
@@ -215,14 +211,12 @@ class Schedule:
         alert: (4,) setting.
         threshold: [-] of the surprise, RMS of innovations over the noise of a reading.
         hold: [s] that the second one stays.
-        rate: See `Policy`.
     """
 
     calm: np.ndarray
     alert: np.ndarray
     threshold: float
     hold: float
-    rate: float = 30.0
 
     @property
     def centre(self) -> np.ndarray:
@@ -252,10 +246,6 @@ class Schedule:
 
 class Chooser(Protocol):
     """What wants a setting."""
-
-    @property
-    def rate(self) -> float:
-        """[1/s] widths of the box in a second."""
 
     @property
     def centre(self) -> np.ndarray:
@@ -288,7 +278,7 @@ class _Compiled:
         output = np.concatenate([own.output, own.output_bias[:, None]], axis=1)
         stats, box = np.stack([own.mean, own.scale, own.low, own.high]), np.stack([own.centre, own.below, own.above])
         self._fast, self._fixed = fast, (stats, hidden, output, box, LARGEST, FADE)
-        self.rate, self.centre, self.lowest, self.width = policy.rate, policy.centre, policy.lowest, policy.width
+        self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
 
     def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:  # noqa: ARG002
         """See `Chooser`."""
@@ -316,7 +306,7 @@ def setting_part(
         Its tick takes densities (12,), error (6,), torque (6,), innovation (6,), reference (18,) and memory. Where one
         of them is not finite, or absurd, the setting goes to the centre.
     """
-    step = chooser.rate * chooser.width * site.period
+    step = STEP * chooser.width
     hear, say = flat_features(site, compiled), _saying(weights, disturbance, step, compiled)
     chooser = chooser.compiled() if compiled else chooser
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import Policy
-from stewart_drake.control.settings import NAMES
+from stewart_drake.control.settings import NAMES, STEP
 
 BOX_HEADER = ("setting", "least", "centre", "largest")
 
@@ -27,7 +28,7 @@ def facts(policy: Policy) -> list[tuple[str, str]]:
     return [
         ("hears", ", ".join(heard) or "nothing"),
         ("hidden units", str(len(hidden))),
-        ("goes through its box in", f"{1.0 / policy.rate:.3g} s"),
+        ("goes through its box in", f"{math.ceil(1.0 / STEP)} ticks"),
         *_told("", policy.provenance),
     ]
 

@@ -12,6 +12,7 @@ from stewart_drake.compiled.constants import MEAN_FLOOR
 from stewart_drake.control.features import Heard, Recent, Site, features, nothing_yet
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import Layers, answer, limited
+from stewart_drake.control.settings import STEP
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.batched_loops import BatchedLoops
 from stewart_drake.training.loop_state import Costs, LoopState, Observed
@@ -44,13 +45,12 @@ class PolicyInLoops:
     Args:
         layers: In torch; weights are one for all loops, or one for each.
         site: Of the loops.
-        rate: [1/s] see `Policy.rate`.
         window: m of (35) [ticks].
     """
 
-    def __init__(self, layers: Layers, site: Site, rate: float, window: int = 49) -> None:
+    def __init__(self, layers: Layers, site: Site, window: int = 49) -> None:
         self._layers, self._site, self._window = layers, site, window
-        self._step = rate * site.period * (layers.below + layers.above)
+        self._step = STEP * (layers.below + layers.above)
 
     def start(self, loops: int) -> Hearing:
         """Before the first tick."""
@@ -104,9 +104,9 @@ class Situations:
         self._rotation, self._position = scales.rotation**-2, scales.position**-2
         self._change = (1e-3 / period / scales.torque_change) ** 2 * 10.0 ** (2.0 * taste)
 
-    def tuner(self, layers: Layers, rate: float) -> PolicyInLoops:
+    def tuner(self, layers: Layers) -> PolicyInLoops:
         """A policy in these runs, see there."""
-        return PolicyInLoops(layers, self.site, rate)
+        return PolicyInLoops(layers, self.site)
 
     def start(self, tuner: PolicyInLoops) -> LoopState:
         """Before the first tick."""

@@ -29,6 +29,7 @@ class Progress:
         low: (13,).
         high: (13,).
         seconds: [s] of the processor.
+        best: (n,) weights after the epoch of least mean log J over that at the centre, at kappa 0.
         history: Mean of log J/J at the centre, an epoch after the other; at kappa 0 and at all tastes.
     """
 
@@ -42,6 +43,7 @@ class Progress:
     scale: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    best: np.ndarray
     seconds: float = 0.0
     history: list[tuple[float, float]] = field(default_factory=list)
 

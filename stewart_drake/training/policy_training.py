@@ -43,7 +43,7 @@ class PolicyOptions(Section, key="training"):
     """Of the first weights, tastes and, for evolution, directions."""
     method: Method = "gradient"
     """gradient: backpropagation through the loops, cut into pieces. evolution: each loop goes another way."""
-    epochs: Annotated[Count, Field(ge=1)] = 6
+    epochs: Annotated[Count, Field(ge=1)] = 3
     """Rollouts of all situations; of evolution, with more of those that are short."""
     situations: Annotated[Count, Field(ge=1, le=1000)] = 20
     """Of each kind and robot."""
@@ -85,18 +85,16 @@ class Box(NamedTuple):
         centre: (4,) the best fixed one.
         lowest: (4,).
         highest: (4,).
-        rate: [1/s] see `Policy.rate`.
     """
 
     centre: np.ndarray
     lowest: np.ndarray = np.array([-0.1, -0.6, -1.2, -1.9])
     highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
-    rate: float = 30.0
 
     @classmethod
     def of(cls, policy: Policy) -> Box:
         """That of a policy."""
-        return cls(policy.centre, policy.lowest, policy.lowest + policy.width, policy.rate)
+        return cls(policy.centre, policy.lowest, policy.lowest + policy.width)
 
 
 class Training:
@@ -158,12 +156,12 @@ class Training:
         )
         none = np.zeros(len(FEATURES))
         moments, far = np.zeros((2, len(weights))), none + 1e5
-        begun = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far)
+        begun = Progress(0, weights, moments, 0, none, none, none, none + 1.0, -far, far, weights)
         fixed, found = self._rollout(begun, None, tell)
         if start is not None:
             own = start.layers
             begun.mean, begun.scale = np.asarray(own.mean), np.asarray(own.scale)
-            begun.weights = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
+            begun.weights = begun.best = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
             begun.fixed, (begun.latest, _) = fixed, self._rollout(begun, None, tell, own=True)
             return begun
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
@@ -209,10 +207,13 @@ class Training:
         ratio = np.log(made.latest / made.fixed)
         plain = self.kappa == 0.0
         made.history = [*at.history, (self._mean(ratio, plain), self._mean(ratio, plain | True))]
+        if made.history[-1] == min(made.history):
+            made.best = made.weights
         return made
 
     def finished(self, at: Progress, tell: Callable[[str], None], start: Policy | None = None) -> Policy:
-        """The policy, with the hull of what it hears on the situations, and a card with that of its start."""
+        """The best policy, with the hull of what it hears on the situations, and a card with that of its start."""
+        at = Progress(**{**vars(at), "weights": at.best})
         costs, found = self._rollout(at, None, tell, own=True)
         low, high = np.quantile(found, 0.0005, axis=0), np.quantile(found, 0.9995, axis=0)
         # All tastes were drawn, if not to the last one.
@@ -220,7 +221,7 @@ class Training:
         at = Progress(**{**vars(at), "low": low, "high": high, "latest": costs})
         numpy = (each.detach().numpy().copy() for each in self.layers(at))
         before = {} if start is None else {"start": dict(start.provenance)}
-        return Policy(Layers(*numpy), self.box.rate, {**self._card(at), **before})
+        return Policy(Layers(*numpy), {**self._card(at), **before})
 
     def _card(self, at: Progress) -> dict[str, Any]:
         """Where a policy comes from."""
@@ -280,7 +281,7 @@ class Training:
         share = torch.from_numpy(self._weighed(at) / at.latest**2 * 0.5)
         with torch.no_grad():
             layers = self.layers(made)
-            tuners = [group.tuner(layers, self.box.rate) for group in groups]
+            tuners = [group.tuner(layers) for group in groups]
             states = [
                 group.advance(group.start(tuner), group.scored, tuner)[0]
                 for group, tuner in zip(groups, tuners, strict=True)
@@ -290,7 +291,7 @@ class Training:
             weights = torch.from_numpy(made.weights.copy()).requires_grad_()
             layers, parts = self.layers(made, weights), []
             for k, group in enumerate(groups):
-                tuner = group.tuner(layers, self.box.rate)
+                tuner = group.tuner(layers)
                 late = group.ticks - group.scored
                 ticks = late * (piece + 1) // self.options.pieces - late * piece // self.options.pieces
                 states[k], found = group.advance(states[k].detached(), ticks, tuner)
@@ -357,7 +358,7 @@ class Training:
 
     def _roll(self, group: Situations, layers: Layers) -> tuple[np.ndarray, np.ndarray]:
         with torch.no_grad():
-            tuner = group.tuner(layers, self.box.rate)
+            tuner = group.tuner(layers)
             state, found = group.start(tuner), []
             while state.tick < group.scored:
                 state, _ = group.advance(state, min(_SAMPLED, group.scored - state.tick), tuner)

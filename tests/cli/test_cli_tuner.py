@@ -35,7 +35,7 @@ def made(hidden=3):
         low=-np.ones(COUNT),
         high=np.ones(COUNT),
     )
-    return Policy(layers, 10.0, PROVENANCE)
+    return Policy(layers, PROVENANCE)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from stewart_drake.compiled.constants import TUNER_MEMORY
 from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, Heard, Site, features, nothing_yet
 from stewart_drake.control.policy import FADE, Layers, Policy, Schedule, answer, load_policy, setting_part
 from stewart_drake.control.riccati import chain_gains
-from stewart_drake.control.settings import SIZE, disturbance_of, weights_of
+from stewart_drake.control.settings import SIZE, STEP, disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
 
 AT = TUNER_MEMORY
@@ -143,7 +143,7 @@ wild = arrays(float, 54, elements=st.floats(allow_nan=True, allow_infinity=True,
 
 
 @given(st.sampled_from([*CHOOSERS]), st.lists(wild, min_size=1, max_size=4))
-def test_whatever_is_heard_a_setting_stays_in_its_box_and_moves_no_faster_than_its_rate(name, inputs):
+def test_whatever_is_heard_a_setting_stays_in_its_box_and_moves_by_a_small_share_of_it(name, inputs):
     chooser = CHOOSERS[name]
     part = setting_part(chooser, SITE, BASE, LEVEL)
     memory = part.initial
@@ -152,7 +152,7 @@ def test_whatever_is_heard_a_setting_stays_in_its_box_and_moves_no_faster_than_i
         before, memory = memory, part.tick(*np.split(values, [12, 18, 24, 36 - 6]), memory)
         assert (box(memory) >= chooser.lowest - 1e-12).all()
         assert (box(memory) <= chooser.lowest + chooser.width + 1e-12).all()
-        assert (np.abs(box(memory) - box(before)) <= chooser.rate * chooser.width * SITE.period + 1e-12).all()
+        assert (np.abs(box(memory) - box(before)) <= STEP * chooser.width + 1e-12).all()
         np.testing.assert_allclose(memory[: AT.disturbance], weights_of(BASE, box(memory)))
         assert memory[AT.disturbance] == pytest.approx(disturbance_of(LEVEL, box(memory)))
         assert 0.0 <= memory[AT.outside] <= 1.0
@@ -234,7 +234,6 @@ def test_a_file_gives_back_the_policy(tmp_path):
         ({"below": [1.0, 1.0, 1.0]}, "below"),
         ({"low": [9.0] * 13}, "low"),
         ({"hidden": [[1.0]]}, "hidden"),
-        ({"rate": -1.0}, "rate"),
         ({"provenance": 3}, "provenance"),
         ({"version": 99}, "version"),
     ],
