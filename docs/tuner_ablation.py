@@ -36,8 +36,8 @@ TEXT = """# What a policy's features are worth
 
 `make tuner_ablation`: short trainings by the gradient ({epochs} epochs, {situations} situations of each kind and robot,
 the same first weights), each without a group of features, and one that hears the reference of {ahead:g} s later in
-place of now's. J over that of the best fixed setting at kappa 0, in {judged} situations of each kind on which nothing was
-trained, batched loops with friction as it is; geometric means over the kinds.
+place of now's. J over that of the best fixed setting at kappa 0, in {judged} situations of each kind that nothing was
+trained on, batched loops with friction as it is; geometric means over the kinds.
 
 {table}
 

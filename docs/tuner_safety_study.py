@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake import run
 from stewart_drake.control.policy import load_policy
-from stewart_drake.control.settings import NAMES
+from stewart_drake.control.settings import NAMES, STEP
 from stewart_drake.control.tuners import SettingTuner
 from stewart_drake.plotting import panels as look
 from stewart_drake.registry import TUNERS
@@ -29,12 +29,11 @@ FREQUENCIES = 120
 
 
 class Box(NamedTuple):
-    """Settings from `lowest` on for `width` (4,), around a centre (4,), at so many widths a second."""
+    """Settings from `lowest` on for `width` (4,), around a centre (4,)."""
 
     lowest: np.ndarray
     width: np.ndarray
     centre: np.ndarray
-    rate: float
 
     def at(self, places):
         """Settings (..., 4) of places of the unit box."""
@@ -44,7 +43,7 @@ class Box(NamedTuple):
 def shipped_box():
     """The box of the policy that is shipped."""
     policy = load_policy()
-    return Box(policy.lowest, policy.width, policy.centre, policy.rate)
+    return Box(policy.lowest, policy.width, policy.centre)
 
 
 BOX = shipped_box()
@@ -176,7 +175,7 @@ class Switched(NamedTuple):
 
 def switched(scenario, pose):
     """See `Switched`; by the six chains of the loop."""
-    tick, step = scenario.controller.period, BOX.rate * scenario.controller.period
+    tick = scenario.controller.period
     knots = np.array(list(itertools.product(*[np.linspace(0.0, 1.0, count) for count in KNOTS])))
     loops = next(setting_loops(scenario, pose[None], BOX.at(np.concatenate([CENTRE, knots]))))
     rng = np.random.default_rng(2)
@@ -185,7 +184,7 @@ def switched(scenario, pose):
     for each in chains(loops, scenario.lqi.length).matrices:
         inward = even(each[0])
         matrices = (inward @ each @ np.linalg.inv(inward))[1:]
-        for limit, into in ((step, limited), (1.0, jumping)):
+        for limit, into in ((STEP, limited), (1.0, jumping)):
             paths = [swings(limit, period, tick)[:, None] for period in PERIODS]
             for corner in CORNERS[:8]:
                 mixed = [shares(corner + path * (1.0 - 2.0 * corner), KNOTS) for path in paths]
@@ -197,12 +196,12 @@ def switched(scenario, pose):
             sizes = np.array(
                 [
                     np.linalg.norm(x)
-                    for x, _ in greedy(CENTRE[0], matrices, KNOTS, step, state / np.linalg.norm(state), ticks)
+                    for x, _ in greedy(CENTRE[0], matrices, KNOTS, STEP, state / np.linalg.norm(state), ticks)
                 ]
             )
             grown.append(sizes.max() / calm)
             left.append(sizes[-1] / sizes.max())
-            wander.append(wandering(rng, matrices, step, ticks) / tick)
+            wander.append(wandering(rng, matrices, STEP, ticks) / tick)
     return Switched(np.min(limited, axis=0), np.min(jumping, axis=0), max(grown), max(left), min(wander))
 
 
@@ -235,7 +234,7 @@ class Player:
     """Wants two opposite corners in turn; see `control.policy.Chooser`."""
 
     def __init__(self, corner, half):
-        self.rate, self.centre, self.lowest, self.width = BOX.rate, BOX.centre, BOX.lowest, BOX.width
+        self.centre, self.lowest, self.width = BOX.centre, BOX.lowest, BOX.width
         self.first, self.half = np.array(corner), half
 
     def choose(self, _, held, period):
@@ -262,34 +261,34 @@ class SequenceTuner(SettingTuner):
         return Player(self.corner, self.half)
 
 
-HALVES = (0.0, 0.1, 0.2)
+HALVES = (0.0, 0.1, 0.2, 0.4, 0.8)
 """[s] at each corner, the way to it included; 0 for a corner that stays."""
 PUSHED = {"paper's robot, 1 kHz, 1 ticks": 5.0, "Reachy Mini, 100 Hz, 1 tick": 0.4}
 """[N] along X and -Z, from 0.8 s to 1.6 s of 2.5 s."""
 
 
 def pushed(name):
-    """Ends, and largest errors [mm] (corners,) of runs with a push, for each of `HALVES`."""
+    """Ends (halves, corners) and largest errors [mm] of runs with a push, for each of `HALVES`."""
     changes = [*BASE, LOOPS[name][1], "plant.engine=reduced", "duration=2.5"]
     base, force = load_scenario(LOOPS[name][0], changes), PUSHED[name]
     push = {"kind": "step", "wrench": [0.0, 0.0, 0.0, force, 0.0, -force], "time": 0.8, "until": 1.6}
     base = base.replace({"disturbances": [push], "tuner": "sequence"})
-    ends, errors = set(), np.zeros((len(HALVES), len(CORNERS)))
+    ends, errors = [], np.zeros((len(HALVES), len(CORNERS)))
     for k, half in enumerate(HALVES):
         for j, corner in enumerate(CORNERS):
             log = run(base.replace({"tuner.corner": tuple(corner.tolist()), "tuner.half": half}), check=False)
-            ends.add(log.status)
+            ends.append(log.status)
             errors[k, j] = 1e3 * np.linalg.norm((log["pose"] - log["reference"][:, :6])[:, 3:], axis=1).max()
-    return ends, errors
+    return np.reshape(ends, errors.shape), errors
 
 
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
-`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades ({names}), see
-`control/settings.py`. The box: {box}; a setting goes
-through all of it in {seconds:g} s. Base: the default weights of `tuner: block` for each robot, and the observer's own
-disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact model in the LQI;
-no friction, no saturation, no counts.
+`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades
+({names}), see `control/settings.py`. The box: {box};
+a setting moves by {step:g} % of it in a tick. Base: the default weights of `tuner: block` for each robot, and the
+observer's own disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact
+model in the LQI; no friction, no saturation, no counts.
 
 ## A setting that stays
 
@@ -326,8 +325,8 @@ random corners, mean decay of the slowest. Decays in 1/s.
 ## Runs with friction, noise and a push
 
 On the reduced engine, the motions of `exact_breathing` and `reachy_nod` with a push ({pushes}): largest error of the
-position [mm] over the 16 corners, each alone, and with swings to the opposite one, each corner for so long. Runs that
-did not complete: {failed}.
+position [mm] over the 16 corners, each alone, and with swings to the opposite one, each corner for so long, and how
+many of these runs were completed.
 
 | loop | corner alone, worst | {halves} |
 |---|---|{lines}|
@@ -344,22 +343,22 @@ def picture(decays, periods):
         ordered = np.sort(values.ravel())
         left.plot(ordered, 100.0 * np.arange(1, len(ordered) + 1) / len(ordered), color=color, label=name)
         limited, jumping = periods[name]
-        right.plot(PERIODS, limited, color=color, label=f"{name}, rate limit")
-        right.plot(PERIODS, jumping, color=color, ls=":", label="jumps")
+        right.plot(PERIODS, limited, color=color, label=f"{name}, {100.0 * STEP:g} % a tick")
+        right.plot(PERIODS, jumping, color=color, ls=":", label=f"{name}, jumps")
     right.axhline(0.0, color=look.QUIET, lw=0.8)
     look.logarithmic(left, "x")
     look.logarithmic(right, "x")
-    look.label(left, "Settings and poses that decay more slowly", "1/s", "%")
-    look.label(right, "Slowest decay of swings by their period", "s", "1/s")
+    look.label(left, "Settings that stay", "decay [1/s]", "settings and poses that decay more slowly [%]")
+    look.label(right, "Swings from corner to corner", "period [s]", "slowest decay [1/s]")
     look.legend(left)
-    look.legend(right)
+    look.legend(right, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     figure.savefig(HERE / "images" / "tuner_safety.png", dpi=130)
 
 
 def main():
     """Writes the file and the picture."""
     TUNERS.add(SequenceTuner, *TUNERS_OF_SETTINGS)
-    start, frozen_rows, rows, decays, curves, pushes, failed, worst = time.process_time(), [], [], {}, {}, [], set(), []
+    start, frozen_rows, rows, decays, curves, pushes, worst = time.process_time(), [], [], {}, {}, [], []
     for name, (scenario_name, change) in LOOPS.items():
         line, poses, decay = frozen_row(name)
         frozen_rows.append(line)
@@ -382,15 +381,18 @@ def main():
         )
         print(f"{time.process_time() - start:.0f} s: {rows[-1]}", flush=True)
         ends, errors = pushed(name)
-        failed |= ends - {"completed"}
-        pushes.append(f"| {name} | {' | '.join(f'{each:.2f}' for each in errors.max(axis=1))} |")
+        parts = [
+            f"{own.max():.2f}, {(end == 'completed').sum()} of {len(end)}"
+            for own, end in zip(errors, ends, strict=True)
+        ]
+        pushes.append(f"| {name} | {' | '.join(parts)} |")
         print(f"{time.process_time() - start:.0f} s: {pushes[-1]}", flush=True)
     picture(decays, curves)
     ends = zip(NAMES, BOX.lowest, BOX.lowest + BOX.width, strict=True)
     text = TEXT.format(
         names=", ".join(NAMES),
         box=", ".join(f"{key} {low:+.2f} to {high:+.2f}" for key, low, high in ends),
-        seconds=1.0 / BOX.rate,
+        step=100.0 * STEP,
         poses=POSES,
         places=len(PLACES),
         random=len(RANDOM),
@@ -404,7 +406,6 @@ def main():
         switched="\n".join(rows),
         verdict="All swings at the rate limit decay." if min(worst) > 0.0 else "Some swings at the rate limit grow.",
         pushes=", ".join(f"{force:g} N along X and -Z: {name}" for name, force in PUSHED.items()),
-        failed=", ".join(sorted(failed)) or "none",
         halves=" | ".join(f"swings, {half:g} s" for half in HALVES[1:]),
         lines="|".join(["---"] * (len(HALVES) - 1)),
         pushed="\n".join(pushes),

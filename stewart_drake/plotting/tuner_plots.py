@@ -77,7 +77,16 @@ def plot_front(cloud: np.ndarray, front: np.ndarray, tastes: Sequence[float], fi
     panel.plot(fixed[:, 1], fixed[:, 0], "D", color=ORANGE, markersize=6.0, label="the best of them at a taste")
     panel.plot(front[:, 1], front[:, 0], "o-", color=BLUE, linewidth=1.8, label="policy")
     for taste, (error, change) in zip(tastes, front, strict=True):
-        panel.annotate(f"{taste:g}", (change, error), (6, 5), textcoords="offset points", fontsize=9, color=BLUE)
+        panel.annotate(
+            f"{taste:g}",
+            (change, error),
+            (-4, -8),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color=BLUE,
+            fontsize=9,
+        )
     logarithmic(panel, "xy")
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
