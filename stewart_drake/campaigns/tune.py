@@ -13,11 +13,10 @@ import numpy as np
 
 from stewart_drake.campaigns.comparison import ComparisonResult, run_comparison
 from stewart_drake.campaigns.comparison_table import Sheet, number
-from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import Lasting, Workplace, workplace
-from stewart_drake.campaigns.one_run import Task, empty_row, execute, outcome, simulate_figures, simulate_unchecked
+from stewart_drake.campaigns.executors import Workplace
+from stewart_drake.campaigns.kept_runs import KeptRuns
+from stewart_drake.campaigns.one_run import Task, outcome, simulate_figures, simulate_unchecked
 from stewart_drake.campaigns.plan import identity_of
-from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.search import minimise
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Setting, Tuning
@@ -122,46 +121,32 @@ class _Evaluations:
         restart: bool,
     ) -> None:
         comparison = tuning.comparison
-        self._tuning, self._tell, self._where = tuning, tell, workplace(where)
+        self._tuning = tuning
         identity = identity_of(comparison, tuning.work, collect_versions())
-        self._store = RowStore(folder, identity, restart, PRODUCTS)
-        self._kept: dict[int, Row] = {}
-        self._done = 0
+        self._runs = KeptRuns(folder, identity, where, tell, restart, PRODUCTS)
         assert comparison.file.cost is not None
         self._measure = partial(measure_cost, scales=comparison.file.cost)
 
     @contextmanager
     def open(self) -> Iterator[_Evaluations]:
-        with self._store as store, Lasting(self._where) as self._place:
-            self._kept = store.rows()
+        with self._runs:
             yield self
 
     def rows(self, controller: str, first: int, settings: Sequence[Setting]) -> list[Row]:
         """A row of the table for each setting, but for `best`, given the number of the first evaluation."""
-        tasks = {}
-        for number_, setting in enumerate(settings, first):
-            for cell in self._tuning.cells(controller):
-                task = self._task(cell, number_, setting)
-                tasks[task.index] = task
-        missing = [index for index, task in tasks.items() if self._kept.get(index, {}).get("values") != task.drawn]
-        self._progress(len(tasks) - len(missing))
-
-        def work(index: int) -> Work:
-            # The motions are the same in all evaluations: the first checks them.
-            function = simulate_unchecked if tasks[index].drawn["evaluation"] else simulate_figures
-            return execute, (function, tasks[index])
-
-        def crashed(index: int) -> Row:
-            return empty_row(tasks[index], "crashed", "worker_died", "its worker process died, also with it alone")
-
-        carry_out(missing, work, self._keep, self._place, crashed)
+        cells = self._tuning.cells(controller)
+        tasks = [self._task(cell, k, setting) for k, setting in enumerate(settings, first) for cell in cells]
+        # The motions are the same in all evaluations: the first checks them.
+        found = self._runs.rows(
+            tasks, lambda task: simulate_unchecked if task.drawn["evaluation"] else simulate_figures
+        )
         made = []
-        for number_, setting in enumerate(settings, first):
-            runs = [self._kept[index] for index, task in tasks.items() if task.drawn["evaluation"] == number_]
+        for k, setting in enumerate(settings):
+            runs = found[k * len(cells) : (k + 1) * len(cells)]
             made.append(
                 {
                     "controller": controller,
-                    "evaluation": number_,
+                    "evaluation": first + k,
                     "cost": mean_cost(run.get("cost", FAILED) for run in runs),
                     "not_completed": sum(run["status"] != "completed" for run in runs),
                     "setting": setting,
@@ -179,15 +164,6 @@ class _Evaluations:
             drawn={"evaluation": number_, "run": cell, "setting": setting},
             measure=self._measure,
         )
-
-    def _keep(self, index: int, row: Row) -> None:
-        self._store.add(row)
-        self._kept[index] = row
-        self._progress(1)
-
-    def _progress(self, more: int) -> None:
-        self._done += more
-        self._tell(float(self._done))
 
 
 def _search(tuning: Tuning, name: str, evaluations: _Evaluations) -> list[Row]:

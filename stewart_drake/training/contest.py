@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -12,11 +11,10 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
-from stewart_drake.campaigns.engine import Work, carry_out
-from stewart_drake.campaigns.executors import Lasting, Workplace, workplace
-from stewart_drake.campaigns.one_run import Task, empty_row, execute, simulate_unchecked
+from stewart_drake.campaigns.executors import Workplace
+from stewart_drake.campaigns.kept_runs import KeptRuns
+from stewart_drake.campaigns.one_run import Task, simulate_unchecked
 from stewart_drake.campaigns.plan import identity
-from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.search import minimise
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.control.objective import CostScales
@@ -115,48 +113,25 @@ class Contest:
         tell: Callable[[float], None] | None = None,
         restart: bool = False,
     ) -> None:
-        self._folder, self._engine, self._where, self._restart = folder, engine, workplace(where), restart
-        self._tell = tell or (lambda _: None)
-        self._open = ExitStack()
-        self._kept: dict[int, Row] = {}
-        self._done = 0
+        self._engine = engine
+        self._runs = KeptRuns(folder, identity({"contest": engine, "measured": MEASURED}), where, tell, restart)
 
     def __enter__(self) -> Self:
-        with ExitStack() as opened:
-            about = identity({"contest": self._engine, "measured": MEASURED})
-            self._store = opened.enter_context(RowStore(self._folder, about, self._restart))
-            self._place = opened.enter_context(Lasting(self._where))
-            self._kept = self._store.rows()
-            self._open = opened.pop_all()
+        self._runs.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._open.__exit__(kind, error, trace)
+        self._runs.__exit__(kind, error, trace)
 
     def rows(self, runs: Sequence[tuple[Contestant, Case]]) -> list[Row]:
         """A row for each run: how it ended, see `one_run.execute`, and `measure_parts`.
 
         Raises:
-            ConfigurationError: A weights file that cannot be used.
-            StewartDrakeError: There are no workers (any more); rows done are kept.
-            KeyboardInterrupt: Rows done are kept.
+            ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `KeptRuns.rows`.
         """
-        tasks = [self._task(contestant, case) for contestant, case in runs]
-        missing = {
-            task.index: task for task in tasks if self._kept.get(task.index, {}).get("values") != dict(task.drawn)
-        }
-        self._progress(len(tasks) - len(missing))
-
-        def work(index: int) -> Work:
-            return execute, (simulate_unchecked, missing[index])
-
-        def crashed(index: int) -> Row:
-            return empty_row(missing[index], "crashed", "worker_died", "its worker process died, also with it alone")
-
-        carry_out(missing, work, self._keep, self._place, crashed)
-        return [self._kept[task.index] for task in tasks]
+        return self._runs.rows([self._task(*each) for each in runs], lambda _: simulate_unchecked)
 
     def log_costs(
         self, contestants: Sequence[Contestant], cases: Sequence[Case], scales: CostScales | None = None
@@ -172,15 +147,6 @@ class Contest:
         drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
         # Twelve digits are as many as a double holds exactly.
         return Task(int(checksum(drawn)[:12], 16), case.seed, base, changes, drawn, measure_parts)
-
-    def _keep(self, index: int, row: Row) -> None:
-        self._store.add(row)
-        self._kept[index] = row
-        self._progress(1)
-
-    def _progress(self, more: int) -> None:
-        self._done += more
-        self._tell(float(self._done))
 
 
 def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
