@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import Policy
-from stewart_drake.control.settings import NAMES, STEP
+from stewart_drake.control.settings import NAMES
 
 BOX_HEADER = ("setting", "least", "centre", "largest")
 
@@ -28,7 +27,6 @@ def facts(policy: Policy) -> list[tuple[str, str]]:
     return [
         ("hears", ", ".join(heard) or "nothing"),
         ("hidden units", str(len(hidden))),
-        ("goes through its box in", f"{math.ceil(1.0 / STEP)} ticks"),
         *_told("", policy.provenance),
     ]
 
