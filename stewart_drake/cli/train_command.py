@@ -56,9 +56,8 @@ def collect(out: Path, quiet: bool) -> None:
 @click.option(
     "--split",
     type=click.Choice(["samples", "runs"]),
-    default="samples",
-    show_default=True,
-    help="Of the paper's: what is held back for validation, samples at random, which leak between runs, or whole runs.",
+    help="Of the paper's: what is held back for validation, samples at random, which leak between runs [default], or "
+    "whole runs.",
 )
 @click.option(
     "--method",
@@ -77,7 +76,7 @@ def train(
     tuner: Literal["paper", "policy"],
     seed: int,
     epochs: int | None,
-    split: Split,
+    split: Split | None,
     method: Method | None,
     start: Path | None,
     quiet: bool,
@@ -91,14 +90,15 @@ def train(
     """
     from stewart_drake.runs.outputs import SPACE, prepare_file
 
+    others = {"DATASET": dataset, "--split": split} if tuner == "policy" else {"--method": method, "--start": start}
+    for option, given in others.items():
+        if given is not None:
+            raise ConfigurationError(option, str(given), f"nothing, for --tuner {tuner}: it is of the other one")
     if tuner == "paper":
-        for option, given in (("--method", method), ("--start", start)):
-            if given is not None:
-                raise ConfigurationError(option, str(given), "nothing, for --tuner paper: it is of the policy")
-        _train_paper(dataset or Path("runs/dataset.parquet"), out, seed, epochs or _PAPER_EPOCHS, split, quiet)
+        _train_paper(
+            dataset or Path("runs/dataset.parquet"), out, seed, epochs or _PAPER_EPOCHS, split or "samples", quiet
+        )
         return
-    if dataset is not None:
-        raise ConfigurationError("DATASET", str(dataset), "nothing, for --tuner policy: it is trained in the loop")
 
     from stewart_drake.control.policy import load_policy
     from stewart_drake.training.policy_training import POLISH, Box, PolicyOptions, Training, train_policy
