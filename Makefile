@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_policy tuner_ablation tuner_safety format clean
+.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -52,14 +52,16 @@ calibration-example: install
 margins: install
 	$(BIN)/python docs/margins_study.py
 
-# The policy that is shipped, forty minutes on one core; goes on where it stopped.
+# The policy that is shipped, and its rival: forty minutes each on one core; goes on where it stopped.
+POLICY := runs/tuner-policy
 tuner_policy: install
-	$(ONE_THREAD) $(BIN)/stewart-drake train --tuner policy --out runs/tuner-policy/gradient.json
-	$(ONE_THREAD) $(BIN)/stewart-drake train --tuner policy --start runs/tuner-policy/gradient.json --out runs/tuner-policy/policy.json
+	$(BIN)/stewart-drake train --tuner policy --out $(POLICY)/gradient.json
+	$(BIN)/stewart-drake train --tuner policy --start $(POLICY)/gradient.json --out $(POLICY)/policy.json
+	$(BIN)/stewart-drake train --tuner policy --method evolution --out $(POLICY)/evolution.json
 
-# docs/results/tuner_ablation.md, an hour on one core.
-tuner_ablation: install
-	$(ONE_THREAD) $(BIN)/python docs/tuner_ablation.py runs/tuner-ablation
+# docs/results/tuner_training.md, an hour on one core.
+tuner_training: install
+	$(BIN)/python docs/tuner_training.py runs/tuner-training $(POLICY)/gradient.json $(POLICY)/policy.json $(POLICY)/evolution.json
 
 # docs/results/tuner_safety.md and its picture: the box of the shipped policy, half an hour on one core.
 tuner_safety: install

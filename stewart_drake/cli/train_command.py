@@ -101,11 +101,13 @@ def train(
         return
 
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.policy_training import POLISH, Box, PolicyOptions, Training, train_policy
+    from stewart_drake.training.policy_training import EVOLUTION, POLISH, Box, PolicyOptions, Training, train_policy
 
     first = None if start is None else load_policy(start)
     asked = {"seed": seed, "epochs": epochs, "method": method}
-    more = {} if first is None else {**POLISH, "hidden": len(first.layers.hidden)}
+    more = EVOLUTION if method == "evolution" else {}
+    if first is not None:
+        more = {**POLISH, "hidden": len(first.layers.hidden)}
     options = PolicyOptions.from_dict({**more, **{key: value for key, value in asked.items() if value is not None}})
     prepare_file(out, SPACE)
     checkpoint = out.with_name(f"{out.name}.checkpoint")
