@@ -2,8 +2,8 @@
 
 python docs/tuner_training.py runs/tuner-training gradient.json policy.json evolution.json
 
-Writes docs/results/tuner_training.md, from the policies of `make tuner_policy` and trainings of its own; goes on where it
-stopped.
+Writes docs/results/tuner_training.md, from the policies of `make tuner_policy` and trainings of its own; goes on where
+it stopped.
 """
 
 import json
@@ -38,13 +38,13 @@ VARIANTS = {
 }
 TEXT = """# How the policy is trained, and what its features are worth
 
-`make tuner_policy tuner_training`. J over that of the best fixed setting at kappa 0, in {judged} situations of each kind
-and robot that nothing was trained on, in batched loops with friction as it is; geometric means over the kinds.
+`make tuner_policy tuner_training`. J over that of the best fixed setting at kappa 0, in {judged} situations of each
+kind and robot that nothing was trained on, in batched loops with friction as it is; geometric means over the kinds.
 
 ## Trainings
 
-*Gradient*: backpropagation through the loops. *Evolution*: an evolution strategy on whole runs, each loop with a pair of
-directions of its own. Epochs: J over best fixed after each, on the situations of the training itself.
+*Gradient*: backpropagation through the loops. *Evolution*: an evolution strategy on whole runs, each loop with a pair
+of directions of its own. Epochs: J over best fixed after each, on the situations of the training itself.
 
 {trainings}
 
