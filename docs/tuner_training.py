@@ -19,7 +19,8 @@ from stewart_drake.control.policy import load_policy
 from stewart_drake.files.whole import checksum
 from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.training.policy_loops import PolicyInLoops, Situations
-from stewart_drake.training.policy_training import PolicyOptions, Training, train_policy
+from stewart_drake.training.policy_options import PolicyOptions
+from stewart_drake.training.policy_training import Training, train_policy
 from stewart_drake.training.situations import ROBOTS, VALIDATION
 
 RESULT = Path(__file__).parent / "results" / "tuner_training.md"

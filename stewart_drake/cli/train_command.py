@@ -12,7 +12,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, print_table
 
 if TYPE_CHECKING:
-    from stewart_drake.training.policy_training import Method
+    from stewart_drake.training.policy_options import Method
     from stewart_drake.training.train import Split
 
 _PAPER_EPOCHS = 2000
@@ -101,7 +101,8 @@ def train(
         return
 
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.policy_training import EVOLUTION, POLISH, Box, PolicyOptions, Training, train_policy
+    from stewart_drake.training.policy_options import EVOLUTION, POLISH, Box, PolicyOptions
+    from stewart_drake.training.policy_training import Training, train_policy
 
     first = None if start is None else load_policy(start)
     asked = {"seed": seed, "epochs": epochs, "method": method}

@@ -8,8 +8,9 @@ from stewart_drake.control.policy import answer, default_policy_path, load_polic
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.training import policy_training
+from stewart_drake.training.policy_options import Box, PolicyOptions
 from stewart_drake.training.policy_progress import kept
-from stewart_drake.training.policy_training import Box, PolicyOptions, Training, train_policy
+from stewart_drake.training.policy_training import Training, train_policy
 from stewart_drake.training.situations import situation
 
 CENTRE = np.array([0.1, -0.3, -0.7, -1.0])
