@@ -186,7 +186,7 @@ def switched(scenario, pose):
         matrices = (inward @ each @ np.linalg.inv(inward))[1:]
         for limit, into in ((STEP, limited), (1.0, jumping)):
             paths = [swings(limit, period, tick)[:, None] for period in PERIODS]
-            for corner in CORNERS[:8]:
+            for corner in CORNERS:
                 mixed = [shares(corner + path * (1.0 - 2.0 * corner), KNOTS) for path in paths]
                 into.append([-np.log(monodromy(np.tensordot(each, matrices, 1))) / tick for each in mixed])
         kept = [np.linalg.matrix_power(matrices[at], count) for at in corners_of(KNOTS) for count in powers(ticks)]
@@ -261,7 +261,7 @@ class SequenceTuner(SettingTuner):
         return Player(self.corner, self.half)
 
 
-HALVES = (0.0, 0.1, 0.2, 0.4, 0.8)
+HALVES = (0.0, 0.1, 0.4, 0.8)
 """[s] at each corner, the way to it included; 0 for a corner that stays."""
 PUSHED = {"paper's robot, 1 kHz, 1 ticks": 5.0, "Reachy Mini, 100 Hz, 1 tick": 0.4}
 """[N] along X and -Z, from 0.8 s to 1.6 s of 2.5 s."""
@@ -309,10 +309,10 @@ At {few_poses} poses for each loop, those with the largest radius and the least 
 *Jumps*: the largest part of the box, about its centre and to 0.05, over which settings may change at will because one
 quadratic norm of the whole loop falls at every tick, a common Lyapunov function: found by a semidefinite program for
 the six chains of the loop (`stability/chains.py`) at centre, corners and faces of that part, then looked at in the
-whole loop, there and at 40 more settings in between. Fall: of that norm [1/s]. *Swings*: from one corner of the whole
-box to the opposite one and back, {periods} periods from {shortest:g} to {longest:g} s, all eight pairs: decay of the
-slowest Floquet multiplier, at the rate limit, and with jumps for comparison. *Adversary*: moves the setting, at the
-rate limit, to where the state grows most in the next tick, for 3 s, in the norm that is fair to the centre: largest
+whole loop, there and at 40 more settings in between. Fall: of that norm [1/s]. *Swings*: from a corner towards the
+opposite one and back, as far as {step:g} % a tick allow, {periods} periods from {shortest:g} to {longest:g} s, all
+corners: decay of the slowest Floquet multiplier, and that of jumps for comparison. *Adversary*: moves the setting, at
+the rate limit, to where the state grows most in the next tick, for 3 s, in the norm that is fair to the centre: largest
 state from 1, over the largest that any corner alone makes of it; and how much of it is left in the end. *Wandering*:
 random corners, mean decay of the slowest. Decays in 1/s.
 
@@ -325,7 +325,7 @@ random corners, mean decay of the slowest. Decays in 1/s.
 ## Runs with friction, noise and a push
 
 On the reduced engine, the motions of `exact_breathing` and `reachy_nod` with a push ({pushes}): largest error of the
-position [mm] over the 16 corners, each alone, and with swings to the opposite one, each corner for so long, and how
+position [mm] over the 16 corners, each alone, and with swings towards the opposite one, each way for so long, and how
 many of these runs were completed.
 
 | loop | corner alone, worst | {halves} |

@@ -45,14 +45,14 @@ kind and robot that nothing was trained on, in batched loops with friction as it
 ## Trainings
 
 *Gradient*: backpropagation through the loops. *Evolution*: an evolution strategy on whole runs, each loop with a pair
-of directions of its own. Epochs: J over best fixed after each, on the situations of the training itself.
+of directions of its own. Epochs: J over best fixed during each, on the situations of the training itself.
 
 {trainings}
 
 ## Features
 
 Short trainings by the gradient ({epochs} epochs, {situations} situations of each kind and robot, the same first
-weights), each without a group of features, and one that hears the reference of {ahead:g} s later in place of now's.
+weights), each without a group of features, and one that hears the reference {ahead:g} s ahead of now.
 
 {features}
 
@@ -86,31 +86,25 @@ class WithPreview(Situations):
         return found
 
 
-def training(preview: bool, **options) -> Training:
-    """Of one variant."""
-    seeds = options.pop("seeds", None)
-    module = sys.modules[Training.__module__]
-    module.Situations = WithPreview if preview else Situations
-    return Training(PolicyOptions(**options), **({} if seeds is None else {"seeds": seeds}))
-
-
-def judged(file: Path, kept: Path, preview: bool = False, without: tuple[str, ...] = ()) -> dict:
+def judged(file: Path, kept: Path, runs: type[Situations] = Situations) -> dict:
     """J over best fixed by robot and kind, of a policy in situations of which it has seen none."""
     if not kept.exists():
-        judge = training(preview, situations=JUDGED, tastes=0.0, width=0.0, without=without, seeds=VALIDATION)
-        kept.write_text(json.dumps(judge.by_kind(judge.begin(lambda _: None, load_policy(file)))))
+        options = PolicyOptions(situations=JUDGED, tastes=0.0, width=0.0)
+        judge, own = Training(options, seeds=VALIDATION, runs=runs), load_policy(file).layers
+        centre = own._replace(output=0.0 * own.output, output_bias=0.0 * own.output_bias)
+        kept.write_text(json.dumps(judge.by_kind(judge.costs(own), judge.costs(centre))))
     return json.loads(kept.read_text())
 
 
 def variant(folder: Path, name: str, seed: int, tell) -> dict:
     """The same of a short training."""
-    without, preview = VARIANTS[name], name == PREVIEW
+    runs = WithPreview if name == PREVIEW else Situations
     stem = f"{list(VARIANTS).index(name)}-{seed}"
     file = folder / f"{stem}.json"
     if not file.exists():
-        options = {"seed": seed, "epochs": EPOCHS, "situations": SITUATIONS, "without": without}
-        train_policy(training(preview, **options), folder / f"{stem}.checkpoint", tell).save(file)
-    return judged(file, folder / f"{stem}-judged.json", preview, without)
+        options = PolicyOptions(seed=seed, epochs=EPOCHS, situations=SITUATIONS, without=VARIANTS[name])
+        train_policy(Training(options, runs=runs), folder / f"{stem}.checkpoint", tell).save(file)
+    return judged(file, folder / f"{stem}-judged.json", runs)
 
 
 def mean(costs: dict, within: str = "") -> float:
@@ -146,7 +140,7 @@ def main(folder: Path, *files: str) -> None:
     rows = [row(name if name in ("all thirteen", PREVIEW) else f"without {name}", found[name, 0]) for name in VARIANTS]
     text = TEXT.format(
         judged=JUDGED,
-        trainings="\n".join(markdown(["training", *header, "processor [s]", "epochs"], trainings)),
+        trainings="\n".join(markdown(["training", *header, "processor, epochs alone [s]", "epochs"], trainings)),
         epochs=EPOCHS,
         situations=SITUATIONS,
         ahead=AHEAD,

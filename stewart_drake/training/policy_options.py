@@ -34,7 +34,7 @@ class PolicyOptions(Section, key="training"):
     """Of the directions of evolution."""
     width: NotNegative = 0.05
     """[-] rounding of friction's corners, as a share of the break-away torque."""
-    tastes: NotNegative = 0.5
+    tastes: Annotated[NotNegative, Field(lt=1)] = 0.5
     """Share of the situations with a taste of their own, kappa from -1 to 1; the others have 0."""
     fairness: NotNegative = 4.0
     """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
@@ -45,8 +45,8 @@ class PolicyOptions(Section, key="training"):
 EVOLUTION: dict[str, Any] = {"method": "evolution", "epochs": 20, "situations": 40, "width": 0.0}
 """Options of evolution from weights of zero: many situations cost it little, and it needs no smooth friction."""
 POLISH: dict[str, Any] = {**EVOLUTION, "epochs": 10, "learning_rate": 0.01, "spread": 0.05, "fairness": 8.0}
-"""Options of a second training, that goes on from a policy. Whole runs tell what a gradient cannot: that a tuner which
-hears an unrest of its own making stays as it is, and so keeps it up."""
+"""Options of a second training, by evolution, that goes on from a policy. Whole runs tell what a gradient cannot: that
+a tuner which hears an unrest of its own making stays as it is, and so keeps it up."""
 
 
 class Box(NamedTuple):

@@ -29,7 +29,8 @@ class Progress:
         low: (13,).
         high: (13,).
         seconds: [s] of the processor.
-        best: (n,) weights after the epoch of least mean log J over that at the centre, at kappa 0.
+        best: (n,) weights after the epoch of least J, which is measured while they move; at first those of the start.
+        least: Mean of log J over that at the centre in that epoch, at kappa 0.
         history: Mean of log J/J at the centre, an epoch after the other; at kappa 0 and at all tastes.
     """
 
@@ -44,6 +45,7 @@ class Progress:
     low: np.ndarray
     high: np.ndarray
     best: np.ndarray
+    least: float = 0.0
     seconds: float = 0.0
     history: list[tuple[float, float]] = field(default_factory=list)
 
@@ -70,13 +72,11 @@ def kept(checkpoint: Path | None, identity: str) -> Progress | None:
     try:
         with np.load(checkpoint, allow_pickle=False) as file:
             found = dict(file)
-            own = str(found.pop("identity"))
+            if str(found.pop("identity")) != identity:
+                allowed = "one of a training with the same options; take it away to begin anew"
+                raise ConfigurationError(f"checkpoint {checkpoint}", "of other options", allowed)
             history = [(float(plain), float(every)) for plain, every in found.pop("history")]
-            numbers = {name: found.pop(name).item() for name in ("epoch", "steps", "seconds")}
-            made = Progress(**numbers, **found, history=history)
+            numbers = {name: found.pop(name).item() for name in ("epoch", "steps", "least", "seconds")}
+            return Progress(**numbers, **found, history=history)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigurationError(f"checkpoint {checkpoint}", str(error), "a file as training left it") from None
-    if own != identity:
-        allowed = "one of a training with the same options; take it away to begin anew"
-        raise ConfigurationError(f"checkpoint {checkpoint}", "of other options", allowed)
-    return made

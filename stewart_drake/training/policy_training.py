@@ -42,6 +42,7 @@ class Training:
         box: See there; None for that about the best fixed setting.
         robots: Names of those to train on.
         seeds: Of the situations.
+        runs: What the situations of a robot run in.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Training:
         box: Box | None = None,
         robots: Sequence[str] = tuple(ROBOTS),
         seeds: Sequence[int] = TRAINING,
+        runs: type[Situations] = Situations,
     ) -> None:
         self.options, self.box = options, box or Box(np.array(Baselines.load().best))
         torch.set_num_threads(1)
@@ -64,7 +66,7 @@ class Training:
             kappa = np.where(own, rng.uniform(-1.0, 1.0, len(drawn)), 0.0)
             tastes.append(kappa)
             scenarios = [_coarser(scenario) for _, scenario in drawn]
-            self._groups.append(Situations(scenarios * self._both, [*kappa] * self._both, options.width))
+            self._groups.append(runs(scenarios * self._both, [*kappa] * self._both, options.width))
         self.kappa = np.concatenate(tastes)
         self._robot_of = np.repeat(np.arange(len(tastes)), [len(each) for each in tastes])
         counts = {name: self.names.count(name) for name in self.names}
@@ -100,6 +102,7 @@ class Training:
             begun.mean, begun.scale = np.asarray(own.mean), np.asarray(own.scale)
             begun.weights = begun.best = np.concatenate([np.ravel(getattr(own, name)) for name in _WEIGHTS])
             begun.fixed, (begun.latest, _) = fixed, self._rollout(begun, None, tell, own=True)
+            begun.least = self._mean(np.log(begun.latest / fixed), self.kappa == 0.0)
             return begun
         wild = rng.uniform(-1.5, 1.5, (len(fixed), SIZE))
         _, more = self._rollout(begun, wild, tell)
@@ -144,8 +147,8 @@ class Training:
         ratio = np.log(made.latest / made.fixed)
         plain = self.kappa == 0.0
         made.history = [*at.history, (self._mean(ratio, plain), self._mean(ratio, plain | True))]
-        if made.history[-1] == min(made.history):
-            made.best = made.weights
+        if made.history[-1][0] <= at.least:
+            made.best, made.least = made.weights, made.history[-1][0]
         return made
 
     def finished(self, at: Progress, tell: Callable[[str], None], start: Policy | None = None) -> Policy:
@@ -171,15 +174,23 @@ class Training:
             "cost": "J of control/objective.py at kappa 0; other tastes in half of the situations",
             "options": self.options.to_dict(),
             "epochs_J_over_best_fixed": [round(math.exp(plain), 3) for plain, _ in at.history],
-            "J_over_best_fixed_in_training": {name: round(value, 3) for name, value in self.by_kind(at).items()},
+            "J_over_best_fixed_in_training": {
+                name: round(value, 3) for name, value in self.by_kind(at.latest, at.fixed).items()
+            },
             "processor_seconds": round(at.seconds),
             "limits": "robots, sensors and motions of training/situations.py; see docs/results/tuner.md",
             "versions": {**versions, "torch": torch.__version__},
         }
 
-    def by_kind(self, at: Progress) -> dict[str, float]:
+    def costs(self, layers: Layers) -> np.ndarray:
+        """J of a finished policy in every situation, a robot after the other."""
+        ready = Layers(*(torch.from_numpy(np.asarray(each, dtype=float)) for each in layers))
+        found = (self._roll(group, ready)[0][: len(group.scenarios) // self._both] for group in self._groups)
+        return np.concatenate(list(found))
+
+    def by_kind(self, costs: np.ndarray, fixed: np.ndarray) -> dict[str, float]:
         """Geometric mean of J over J at the centre, at kappa 0, by robot and kind."""
-        ratio, plain = np.log(at.latest / at.fixed), self.kappa == 0.0
+        ratio, plain = np.log(costs / fixed), self.kappa == 0.0
         return {
             f"{robot}: {kind}": float(np.exp(ratio[own].mean()))
             for robot, kind in dict.fromkeys(self.names)
@@ -336,7 +347,7 @@ def train_policy(
         ConfigurationError: See `policy_progress.kept`.
     """
     say = tell or (lambda *_: None)
-    identity = checksum([training.identity, None if start is None else checksum(start.to_bytes().decode())])
+    identity = checksum([training.identity, None if start is None else [np.ravel(x).tolist() for x in start.layers]])
     at = kept(checkpoint, identity) or training.begin(lambda text: say(0.0, text), start)
     while at.epoch < training.options.epochs:
         done = float(at.epoch)
