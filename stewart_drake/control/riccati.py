@@ -11,7 +11,7 @@ import numpy as np
 from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, Discretization
 from stewart_drake.errors import ConfigurationError, RiccatiError, drake_guard
-from stewart_drake.spectral import spectral_factor
+from stewart_drake.spectral import chain_cubic, chain_read, spectral_factor
 
 RiccatiSolver = Literal["drake", "split"]
 
@@ -138,16 +138,11 @@ def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: 
         g = s * s / r
         rate, pose, integral = g * (q_v * t**2), g * (q_e * t**4), g * (q_z * t**6)
         if method == "exact":
-            lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
-            b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
+            k_e, k_v, k_z = chain_read(spectral_factor(*chain_cubic(rate, pose, integral)))
         else:
             lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
             b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
-        factor = spectral_factor(b2 * lead, b1 * lead, integral * lead)
-        c2, c1, c0 = factor
-        if method == "exact":
-            k_e, k_v = c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0
-        else:
-            k_e, k_v = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0
-        low = factor.low / (s * t)
-        return np.stack([k_e * low / t, k_v * low, c0 * low / t**2], axis=-1)
+            factor = spectral_factor(b2 * lead, b1 * lead, integral * lead)
+            c2, c1, c0 = (each * factor.low for each in factor)
+            k_e, k_v, k_z = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0, c0
+        return np.stack([k_e / (s * t * t), k_v / (s * t), k_z / (s * t**3)], axis=-1)

@@ -38,7 +38,7 @@ from stewart_drake.mechanics.kinematics import (
 )
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Natural, Positive, Section
-from stewart_drake.spectral import spectral_factor
+from stewart_drake.spectral import filter_cubic, filter_read, spectral_factor
 
 _M = OBSERVER_MEMORY
 
@@ -146,9 +146,8 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, SHARE**2 * turn**4
-    factor = spectral_factor(*map(np.float64, (0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)))
-    c2, c1, c0 = (float(each * factor.low) for each in factor)
-    return KalmanGains(c2 + 0.25 * c0, c1 / period, c0 / period**2)
+    factor = spectral_factor(*map(np.float64, filter_cubic(wandering, white)))
+    return KalmanGains(*map(float, filter_read(factor, period)))
 
 
 class ObserverMemory(NamedTuple):

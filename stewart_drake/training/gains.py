@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from stewart_drake.hardware.observer import SHARE
-from stewart_drake.spectral import Factor, spectral_factor
+from stewart_drake.spectral import Factor, chain_cubic, chain_read, filter_cubic, filter_read, spectral_factor
 
 _TOGETHER = 1e-6
 """Relative distance of eigenvalues below which a divided difference is taken as the derivative between them."""
@@ -39,9 +39,7 @@ def kalman_gains(noise: Tensor, disturbance: Tensor, period: float) -> tuple[Ten
     """Of `observer.kalman_gains`, for tensors of one shape: to angle [-], rate [1/s] and surplus [1/s^2]."""
     wandering = disturbance * disturbance * (period**5 / (noise * noise))
     white = SHARE**2 * wandering ** (2.0 / 3.0)
-    found = factor(0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)
-    c2, c1, c0 = (each * found.low for each in found)
-    return c2 + 0.25 * c0, c1 / period, c0 / period**2
+    return filter_read(factor(*filter_cubic(wandering, white)), period)
 
 
 def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
@@ -57,12 +55,9 @@ def chain_gains(square: Tensor, weights: Tensor, period: float) -> Tensor:
     """
     g = square / weights[3]
     pose, rate, integral = (g * (weights[k] * period**power) for k, power in enumerate((4, 2, 6)))
-    lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
-    b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
-    found = factor(b2 * lead, b1 * lead, integral * lead)
-    c2, c1, c0 = found
-    over = found.low / (square * period)
-    return torch.stack([(c1 + 0.5 * c0) * over / period, (c2 + 0.5 * c1 + c0 / 3.0) * over, c0 * over / period**2])
+    k_e, k_v, k_z = chain_read(factor(*chain_cubic(rate, pose, integral)))
+    over = 1.0 / (square * period)
+    return torch.stack([k_e * over / period, k_v * over, k_z * over / period**2])
 
 
 def chain_slopes(square: Tensor, weights: Tensor, period: float) -> Tensor:
