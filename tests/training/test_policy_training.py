@@ -9,7 +9,7 @@ from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.training import policy_training
 from stewart_drake.training.policy_options import Box, PolicyOptions
-from stewart_drake.training.policy_progress import kept
+from stewart_drake.training.policy_progress import Progress, kept
 from stewart_drake.training.policy_training import Training, train_policy
 from stewart_drake.training.situations import situation
 
@@ -42,6 +42,19 @@ def test_it_starts_at_the_centre_and_knows_what_that_costs():
     assert (begun.fixed < 100.0).all()
     assert (begun.scale > 0.0).all()
     assert training.share.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize(("costs", "best"), [((0.9, 0.5, 0.8), 2), ((1.2, 1.1, 1.3), 0)])
+def test_the_best_epoch_is_handed_on_or_the_start(monkeypatch, costs, best):
+    def epoch(_, at, tell):
+        tell("")
+        return Progress(**{**vars(at), "weights": at.weights + 1.0, "latest": costs[at.epoch] * at.fixed})
+
+    monkeypatch.setattr(Training, "_by_gradient", epoch)
+    policy = train_policy(made(epochs=3))
+    np.testing.assert_array_equal(policy.layers.hidden_bias, best)
 
 
 @pytest.mark.slow
