@@ -38,7 +38,7 @@ EARLIER = 151
 PAIRS = [(omega_q, omega_r) for omega_q in (0.1, 1.0, 10.0) for omega_r in (0.1, 1.0, 10.0)]
 """The paper's (omega_Q, omega_R)."""
 SCHEDULE = np.array([0.02, -0.413, -1.188, -1.688, 0.119, -0.597, -0.694, -0.141, 0.294, -0.302])
-"""Where the search of the schedule starts, see `schedule_of`: the best of an earlier one, when settings moved faster."""
+"""Where the search of the schedule starts, see `schedule_of`: the best of one when settings could move faster."""
 EARLIER_SCHEDULE = 101
 """Evaluations of that one."""
 _LOWEST, _HIGHEST = np.append(np.tile(LOW, 2), [0.1, -2.0]), np.append(np.tile(HIGH, 2), [1.2, -0.3])
