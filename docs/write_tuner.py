@@ -22,8 +22,7 @@ error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of th
 - *best fixed*: the setting of least mean log J over all kinds that are trained on, by CMA-ES with {evaluations}
   evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
 - *policy*: the network of `tuner: policy`; `stewart-drake tuner show` prints its card.
-- *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations,
-  when a setting could still move by 30 % a tick with Reachy Mini. There it had 0.91 of best fixed then, on other seeds.
+- *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),
   with the observer of the best fixed setting.
 - *the paper's tuner*: its network as printed, with that observer.
