@@ -59,7 +59,7 @@ class Box(NamedTuple):
     """
 
     centre: np.ndarray
-    lowest: np.ndarray = np.array([-0.1, -0.6, -1.2, -1.9])
+    lowest: np.ndarray = np.array([-0.05, -0.6, -1.2, -1.9])
     highest: np.ndarray = np.array([0.4, 0.1, 0.1, 0.5])
 
     @classmethod
