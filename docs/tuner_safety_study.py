@@ -23,7 +23,7 @@ from stewart_drake.stability.switching import common_lyapunov, even, greedy, gro
 
 HERE = Path(__file__).parent
 POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-FEW = max(2, POSES // 50)
+FEW = max(2, POSES // 100)
 """Poses at which settings change."""
 FREQUENCIES = 120
 
