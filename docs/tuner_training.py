@@ -33,8 +33,6 @@ VARIANTS = {
     "densities": ("error_density", "torque_density"),
     "sizes of errors and torque changes": ("error", "error_slow", "torque_change"),
     "the observer's innovation": ("surprise", "surprise_slow", "drift"),
-    "speed and acceleration of the reference": ("speed", "acceleration"),
-    "noise and latency as believed": ("noise", "latency"),
     PREVIEW: (),
 }
 TEXT = """# How the policy is trained, and what its features are worth
