@@ -338,7 +338,7 @@ many of these runs were completed.
 
 def picture(decays, periods):
     """Decay over poses and settings, and of swings by their period."""
-    figure, ((left, right),) = look.panels(1, 2, 4.0)
+    figure, ((left, right),) = look.panels(1, 2, 4.6)
     for (name, values), color in zip(decays.items(), (look.SKY, look.ORANGE), strict=True):
         ordered = np.sort(values.ravel())
         left.plot(ordered, 100.0 * np.arange(1, len(ordered) + 1) / len(ordered), color=color, label=name)
@@ -348,10 +348,10 @@ def picture(decays, periods):
     right.axhline(0.0, color=look.QUIET, lw=0.8)
     look.logarithmic(left, "x")
     look.logarithmic(right, "x")
-    look.label(left, "Settings that stay", "decay [1/s]", "settings and poses that decay more slowly [%]")
+    look.label(left, "Settings that stay: how many decay more slowly", "decay [1/s]", "of settings and poses [%]")
     look.label(right, "Swings from corner to corner", "period [s]", "slowest decay [1/s]")
-    look.legend(left)
-    look.legend(right, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    for panel in (left, right):
+        look.legend(panel, loc="upper center", bbox_to_anchor=(0.5, -0.18))
     figure.savefig(HERE / "images" / "tuner_safety.png", dpi=130)
 
 
