@@ -80,6 +80,9 @@ def consistent(guess: RobotParameters, found: Estimate) -> np.ndarray:
                 program.AddLinearConstraint(ways[at] / scale, (bound - found.values[at]) / scale, np.inf, along)
         result = ClarabelSolver().Solve(program)
         nearest = found.values + ways @ result.GetSolution(along)
+    for at, bound in lower_bounds(guess).items():
+        # The solver keeps bounds to its own tolerance.
+        nearest[at] = max(nearest[at], bound) if free[at] else nearest[at]
     if not result.is_success() or not is_consistent(guess, nearest):
         raise InconsistentError(f"no bodies near the estimate: {result.get_solution_result()}")
     return nearest

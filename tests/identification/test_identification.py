@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recordings import FINE, motion, recording, truth_of
 from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
@@ -213,6 +213,7 @@ def test_masses_of_any_distribution_have_a_pseudo_inertia_that_is_positive(point
 
 
 @settings(max_examples=10)
+@example(np.array([0.5625, 0.4609375, 0.0, 0.0, 0.0, -0.5, 0.125, 0.5625, -0.5, 0.0]))  # A bound, all but kept.
 @given(change=vectors(10, 0.6))
 def test_the_nearest_bodies_are_bodies_and_nearest(change):
     truth = of_robot(ROBOT)
