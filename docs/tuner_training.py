@@ -55,7 +55,8 @@ weights), each without a group of features, and one that hears the reference {ah
 {features}
 
 A second training of all thirteen from other first weights: {again:.3f}. Differences smaller than between it and the
-first row say nothing.
+first row say nothing. So every group pays and the preview does not, but for the paper's robot alone little is certain:
+most of it is Reachy Mini, whose restlessness these short trainings do not get rid of.
 """
 
 
