@@ -302,6 +302,9 @@ and the median at the centre.
 |---|---|---|---|---|---|---|---|---|
 {frozen}
 
+At eb925fb the box went down to a speed of -0.1: there 5 of the 41000 loops of Reachy Mini were unstable, all at one
+pose, with a radius of up to 1.00139.
+
 ## A setting that changes
 
 At {few_poses} poses for each loop, those with the largest radius and the least disk margin among them.

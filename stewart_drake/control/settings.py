@@ -30,8 +30,8 @@ class Setting(NamedTuple):
 NAMES = Setting._fields
 SIZE = len(NAMES)
 STEP = 0.03
-"""[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump: with
-a push and friction, swings through the whole box end runs of Reachy Mini at 0.05 and more a tick."""
+"""[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump, and
+its loop can grow by that: docs/results/tuner_safety.md."""
 
 
 def weights_of(base: Array, setting: Array) -> Array:
