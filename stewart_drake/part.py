@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.errors import RunFailure, failure_code
+from stewart_drake.robot import RobotParameters
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 WELL = (0.0, -1.0)
@@ -60,6 +61,81 @@ class Part(NamedTuple):
     def size(self, field: str) -> int:
         """Numbers in a field of its state."""
         return int(np.prod(self.initial.dtype[field].shape, dtype=int))
+
+
+class SystemPart(NamedTuple):
+    """A user's own LeafSystem in the place of a part; it runs in a Diagram alone.
+
+    Attributes:
+        name: In the Diagram.
+        inputs: Ports -> size.
+        outputs: Ports, among them torque.
+        system: A pydrake System.
+        reads, says: As of `Part`.
+    """
+
+    name: str
+    inputs: Mapping[str, int]
+    outputs: tuple[str, ...]
+    system: Any
+    reads: Mapping[str, str | np.ndarray] = NOTHING
+    says: Mapping[str, str] = NOTHING
+    every_step: bool = False
+    late: bool = False
+
+    def source(self, port: str) -> str | np.ndarray:
+        """See `Part`."""
+        return self.reads.get(port, port)
+
+    def signal(self, output: str) -> str:
+        """See `Part`."""
+        return self.says.get(output, output)
+
+
+class Setup(NamedTuple):
+    """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
+
+    The sections of sensors, estimators, controllers and tuners have a method `parts(setup)`.
+
+    Attributes:
+        robot: As the controller believes it to be.
+        gravity: [m/s^2].
+        period: [s] of the ticks.
+        time_step: [s] of the plant.
+        pose: (6,) [rad, m] at the start.
+        pose_rate: (6,) [rad/s, m/s] likewise.
+        still: (6,) [N m] at the motors until the first command arrives.
+        delay: [ticks] of the commands.
+        ahead: [ticks] by which the controller sees state and reference ahead of time.
+        sensors: Options of the sensors.
+        reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+        friction: [N m] largest break-away torque that the motors are believed to have.
+        weights: Of the tuner at the start.
+        levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
+        disturbance: [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
+        listens: Whether the tuner says what an observer is to expect.
+        guarded: Whether a tick that fails does not end the run.
+        split: Whether an LQI takes the compiled split solution whatever its options say.
+    """
+
+    robot: RobotParameters
+    gravity: float
+    period: float
+    time_step: float
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    still: np.ndarray
+    delay: int
+    ahead: int
+    sensors: Any
+    reading: int
+    friction: float
+    weights: tuple[float, ...]
+    levels: tuple[float, float]
+    disturbance: float
+    listens: bool
+    guarded: bool
+    split: bool
 
 
 def guarded(part: Part) -> Part:
