@@ -88,25 +88,7 @@ ESTIMATORS = Family(
     default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Those of the user's own, under `safety.monitors`."""
-BUILT_IN_MONITORS = Table(
-    {
-        "measurement_not_finite": "safety.monitors:MEASUREMENT",
-        "sensor_failed": "safety.monitors:SENSOR",
-        "controller_failed": "safety.monitors:CONTROLLER",
-        "command_not_finite": "safety.monitors:COMMAND",
-        "deadline": "safety.monitors:DEADLINE",
-        "workspace": "safety.monitors:WORKSPACE",
-        "serial_singularity": "safety.monitors:SERIAL",
-        "parallel_singularity": "safety.monitors:PARALLEL",
-        "crank_speed": "safety.monitors:CRANK_SPEED",
-        "following_error": "safety.monitors:FOLLOWING",
-        "torque_limit": "safety.monitors:TORQUE_LIMIT",
-        "torque_rate": "safety.monitors:TORQUE_RATE",
-        "innovation": "safety.monitors:INNOVATION",
-    }
-)
-"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
+"""Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
 OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", method="of")
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
