@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -45,7 +45,7 @@ _ROUNDING = 1e-9
 
 SAFETY_STATE = fields(
     torque=6, safety=3, good=6, weight=6, held=(), at_limit=(), too_fast=(), unexplained=(), since=(), side=(),
-    ticks=(), first=5, worst=(), command=6, readings=6, anchors=(6, 6), encoders=(),
+    ticks=(), first=5, worst=(), command=6, acceleration=(), readings=6, anchors=(6, 6), encoders=(),
 )  # fmt: skip
 """torque: for the motors [N m]. safety: numbers of level in `LEVELS` and monitor in `MONITORS`, leg or -1. good: last
 good command, one that no limit touched [N m]. weight: last torque that carried the robot's weight [N m]. held: ticks of
@@ -53,7 +53,8 @@ holding, less what good ones gave back; while stopping, ticks without a measurem
 ticks at the torque limit, of commands that jumped and of innovations that were too large, less good ones. since: ticks
 of ramp and safe hold. side: sign of the rods' determinant at the start, 0 before the first tick. ticks: done. first:
 monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
-that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `monitors.frozen`."""
+that of the last tick, if it was finite [N m]. acceleration: see `monitors.unexplained` [rad/s^2]. readings, anchors,
+encoders: see `monitors.frozen`."""
 
 CLEAR, TRIPPED, BLIND, RUNAWAY, HELD = range(5)
 """How a tick ends: nothing is wrong with measurement and messages; something is, and the layer reacts; the run is over
@@ -112,6 +113,7 @@ def _tick(
     if leg != NOTHING_FROZEN:
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
+    state.acceleration = unexplained(setup, innovation)
     is_measured = measured(setup, measurement)
     is_seen = is_measured and not failed(setup, health[0])
     if is_seen:
@@ -131,7 +133,7 @@ def _tick(
     if status == CLEAR and own[0] > 0.0:
         monitor, leg, level, status = int(own[0]), int(own[1]), RAMP, TRIPPED
     if monitor == QUIET:
-        monitor, leg = _pass_on(setup, command, innovation, state)
+        monitor, leg = _pass_on(setup, command, state)
         level = RAMP
     if monitor == QUIET:
         return status, 0.0
@@ -152,7 +154,7 @@ def _weigh(robot: Any, setup: Any, legs: Any, seen: Any, state: Any) -> None:
 
 
 @njit
-def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int, int]:
+def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
     """Passes a command on within the limits; a monitor that finds this has gone on for too long, and its leg."""
     period, jump = setup.period, _largest_change(setup, state) * (1.0 + _ROUNDING)
     torque, full, steep, most_full, most_steep = np.empty(6), False, False, 0, 0
@@ -168,11 +170,10 @@ def _pass_on(setup: Any, command: Any, innovation: Any, state: Any) -> tuple[int
     if steep:
         # Led after it, a command that chatters would leave a mean torque that nobody asked for.
         torque[:] = state.good
-    odd = unexplained(setup, innovation) > setup.innovation
     state.command[:] = command
     state.at_limit = max(0.0, state.at_limit + (1.0 if full else -1.0))
     state.too_fast = max(0.0, state.too_fast + (1.0 if steep else -1.0))
-    state.unexplained = max(0.0, state.unexplained + (1.0 if odd else -1.0))
+    state.unexplained = max(0.0, state.unexplained + (1.0 if state.acceleration > setup.innovation else -1.0))
     if state.at_limit * period > setup.torque_limit_time + _ROUNDING:
         return TORQUE_LIMIT, most_full
     if state.too_fast * period > setup.torque_rate_time + _ROUNDING:
@@ -205,9 +206,7 @@ def _led(setup: Any, torque: Any, state: Any) -> Any:
 
 
 @njit
-def _react(
-    setup: Any, monitor: int, level: int, leg: int, cause: int, is_seen: bool, seen: Any, state: Any
-) -> Any:
+def _react(setup: Any, monitor: int, level: int, leg: int, cause: int, is_seen: bool, seen: Any, state: Any) -> Any:
     """Holds where that may still be done, else begins to ramp."""
     state.held += 1.0
     if level == HOLD and state.held > setup.budget:
@@ -285,38 +284,30 @@ def safety_part(
         readings=none[0],
         anchors=none,
     )
-    before = first.copy()
-
-    def ended(status: int, fastest: float, state: np.ndarray) -> None:
-        if status >= BLIND:
-            raise _stopped(options, period, status, fastest, state)
+    before, law = first.copy(), cast(Any, safety_tick)
 
     def tick(*ports: np.ndarray) -> None:
         *inputs, state = ports
-        ended(*safety_tick(own, setup, *inputs, nothing, state), state)
-
-    def tick_with_own(*ports: np.ndarray) -> None:
-        *inputs, state = ports
-        np.copyto(before, state)
-        status, fastest = safety_tick(own, setup, *inputs, nothing, state)
-        trip = further(options, inputs_of(setup, inputs)) if status == CLEAR else None
+        if options.monitors:
+            np.copyto(before, state)
+        status, fastest = law(own, setup, *inputs, nothing, state)
+        trip = further(options, _inputs(inputs, state)) if options.monitors and status == CLEAR else None
         if trip is not None:
             # Once more, with what only Python knows.
             np.copyto(state, before)
-            status, fastest = safety_tick(own, setup, *inputs, np.array(trip, dtype=float), state)
-        ended(status, fastest, state)
+            status, fastest = law(own, setup, *inputs, np.array(trip, dtype=float), state)
+        if status >= BLIND:
+            raise _stopped(options, period, status, fastest, state)
 
     sizes = {"command": 6, "measurement": 12, "reference": 18} | {name: len(each) for name, each in NOT_THERE.items()}
-    law = tick_with_own if options.monitors else tick
-    return Part("safety", sizes, ("torque", "safety"), first, law, reads=NOT_THERE)
+    return Part("safety", sizes, ("torque", "safety"), first, tick, reads=NOT_THERE)
 
 
-def inputs_of(setup: np.ndarray, inputs: Sequence[np.ndarray]) -> SafetyInputs:
+def _inputs(inputs: Sequence[Any], state: np.ndarray) -> SafetyInputs:
     """What a monitor of the user's own gets of the inputs of a tick."""
-    command, measurement, reference, age, sensor, controller, _, innovation, _ = inputs
-    pair, other = (tuple(map(float, each)) for each in (sensor, controller))
-    odd = (float(np.nanmax(np.abs(innovation), initial=0.0)) - setup["innovation_noise"][0]) / setup["innovation_scale"][0]
-    return SafetyInputs(command, measurement[:6], measurement[6:], reference[:6], float(age[0]), pair, other, float(odd))
+    command, measurement, reference, age, sensor, controller, *_ = inputs
+    pose, rate, odd = measurement[:6], measurement[6:], float(state["acceleration"][0])
+    return SafetyInputs(command, pose, rate, reference[:6], float(age[0]), tuple(sensor), tuple(controller), odd)
 
 
 def further(options: SafetyOptions, inputs: SafetyInputs) -> tuple[int, int] | None:

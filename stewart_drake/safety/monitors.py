@@ -78,7 +78,6 @@ def setup_of(
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
     """`SETUP` record, see `layer.safety_part` for the arguments."""
-
     given = {name: getattr(options, name) for name in _PLAIN}
     numbers = {name: _OFF.get(name, math.inf) if value is None else value for name, value in given.items()}
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
@@ -239,9 +238,8 @@ def margins_along(
     Returns:
         Sign of the rods' determinant at the last.
     """
-    return _along(
-        record(robots), record(setups), horizon, poses, rates, references, side, out, np.empty(1, LEGS), np.empty(1, SEEN)
-    )
+    robot, setup, scratch, seens = record(robots), record(setups), np.empty(1, LEGS), np.empty(1, SEEN)
+    return _along(robot, setup, horizon, poses, rates, references, side, out, scratch, seens)
 
 
 @njit
@@ -375,7 +373,7 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
 
 @njit
 def _stands_near(robot: Any, angles: Any, leg: int, reference: Any, limit: float, legs: Any) -> bool:
-    """Whether a crank is a quarter of the limit [rad] from where it is wanted; of a pose out of reach nobody can say."""
+    """Whether a crank is within a quarter of the limit [rad] of where it is wanted; out of reach nobody can say."""
     legs_at(robot, reference, legs)
     off = angles[leg] - np.arctan2(legs.sine[leg], legs.cosine[leg])
     return legs.reach[leg] >= 0.0 and abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= 0.25 * limit
