@@ -65,52 +65,30 @@ TUNERS = Family(
 SENSORS = Family(
     {
         "ideal": (
-            "hardware.sensor_faults:IdealSensors",
+            "hardware.sensors:IdealSensors",
             "systems.task_space_sensor:add_ideal_sensor",
-            "hardware.sensor_faults:IdealSensing",
         ),
         "encoders": (
-            "hardware.estimator:EncoderOptions",
+            "hardware.sensors:EncoderOptions",
             "systems.motor_encoders:add_encoders",
-            "hardware.estimator:EncoderSensing",
         ),
     }
 )
 ESTIMATORS = Family(
     {
         "difference": (
-            "hardware.observer:DifferenceOptions",
+            "hardware.estimator:DifferenceOptions",
             "systems.pose_estimator:add_difference",
-            "hardware.estimator:DifferenceEstimating",
         ),
         "observer": (
             "hardware.observer:ObserverOptions",
             "systems.platform_observer:add_observer",
-            "hardware.observing:ObserverEstimating",
         ),
     },
     default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
-"""Those of the user's own, under `safety.monitors`."""
-BUILT_IN_MONITORS = Table(
-    {
-        "measurement_not_finite": "safety.monitors:MEASUREMENT",
-        "sensor_failed": "safety.monitors:SENSOR",
-        "controller_failed": "safety.monitors:CONTROLLER",
-        "command_not_finite": "safety.monitors:COMMAND",
-        "deadline": "safety.monitors:DEADLINE",
-        "workspace": "safety.monitors:WORKSPACE",
-        "serial_singularity": "safety.monitors:SERIAL",
-        "parallel_singularity": "safety.monitors:PARALLEL",
-        "crank_speed": "safety.monitors:CRANK_SPEED",
-        "following_error": "safety.monitors:FOLLOWING",
-        "torque_limit": "safety.monitors:TORQUE_LIMIT",
-        "torque_rate": "safety.monitors:TORQUE_RATE",
-        "innovation": "safety.monitors:INNOVATION",
-    }
-)
-"""Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""
+"""Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
 OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", method="of")
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
@@ -126,32 +104,32 @@ DISTURBANCES = Family(
 )
 ENCODER_FAULTS = Table(
     {
-        "freeze": "hardware.sensor_faults:FREEZE",
-        "nan": "hardware.sensor_faults:NAN",
-        "jump": "hardware.sensor_faults:JUMP",
-        "late": "hardware.sensor_faults:LATE",
-        "drift": "hardware.sensor_faults:DRIFT",
-        "reversed": "hardware.sensor_faults:REVERSED",
-        "inverted": "hardware.sensor_faults:INVERTED",
-        "swapped": "hardware.sensor_faults:SWAPPED",
+        "freeze": "hardware.faults:FREEZE",
+        "nan": "hardware.faults:NAN",
+        "jump": "hardware.faults:JUMP",
+        "late": "hardware.faults:LATE",
+        "drift": "hardware.faults:DRIFT",
+        "reversed": "hardware.faults:REVERSED",
+        "inverted": "hardware.faults:INVERTED",
+        "swapped": "hardware.faults:SWAPPED",
     }
 )
 POSE_FAULTS = Table(
     {
-        "freeze": "hardware.sensor_faults:FREEZE",
-        "nan": "hardware.sensor_faults:NAN",
-        "late": "hardware.sensor_faults:LATE",
+        "freeze": "hardware.faults:FREEZE",
+        "nan": "hardware.faults:NAN",
+        "late": "hardware.faults:LATE",
     }
 )
 COMMAND_FAULTS = Table(
     {
-        "nan": "hardware.command_link:NAN",
-        "inf": "hardware.command_link:INF",
-        "offset": "hardware.command_link:OFFSET",
-        "chatter": "hardware.command_link:CHATTER",
+        "nan": "hardware.faults:NAN",
+        "inf": "hardware.faults:INF",
+        "offset": "hardware.faults:JUMP",
+        "chatter": "hardware.faults:CHATTER",
     }
 )
-MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})
+MOTOR_FAULTS = Table({"reversed": "hardware.faults:INVERTED", "swapped": "hardware.faults:SWAPPED"})
 
 REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
 """All of them."""
