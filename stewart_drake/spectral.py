@@ -12,66 +12,42 @@ function of itself with a slope of at most a quarter: Newton's method from above
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
-from stewart_drake.compiled.constants import NEWTON
-from stewart_drake.mechanics.arrays import Array, namespace
+import numpy as np
+
+from stewart_drake.jit import njit
+
+NEWTON_STEPS = 6
+"""Five find all digits whatever the numbers."""
 
 
-class Factor(NamedTuple):
-    """p(s) = s^3 + c2 s^2 + c1 s + c0.
+@njit
+def spectral_factor(b2: float, b1: float, b0: float) -> Any:
+    """c2, c1, c0 of p(s) and `low`; not finite where the numbers leave floating point.
 
-    Attributes:
-        c2: Of any shape, > 0.
-        c1: Likewise.
-        c0: Likewise.
+    p(s), written in d = z - 1 as s = d / (1 + d/2), times (1 + d/2)^3 and `low` leads with d^3.
     """
-
-    c2: Array
-    c1: Array
-    c0: Array
-
-    @property
-    def low(self) -> Array:
-        """p(s), written in d = z - 1 as s = d / (1 + d/2), times (1 + d/2)^3 and this leads with d^3."""
-        return 1.0 / (1.0 + 0.5 * self.c2 + 0.25 * self.c1 + 0.125 * self.c0)
-
-
-def spectral_factor(b2: Array, b1: Array, b0: Array) -> Factor:
-    """Arrays of numpy or torch of one shape; not finite where the numbers leave floating point."""
-    xp = namespace(b0)
-    c0 = xp.sqrt(b0)
+    c0 = np.sqrt(b0)
     unit = c0 ** (1.0 / 3.0)
     f2, f1 = b2 / (unit * unit), b1 / (unit * unit * unit * unit)
-    y = 2.0 + xp.sqrt(f2) + xp.sqrt(2.0 * xp.sqrt(f1))
-    for _ in range(NEWTON):
-        root = xp.sqrt(f1 + 2.0 * y)
-        to = xp.sqrt(f2 + 2.0 * root)
-        y = y - (y - to) / (1.0 - 1.0 / (to * root))
-    return Factor(unit * y, unit * unit * xp.sqrt(f1 + 2.0 * y), c0)
+    y = 2.0 + np.sqrt(f2) + np.sqrt(2.0 * np.sqrt(f1))
+    for _ in range(NEWTON_STEPS):
+        root = np.sqrt(f1 + 2.0 * y)
+        target = np.sqrt(f2 + 2.0 * root)
+        y = y - (y - target) / (1.0 - 1.0 / (target * root))
+    c2, c1 = unit * y, unit * unit * np.sqrt(f1 + 2.0 * y)
+    return c2, c1, c0, 1.0 / (1.0 + 0.5 * c2 + 0.25 * c1 + 0.125 * c0)
 
 
-def chain_cubic(rate: Array, pose: Array, integral: Array) -> tuple[Array, Array, Array]:
-    """b2, b1, b0 of a chain of three integrators under an exact hold, of s^2 q / r T^2, T^4, T^6."""
-    lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
-    b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
-    return b2 * lead, b1 * lead, integral * lead
-
-
-def chain_read(factor: Factor) -> tuple[Array, Array, Array]:
-    """Its gains of pose, rate and integral times s T^2, s T and s T^3."""
-    c2, c1, c0 = factor
-    low = factor.low
-    return (c1 + 0.5 * c0) * low, (c2 + 0.5 * c1 + c0 / 3.0) * low, c0 * low
-
-
-def filter_cubic(wandering: Array, white: Array) -> tuple[Array, Array, Array]:
+@njit
+def filter_cubic(wandering: float, white: float) -> Any:
     """b2, b1, b0 of the observer's filter, see `observer.kalman_gains` for the two."""
     return 0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering
 
 
-def filter_read(factor: Factor, period: float) -> tuple[Array, Array, Array]:
-    """Its gains to angle [-], rate [1/s] and surplus [1/s^2]."""
-    c2, c1, c0 = factor
-    low = factor.low
+@njit
+def filter_read(factor: Any, period: float) -> Any:
+    """Its gains to angle [-], rate [1/s] and disturbance acceleration [1/s^2], from `spectral_factor`."""
+    c2, c1, c0, low = factor
     return (c2 + 0.25 * c0) * low, c1 * low / period, c0 * low / period**2
