@@ -261,7 +261,9 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
 
 
 @njit
-def lqi_tick(robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, states: Any) -> Any:
+def lqi_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, states: Any
+) -> Any:
     """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
 
     Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
@@ -272,20 +274,14 @@ def lqi_tick(robots: Any, setups: Any, measurement: Any, reference: Any, weights
         measurement: (12,) pose and rate now.
         reference: (18,) now.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
+        leg_records: `LEGS`, overwritten.
         states: `LQI_STATE` of the tick before; that of this one where the status is OK.
 
     Returns:
         Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    return _tick(record(robots), record(setups), measurement, reference, weights, np.empty(1, LEGS), record(states))
-
-
-@njit
-def _tick(robot: Any, setup: Any, measurement: Any, reference: Any, weights: Any, scratch: Any, state: Any) -> Any:
-    # A record does not keep its array alive: whoever made the array has to hold it, so it comes as an argument.
-    legs, blocks, own, gain, before = (
-        record(scratch), np.empty(4), np.empty((6, 6)), np.empty((6, 18)), np.empty((6, 18)),
-    )  # fmt: skip
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    blocks, own, gain, before = np.empty(4), np.empty((6, 6)), np.empty((6, 18)), np.empty((6, 18))
     status, leg, margin = _model(robot, setup, measurement, reference, weights, legs, blocks, own)
     if status == OK:
         exact_hold = setup.exact_hold == 1.0
@@ -352,7 +348,7 @@ def lqi_part(
         measurement, reference or the torque that comes of them; UnreachablePoseError and SingularPoseError for the
         measured pose, or the reference's where `feedforward_at` is that; RiccatiError for a gain that does not exist.
     """
-    robots, setup = robot_record(robot), lqi_setup(options, gravity)
+    robots, setup, legs = robot_record(robot), lqi_setup(options, gravity), np.empty(1, LEGS)
 
     def error_of(ended: tuple[int, int, float], *inputs: np.ndarray) -> RunFailure:
         if ended[0] == NO_GAIN:
@@ -363,11 +359,11 @@ def lqi_part(
         return failure(options, *ended, *inputs[:2])
 
     def split_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
-        ended = lqi_tick(robots, setup, measurement, reference, weights, state)
+        ended = lqi_tick(robots, setup, measurement, reference, weights, legs, state)
         if ended[0] != OK:
             raise error_of(ended, measurement, reference, weights)
 
-    legs, blocks, own = np.empty(1, LEGS), np.empty(4), np.empty((6, 6))
+    blocks, own = np.empty(4), np.empty((6, 6))
 
     def drake_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
         inputs = measurement, reference, weights
