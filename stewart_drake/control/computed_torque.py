@@ -125,6 +125,4 @@ def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters,
             raise failure(options, *ended, measurement, reference)
 
     outputs = ("torque", "error", "integral")
-    return Part(
-        "controller", {"measurement": 12, "reference": 18}, outputs, new_record(COMPUTED_TORQUE_STATE), tick
-    )
+    return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(COMPUTED_TORQUE_STATE), tick)

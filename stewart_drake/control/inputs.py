@@ -59,7 +59,7 @@ class Setpoint(NamedTuple):
 @njit
 def all_finite(values: Any) -> bool:
     """Whether all numbers of a vector are finite."""
-    for value in values:
+    for value in values:  # noqa: SIM110 - numba knows no generators here
         if not np.isfinite(value):
             return False
     return True

@@ -121,7 +121,9 @@ def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> No
 
 
 @njit
-def _model(robot: Any, setup: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any) -> Any:
+def _model(
+    robot: Any, setup: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any
+) -> Any:
     """What a gain is for: fills legs, weights (4,) and M^-1 tau (6, 6); status, leg, margin."""
     if all_finite(measurement[6:]) and not all_finite(reference):
         return NOT_FINITE, REFERENCE, 0.0
@@ -144,10 +146,7 @@ def _weights_change(setup: Any, blocks: Any, state: Any) -> bool:
     """Whether weights differ from those of the tick before in a way that z has to follow."""
     if setup.bumpless == 0.0 or state.weights[0] == 0.0:
         return False
-    for k in range(4):
-        if state.weights[k] != blocks[k]:
-            return True
-    return False
+    return np.any(state.weights != blocks)
 
 
 @njit
@@ -289,9 +288,7 @@ def lqi_tick(
         if done and _weights_change(setup, blocks, state):
             done = split_solution(own, setup.length, setup.period, state.weights, exact_hold, before)
         if done:
-            status, leg, margin = _command(
-                robot, setup, measurement, reference, legs, blocks, gain, before, state
-            )
+            status, leg, margin = _command(robot, setup, measurement, reference, legs, blocks, gain, before, state)
         else:
             status = NO_GAIN
     if status != OK and _bridged(robot, setup, measurement, reference, state):

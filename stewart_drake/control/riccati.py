@@ -1,4 +1,4 @@
-"""LQI gains: the discrete algebraic Riccati equation of (26), (31), (32), split into six small problems, or by Drake."""
+"""LQI gains: the discrete algebraic Riccati equation of (26), (31), (32), split into six problems, or by Drake."""
 
 from __future__ import annotations
 
