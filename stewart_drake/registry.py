@@ -65,28 +65,24 @@ TUNERS = Family(
 SENSORS = Family(
     {
         "ideal": (
-            "hardware.sensor_faults:IdealSensors",
+            "hardware.sensors:IdealSensors",
             "systems.task_space_sensor:add_ideal_sensor",
-            "hardware.sensor_faults:IdealSensing",
         ),
         "encoders": (
-            "hardware.estimator:EncoderOptions",
+            "hardware.sensors:EncoderOptions",
             "systems.motor_encoders:add_encoders",
-            "hardware.estimator:EncoderSensing",
         ),
     }
 )
 ESTIMATORS = Family(
     {
         "difference": (
-            "hardware.observer:DifferenceOptions",
+            "hardware.estimator:DifferenceOptions",
             "systems.pose_estimator:add_difference",
-            "hardware.estimator:DifferenceEstimating",
         ),
         "observer": (
             "hardware.observer:ObserverOptions",
             "systems.platform_observer:add_observer",
-            "hardware.observing:ObserverEstimating",
         ),
     },
     default="difference",
@@ -126,32 +122,32 @@ DISTURBANCES = Family(
 )
 ENCODER_FAULTS = Table(
     {
-        "freeze": "hardware.sensor_faults:FREEZE",
-        "nan": "hardware.sensor_faults:NAN",
-        "jump": "hardware.sensor_faults:JUMP",
-        "late": "hardware.sensor_faults:LATE",
-        "drift": "hardware.sensor_faults:DRIFT",
-        "reversed": "hardware.sensor_faults:REVERSED",
-        "inverted": "hardware.sensor_faults:INVERTED",
-        "swapped": "hardware.sensor_faults:SWAPPED",
+        "freeze": "hardware.faults:FREEZE",
+        "nan": "hardware.faults:NAN",
+        "jump": "hardware.faults:JUMP",
+        "late": "hardware.faults:LATE",
+        "drift": "hardware.faults:DRIFT",
+        "reversed": "hardware.faults:REVERSED",
+        "inverted": "hardware.faults:INVERTED",
+        "swapped": "hardware.faults:SWAPPED",
     }
 )
 POSE_FAULTS = Table(
     {
-        "freeze": "hardware.sensor_faults:FREEZE",
-        "nan": "hardware.sensor_faults:NAN",
-        "late": "hardware.sensor_faults:LATE",
+        "freeze": "hardware.faults:FREEZE",
+        "nan": "hardware.faults:NAN",
+        "late": "hardware.faults:LATE",
     }
 )
 COMMAND_FAULTS = Table(
     {
-        "nan": "hardware.command_link:NAN",
-        "inf": "hardware.command_link:INF",
-        "offset": "hardware.command_link:OFFSET",
-        "chatter": "hardware.command_link:CHATTER",
+        "nan": "hardware.faults:NAN",
+        "inf": "hardware.faults:INF",
+        "offset": "hardware.faults:JUMP",
+        "chatter": "hardware.faults:CHATTER",
     }
 )
-MOTOR_FAULTS = Table({"reversed": "hardware.motors:REVERSED", "swapped": "hardware.motors:SWAPPED"})
+MOTOR_FAULTS = Table({"reversed": "hardware.faults:INVERTED", "swapped": "hardware.faults:SWAPPED"})
 
 REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
 """All of them."""

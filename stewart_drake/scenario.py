@@ -23,10 +23,11 @@ from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.observer import SMALLEST_NOISE, DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.hardware.observer import SMALLEST_NOISE
+from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.older import compiled_moved, warn_of_compiled

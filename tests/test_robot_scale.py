@@ -8,7 +8,7 @@ from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import POSITION
 from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits

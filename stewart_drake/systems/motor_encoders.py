@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem, OutputPort
 
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.plant.multibody_plant import StewartPlant
 from stewart_drake.sampling import on_grid
 

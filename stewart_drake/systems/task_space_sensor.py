@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, LeafSystem, OutputPort
 
-from stewart_drake.hardware.sensor_faults import IdealSensors
+from stewart_drake.hardware.sensors import IdealSensors
 from stewart_drake.plant.multibody_plant import StewartPlant
 
 

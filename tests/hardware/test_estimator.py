@@ -10,7 +10,7 @@ from stewart_drake.errors import (
     RunFailure,
     SingularPoseError,
 )
-from stewart_drake.hardware.estimator import EncoderOptions, estimate, flat_estimate, initial_memory
+from stewart_drake.hardware.sensors import EncoderOptions, estimate, flat_estimate, initial_memory
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,

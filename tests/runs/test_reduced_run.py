@@ -6,7 +6,7 @@ from pydrake.systems.framework import LeafSystem
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.sensor_faults import IdealSensors
+from stewart_drake.hardware.sensors import IdealSensors
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import SENSORS
@@ -253,7 +253,7 @@ def test_a_kind_that_runs_in_a_diagram_alone_is_refused_by_name(monkeypatch):
         ConfigurationError, match=r"^plant\.engine: got 'reduced'; allowed: drake, with sensors\.kind toy"
     ):
         run(Scenario.from_dict(changes))
-    from stewart_drake.hardware.sensor_faults import IdealSensing
+    from stewart_drake.hardware.sensors import IdealSensing
 
     SENSORS.add(ToySensors, add_ideal_sensor, IdealSensing)
     assert run(Scenario.from_dict(changes)).status == "completed"

@@ -25,7 +25,7 @@ from stewart_drake.control.lqi import lqi_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.policy import Schedule, setting_part
 from stewart_drake.hardware.command_link import LinkOptions
-from stewart_drake.hardware.estimator import EncoderOptions, flat_estimate, initial_memory
+from stewart_drake.hardware.sensors import EncoderOptions, flat_estimate, initial_memory
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.observer import Observer, ObserverOptions
