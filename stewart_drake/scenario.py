@@ -13,9 +13,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.control.features import TunerContext
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner, TunerSite
+from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, given_again, place_users
 from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
@@ -218,20 +219,13 @@ class Scenario(Section):
             self.tuner.density,
             self.tuner.window,
             self.tuner.weights,
-            self.compiled,
         )
 
-    def tuner_site(self) -> TunerSite:
+    def tuner_context(self) -> TunerContext:
         """What its tuner is built for."""
         period, robot, noise = self.controller.period, self.believed_robot, self.sensors.reading_noise
-        return TunerSite(
-            period,
-            max(noise, SMALLEST_NOISE),
-            period * (1 + self.estimator.ahead(self.command_delay)),
-            robot.characteristic_length,
-            self.estimator.expected,
-            self.compiled,
-        )
+        latency = period * (1 + self.estimator.ahead(self.command_delay))
+        return TunerContext(period, max(noise, SMALLEST_NOISE), latency, robot.characteristic_length)
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""

@@ -1,46 +1,42 @@
-"""The paper's whole controller as a pure function, (19)-(36): what a port to hardware needs, without Drake.
-
-`ControlLaw` is the whole of Fig. 6: LQI, density features and tuner. The LeafSystems of `stewart_drake.systems` call
-the same parts; nothing of the mathematics lives in them.
-"""
+"""The paper's whole controller as a pure function, (19)-(36): what a port to hardware needs, without Drake."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.control.density import DensityKind, density, push
+from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.inputs import Measurement, Setpoint
-from stewart_drake.control.lqi import LqiMemory, block_weights, held_tick, initial_memory
+from stewart_drake.control.lqi import block_weights, lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.control.network import TunerNetwork
+from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Window, check_value
 
 
-@dataclass(frozen=True)
-class ControlState:
+class ControlState(NamedTuple):
     """What the controller carries from tick to tick.
 
     Attributes:
-        lqi: Of the LQI.
+        lqi: Record of the LQI's state, see `lqi.LQI_STATE`.
         weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r, for the next tick.
-        window: (m + 1, 12) last errors and torques, oldest first.
-        filled: Rows of the window that are filled.
+        density: Record of the density's state; as made where there is no network.
     """
 
-    lqi: LqiMemory
+    lqi: np.ndarray
     weights: np.ndarray
-    window: np.ndarray
-    filled: int = 0
+    density: np.ndarray
 
     @property
     def integral(self) -> np.ndarray:
         """(6,) [rad s, m s] z."""
-        return self.lqi.integral
+        return self.lqi["integral"][0]
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,6 @@ class ControlLaw:
         density_kind: Kind of density.
         window: Window m [ticks].
         initial_weights: omega_Q, omega_R at the start, or q_e, q_v, q_z, r.
-        compiled: Ticks compiled by numba where they can be, with `solver="split"`.
 
     Raises:
         ConfigurationError: A window below 1, a kind of density that is not the network's, four weights beside a
@@ -70,7 +65,6 @@ class ControlLaw:
     density_kind: DensityKind = "magnitude"
     window: int = 49
     initial_weights: tuple[float, ...] = (1.0, 1.0)
-    compiled: bool = False
 
     def __post_init__(self) -> None:
         check_value("window", self.window, Window)
@@ -83,12 +77,17 @@ class ControlLaw:
             if len(self.initial_weights) != 2:
                 raise ConfigurationError("initial_weights", self.initial_weights, "two, with a network")
 
+    @cached_property
+    def _parts(self) -> tuple[Part, Part, Part | None]:
+        lqi = lqi_part(self.options, self.robot, self.gravity, len(self.initial_weights))
+        tuner = None if self.network is None else network_part(self.network, self.initial_weights)
+        return lqi, density_part(self.window, self.density_kind), tuner
+
     def initial_state(self) -> ControlState:
         """State before the first tick."""
-        weights = np.array(self.initial_weights)
-        if self.network is not None:
-            weights = np.clip(weights, self.network.omega_min, self.network.omega_max)
-        return ControlState(initial_memory(), weights, np.zeros((self.window + 1, 12)))
+        lqi, density, tuner = self._parts
+        weights = np.array(self.initial_weights) if tuner is None else tuner.initial["weights"][0]
+        return ControlState(lqi.initial.copy(), weights.copy(), density.initial.copy())
 
     def __call__(
         self, measurement: Measurement, setpoint: Setpoint, state: ControlState
@@ -98,15 +97,15 @@ class ControlLaw:
         The weights found in this tick act in the next one: they need this tick's torque.
 
         Raises:
-            RunFailure: See `lqi.held_tick`.
+            RunFailure: See `lqi_part`.
         """
-        output = held_tick(
-            self.robot, self.options, self.gravity, measurement, setpoint, state.weights, state.lqi, self.compiled
-        )
-        state = replace(state, lqi=output)
-        if self.network is not None:
-            sample = np.concatenate([output.error, output.torque])
-            window, filled = push(state.window, state.filled, sample)
-            features = density(window[-filled:], self.density_kind)
-            state = replace(state, weights=self.network.weights(features), window=window, filled=filled)
-        return output.torque, state
+        lqi, density, tuner = self._parts
+        weights, after = state.weights, ControlState(*(each.copy() for each in state))
+        lqi.tick(np.concatenate(measurement), np.concatenate(setpoint), weights, after.lqi)
+        torque = after.lqi["torque"][0]
+        if tuner is not None:
+            density.tick(after.lqi["error"][0], torque, after.density)
+            answer = tuner.initial.copy()
+            tuner.tick(after.density["density"][0], answer)
+            after = after._replace(weights=answer["weights"][0])
+        return torque.copy(), after

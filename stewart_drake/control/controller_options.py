@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,11 +45,6 @@ class ControllerOptions(Section, key="controller"):
         return _UsualLimits()
 
     @property
-    def results(self) -> Sequence[int]:
-        """Sizes of torque, error and integral, with which its LeafSystem's result begins; empty for other ports."""
-        return ()
-
-    @property
     def weighted(self) -> bool:
         """Whether one that comes with the package takes the weights of a tuner."""
         return False
@@ -69,11 +63,6 @@ class ControllerOptions(Section, key="controller"):
         """(6,) [N m] of the motors' torques."""
         return robot.effort_limits
 
-    @property
-    def compiles(self) -> bool:
-        """Whether numba can compile its tick; where not, `Scenario.compiled` says nothing about it."""
-        return False
-
 
 class OwnControllerOptions(ControllerOptions):
     """Base of the options of the controllers that come with the package."""
@@ -87,10 +76,5 @@ class OwnControllerOptions(ControllerOptions):
 
     @property
     def near_singularity(self) -> SingularityLimits:
-        """See `ControllerOptions`."""
+        """How near to a singularity it goes."""
         return self
-
-    @property
-    def results(self) -> Sequence[int]:
-        """See `ControllerOptions`."""
-        return (6, 6, 6)
