@@ -42,7 +42,7 @@ def collect(out: Path, quiet: bool) -> None:
     type=click.Choice(["paper", "policy"]),
     default="paper",
     show_default=True,
-    help="paper: the network of the paper, on DATASET. policy: by evolution on the fast engine, in an hour on two cores.",
+    help="paper: the network of the paper, on DATASET. policy: by evolution on the fast engine, an hour on two cores.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of everything that is drawn.")
 @click.option("--epochs", type=click.IntRange(1), help="Of the paper's: passes over the data [default: 2000].")

@@ -40,7 +40,7 @@ class Setup:
         scenario: Name of a shipped one.
         changes: What of it is otherwise.
         duration: [s] of a run.
-        friction: [N m] dry friction of its motors, and [N m s/rad] viscous, as believed.
+        viscous: [N m s/rad] friction of its motors.
         beyond: [N m] lowest and highest dry friction that nobody believes.
         push: [-] size of pushes beside those of the paper's robot, once torques and lengths are counted.
     """
@@ -48,7 +48,7 @@ class Setup:
     scenario: str
     changes: Changes
     duration: float
-    friction: tuple[float, float]
+    viscous: float
     beyond: tuple[float, float]
     push: float
 
@@ -60,9 +60,9 @@ class Setup:
 
 
 ROBOTS = {
-    "paper": Setup("exact_breathing", {}, 1.8, (0.01, 0.0), (0.04, 0.1), 1.0),
+    "paper": Setup("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
     # Its counts alone would not change at rest.
-    "reachy_mini": Setup("reachy_nod", {"sensors.noise": 3e-4}, 3.0, (0.058, 0.095), (0.062, 0.08), 0.7),
+    "reachy_mini": Setup("reachy_nod", {"sensors.noise": 3e-4}, 3.0, 0.095, (0.062, 0.08), 0.7),
 }
 
 
@@ -193,7 +193,7 @@ def _loaded(draw: Draw) -> Changes:
 
 def _sticking(draw: Draw) -> Changes:
     coulomb = draw.between(*draw.setup.beyond)
-    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.setup.friction[1]}
+    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.setup.viscous}
     return {"plant.motor_friction": 0.0, "plant.motor_damping": 0.0, "plant.friction": {"coulomb": coulomb, **more}}
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.tables import Row, markdown, to_arrow, write_table
+from stewart_drake.campaigns.tables import markdown, to_arrow, write_table
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import locked_folder, write_atomically
 from stewart_drake.logs.metric_table import Column

@@ -105,7 +105,9 @@ def test_generations_take_their_situations_in_turn():
 
 def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     monkeypatch.setattr(policy_training, "VALIDATED", 1)
-    training = Training(PolicyOptions(generations=60, situations=8, pool=8, robots=("reachy_mini",)), workplace(SerialExecutor()))
+    training = Training(
+        PolicyOptions(generations=60, situations=4, pool=4, robots=("reachy_mini",)), workplace(SerialExecutor())
+    )
     state = state_of(training)
     state.validated += bowl @ bowl
     while state.generation < 60:
@@ -131,7 +133,7 @@ def test_a_training_that_gets_worse_hands_on_its_start():
 
 @pytest.mark.slow
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
-    monkeypatch.setattr(policy_training, "cells_for", lambda robot, trained: [("hold", robot)])
+    monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
     whole = train_policy(SMALL, where=SerialExecutor())
     file = tmp_path / "policy.state"
 
