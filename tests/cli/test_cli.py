@@ -158,7 +158,7 @@ BAD = [
     ("write-sdf x.sdf --set robot.rod_lenght=1", ["robot.rod_lenght", "did you mean rod_length?"]),
     ("train none.parquet", ["none.parquet", "collect"]),
     ("train --epochs 0", ["--epochs", "0"]),
-    ("train --method evolution", ["--method", "--tuner policy"]),
+    ("train --generations 3", ["--generations", "--tuner policy"]),
     ("train --tuner policy data.parquet", ["DATASET", "data.parquet", "--tuner paper"]),
     ("check paper_fig7 --out fit.yaml", ["--out needs one of --scale and --retime"]),
     ("check paper_fig7 --scale --retime --out fit.yaml", ["--out needs one of --scale and --retime"]),
