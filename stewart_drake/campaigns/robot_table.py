@@ -12,7 +12,7 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.planning.workspace_boundary import boundary
-from stewart_drake.planning.workspace_region import Kind, spanning_grid, survey
+from stewart_drake.planning.workspace import Kind, spanning_grid, survey
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario

@@ -122,6 +122,14 @@ def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
 
 
 @njit
+def euler_moment(rpy: Any, moment: Any) -> None:
+    """Turns a moment in B (3,), which acts on angular velocity, into one that acts on Euler rates, in place."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    x, y, z = moment[0], moment[1], moment[2]
+    moment[0], moment[1] = cp * (cy * x + sy * y) - sp * z, cy * y - sy * x
+
+
+@njit
 def twist_of(pose: Any, rate: Any, out: Any) -> None:
     """Twist [w, v] (6,) of P in B from a pose and its rate (6,)."""
     angular_velocity(pose[:3], rate[:3], out[:3])
@@ -213,17 +221,18 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 
 
 @njit
-def conditioning(robot: Any, legs: Any) -> float:
+def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
-    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`.
+    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of
+    `linear_algebra.singular_vectors`.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
     for i in range(6):
         for k in range(3):
             scaled[i, k] = legs.line[i, k] / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
-    singular_vectors(scaled, s, v, 1e-7)
+    singular_vectors(scaled, s, v, tolerance)
     return s.min() / s.max()
 
 
@@ -274,7 +283,6 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
     error, iteration = np.inf, 0
     while True:
         rotation(pose[:3], turn)
-        sp, cp, sy, cy = np.sin(pose[1]), np.cos(pose[1]), np.sin(pose[2]), np.cos(pose[2])
         error = 0.0
         for i in range(6):
             turned(turn, robot.joint[i], arm)
@@ -286,12 +294,9 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
                 error = abs(residual[i, 0])
             for k in range(3):
                 rod[k] /= size
-            # Moments act on angular velocity; the columns are for Euler rates.
             cross(arm, rod, moment)
-            rows[i, 0] = cp * (cy * moment[0] + sy * moment[1]) - sp * moment[2]
-            rows[i, 1] = cy * moment[1] - sy * moment[0]
-            rows[i, 2] = moment[2]
-            rows[i, 3:] = rod
+            euler_moment(pose[:3], moment)
+            rows[i, :3], rows[i, 3:] = moment, rod
         if error <= tolerance or iteration == iterations or not error < np.inf:
             return error, iteration
         if solve(rows, residual) == 0.0:

@@ -10,7 +10,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays
-from stewart_drake.planning.workspace_region import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
+from stewart_drake.planning.workspace import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import Vector6

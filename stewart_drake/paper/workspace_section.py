@@ -14,7 +14,7 @@ from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.visited_region import VisitedRegion, controlled_motions, findings, visited_region
 from stewart_drake.planning.limits import RULES, limit_bounds
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
+from stewart_drake.planning.workspace import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
 from stewart_drake.plotting.envelope_plots import plot_motion_map, plot_state_region, plot_torque_region
 from stewart_drake.plotting.panels import COORDINATES, SCALES
 from stewart_drake.plotting.workspace_plots import (

@@ -10,7 +10,6 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
@@ -154,7 +153,7 @@ def check_motion(
     }
     broken = {limit: (values < 0.0).any(axis=-1) for limit, values in margins.items()}
     first = min(((int(b.argmax()), limit) for limit, b in broken.items() if b.any()), key=lambda v: v[0], default=None)
-    unreachable = np.any(reach_margin(robot, motion["pose"]) < 0.0, axis=-1)
+    unreachable = (margins["reach"] + (1.0 - bounds["reach"]) < 0.0).any(axis=-1)
     return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]), unreachable)
 
 

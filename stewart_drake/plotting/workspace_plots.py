@@ -21,7 +21,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from stewart_drake.mechanics.kinematics import leg_geometry
 from stewart_drake.planning import workspace_region
 from stewart_drake.planning.workspace_boundary import Boundary
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, Loss, Survey, governing_limit
+from stewart_drake.planning.workspace import LIMIT_NAMES, Loss, Survey, governing_limit
 from stewart_drake.plotting import panels as look
 from stewart_drake.robot import RobotParameters
 
