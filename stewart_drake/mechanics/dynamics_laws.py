@@ -188,7 +188,7 @@ def static_torque(robot: Any, legs: Any, gravity: float, torque: Any) -> bool:
 
 @njit
 def task_bias(robot: Any, legs: Any, twist: Any, gravity: float, out: Any) -> None:
-    """h (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
+    """H (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
     own = np.empty(6)
     loads(robot, legs, twist, np.zeros(6), gravity, out, own)
     for i in range(6):

@@ -182,10 +182,9 @@ def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> Le
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=LEGS)
-    rotation, *vectors, transmission = (
-        np.ascontiguousarray(legs[name]) for name in ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
-    )
-    return LegGeometry(rotation, np.arctan2(legs["sine"], legs["cosine"]), *vectors, transmission)
+    names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
+    theta = np.arctan2(legs["sine"], legs["cosine"])
+    return LegGeometry(crank_angles=theta, **{name: np.ascontiguousarray(legs[name]) for name in names})
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -302,7 +301,7 @@ def forward_kinematics(
 def newton(
     robot: Robot, theta: np.ndarray, start: np.ndarray, tolerance: float, iterations: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`forward_kinematics` of angles and starts (n, 6) that raises for none: poses (n, 6), errors (n,) [m], steps (n,)."""
+    """`forward_kinematics` of angles and starts (n, 6), without raising: poses (n, 6), errors (n,) [m], steps (n,)."""
     poses, ends = np.array(start, order="C"), np.zeros((len(theta), 2))
     angles = np.array(theta, order="C")
     over_rows(_forward_kinematics, (robot_records(robot), float(tolerance), int(iterations)), (angles, poses, ends))

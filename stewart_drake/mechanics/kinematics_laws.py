@@ -97,7 +97,7 @@ def roll_pitch_yaw(matrix: Any, out: Any) -> None:
 
 @njit
 def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
-    """w (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
+    """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     out[0], out[1], out[2] = cy * cp * rate[0] - sy * rate[1], sy * cp * rate[0] + cy * rate[1], rate[2] - sp * rate[0]
 
@@ -181,11 +181,11 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
     span = np.empty(3)
     worst, leg = 0.0, -1
     for i in range(6):
-        a, l, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
+        a, rod, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
         turned(legs.rotation, robot.joint[i], legs.arm[i])
         for k in range(3):
             span[k] = legs.arm[i, k] + pose[3 + k] - robot.shaft[i, k]
-        along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - l * l
+        along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - rod * rod
         size = np.sqrt(along * along + up * up)
         ratio = constant / size if size > 0.0 else np.inf
         legs.reach[i] = 1.0 - abs(ratio)
@@ -197,7 +197,7 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
         for k in range(3):
             legs.crank[i, k] = c * x[k] + s * y[k]
             legs.e_n[i, k] = c * y[k] - s * x[k]
-            legs.e_l[i, k] = (span[k] - a * legs.crank[i, k]) / l
+            legs.e_l[i, k] = (span[k] - a * legs.crank[i, k]) / rod
         legs.transmission[i] = dot(legs.e_l[i], legs.e_n[i])
         legs.lever[i] = a * legs.transmission[i]
         cross(legs.arm[i], legs.e_l[i], legs.line[i, :3])

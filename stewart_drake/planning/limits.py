@@ -115,7 +115,7 @@ def limit_margins(
         "transmission": lambda bound: m["transmission"] - bound,
         "joint_swing": lambda bound: bound - m["swing"],
         "clearance": lambda bound: m["distance"] - bound,
-        "crank_range": lambda bound: home_record(robot)["half"] - m["stroke"],
+        "crank_range": lambda bound: home_record(robot)["half"] - m["stroke"] - bound,
         "crank_speed": lambda bound: bound - m["speed"],
         "torque": lambda bound: bound * robot.effort_shares - m["torque"],
     }

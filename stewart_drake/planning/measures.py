@@ -20,7 +20,6 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.batch import over_rows
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
-from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     conditioning,
@@ -33,9 +32,7 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.robot import RobotParameters
 
-MEASURES = fields(
-    reach=6, transmission=6, conditioning=(), side=(), swing=12, distance=60, stroke=6, speed=6, torque=6
-)
+MEASURES = fields(reach=6, transmission=6, conditioning=(), side=(), swing=12, distance=60, stroke=6, speed=6, torque=6)
 """Measures at a pose and motion; all but `reach` are NaN where a rod cannot span. reach: `LEGS.reach`. transmission:
 |e_l . e_N|. conditioning: sigma_min / sigma_max of the rods' lines. side: sign of their determinant. swing: of each rod
 from home, seen in the platform, then in its crank [rad]. distance: between the surfaces of links of different legs, in
@@ -325,8 +322,3 @@ def measure_motion(
     made = np.empty(len(motion[0]), dtype=MEASURES)
     over_rows(_of_motion, (robot_record(robot), home_record(robot), float(gravity)), (*motion, made))
     return made
-
-
-def smallest_reach(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """The measure `PoseMeasures.reach` alone, at a small part of the cost of all; (n,) [-] of poses (n, 6) [rad, m]."""
-    return np.asarray(reach_margin(robot, pose).min(axis=-1))

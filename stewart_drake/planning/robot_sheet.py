@@ -68,11 +68,16 @@ def figures(robot: RobotParameters) -> Sheet:
     """Single figures at the home pose."""
     heave = task_inertia(robot, robot.home_pose)[5, 5]
     home = measure_poses(robot, np.array([robot.home_pose]))
+    share = 100.0 * home.holding_torque[0] / robot.effort_limit
     rows = [
         ("conditioning of the rods' lines", f"{home.conditioning[0]:.3f}", "-"),
         ("smallest gap between links of two legs", f"{1e3 * home.clearance[0]:.2f}", "mm"),
         ("inertia felt in heave, motors and rods included", f"{heave:.4g}", "kg"),
-        ("largest torque at rest, of the effort limit", f"{100.0 * home.holding_torque[0] / robot.effort_limit:.1f}", "%"),
+        (
+            "largest torque at rest, of the effort limit",
+            f"{share:.1f}",
+            "%",
+        ),
     ]
     return "figures at home", ("", "value", "unit"), rows
 

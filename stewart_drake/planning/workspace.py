@@ -17,9 +17,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
 from stewart_drake.planning.limits import Limits, limit_bounds
-from stewart_drake.planning.measures import PoseMeasures, measure_poses, smallest_reach
+from stewart_drake.planning.measures import PoseMeasures, measure_poses
 from stewart_drake.robot import RobotParameters
 
 Kind = Literal["position", "orientation"]
@@ -181,7 +181,7 @@ def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, sample
         raise ConfigurationError("samples", samples, "at least 8")
     low, high = outer_box(robot, center) if kind == "position" else (-ALL_ANGLES, ALL_ANGLES.copy())
     coarse = Grid(COORDINATES[kind], center, low, high, _counts(high - low, _COARSE))
-    inside = smallest_reach(robot, coarse.poses).reshape(coarse.counts) >= 0.0
+    inside = reach_margin(robot, coarse.poses).min(axis=1).reshape(coarse.counts) >= 0.0
     for axis in range(3) if inside.any() else ():
         along = np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis})))
         edges = low[axis] + coarse.width[axis] * np.array([along[0] - 1, along[-1] + 2])
@@ -199,7 +199,7 @@ def check_center(robot: RobotParameters, center: np.ndarray) -> None:
         raise ConfigurationError(
             "center", center.tolist(), "six finite numbers, roll and yaw within +-pi, pitch within +-pi/2"
         )
-    if smallest_reach(robot, center[None])[0] < 0.0:
+    if reach_margin(robot, center).min() < 0.0:
         raise ConfigurationError("center", center.tolist(), "a pose that all rods can reach")
 
 
