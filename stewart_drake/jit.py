@@ -54,7 +54,11 @@ else:
 
     @numba.njit(inline="always")  # type: ignore[no-redef, untyped-decorator]
     def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view."""
+        """The record of a structured array (1,), with its fields as attributes; a view.
+
+        A compiled record does not keep its array alive. Of an array that is made in the same function take it inside
+        the loop that uses it, or hand the array to another function and take it there.
+        """
         return array[0]
 
 

@@ -16,7 +16,7 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import measure_poses
+from stewart_drake.planning.measures import measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters

@@ -160,15 +160,22 @@ def inverse_dynamics(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity
 
 
 @njit
+def twists_of_motion(pose: Any, rate: Any, acceleration: Any, twist: Any, twist_rate: Any) -> None:
+    """Twist and its rate (6,) of a pose, its rate and its acceleration (6,) in Euler angles."""
+    drift = np.empty(3)
+    angular_velocity(pose[:3], rate[:3], twist[:3])
+    angular_velocity(pose[:3], acceleration[:3], twist_rate[:3])
+    euler_drift(pose[:3], rate[:3], drift)
+    for k in range(3):
+        twist[3 + k], twist_rate[3 + k] = rate[3 + k], acceleration[3 + k]
+        twist_rate[k] += drift[k]
+
+
+@njit
 def motion_torque(robot: Any, legs: Any, motion: Any, acceleration: Any, gravity: float, torque: Any) -> bool:
     """`inverse_dynamics` of pose and rate (12,) and acceleration (6,) in Euler angles."""
-    twist, twist_rate, drift = np.empty(6), np.empty(6), np.empty(3)
-    angular_velocity(motion[:3], motion[6:9], twist[:3])
-    angular_velocity(motion[:3], acceleration[:3], twist_rate[:3])
-    euler_drift(motion[:3], motion[6:9], drift)
-    for k in range(3):
-        twist[3 + k], twist_rate[3 + k] = motion[9 + k], acceleration[3 + k]
-        twist_rate[k] += drift[k]
+    twist, twist_rate = np.empty(6), np.empty(6)
+    twists_of_motion(motion[:6], motion[6:], acceleration, twist, twist_rate)
     return inverse_dynamics(robot, legs, twist, twist_rate, gravity, torque)
 
 
@@ -181,7 +188,7 @@ def static_torque(robot: Any, legs: Any, gravity: float, torque: Any) -> bool:
 
 @njit
 def task_bias(robot: Any, legs: Any, twist: Any, gravity: float, out: Any) -> None:
-    """h (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
+    """H (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
     own = np.empty(6)
     loads(robot, legs, twist, np.zeros(6), gravity, out, own)
     for i in range(6):

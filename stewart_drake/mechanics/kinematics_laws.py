@@ -97,7 +97,7 @@ def roll_pitch_yaw(matrix: Any, out: Any) -> None:
 
 @njit
 def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
-    """w (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
+    """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
     sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
     out[0], out[1], out[2] = cy * cp * rate[0] - sy * rate[1], sy * cp * rate[0] + cy * rate[1], rate[2] - sp * rate[0]
 
@@ -119,6 +119,14 @@ def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
     out[0] = (-sy * cp * yaw - cy * sp * pitch) * roll - cy * yaw * pitch
     out[1] = (cy * cp * yaw - sy * sp * pitch) * roll - sy * yaw * pitch
     out[2] = -cp * pitch * roll
+
+
+@njit
+def euler_moment(rpy: Any, moment: Any) -> None:
+    """Turns a moment in B (3,), which acts on angular velocity, into one that acts on Euler rates, in place."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    x, y, z = moment[0], moment[1], moment[2]
+    moment[0], moment[1] = cp * (cy * x + sy * y) - sp * z, cy * y - sy * x
 
 
 @njit
@@ -173,11 +181,11 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
     span = np.empty(3)
     worst, leg = 0.0, -1
     for i in range(6):
-        a, l, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
+        a, rod, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
         turned(legs.rotation, robot.joint[i], legs.arm[i])
         for k in range(3):
             span[k] = legs.arm[i, k] + pose[3 + k] - robot.shaft[i, k]
-        along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - l * l
+        along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - rod * rod
         size = np.sqrt(along * along + up * up)
         ratio = constant / size if size > 0.0 else np.inf
         legs.reach[i] = 1.0 - abs(ratio)
@@ -189,7 +197,7 @@ def legs_at(robot: Any, pose: Any, legs: Any) -> int:
         for k in range(3):
             legs.crank[i, k] = c * x[k] + s * y[k]
             legs.e_n[i, k] = c * y[k] - s * x[k]
-            legs.e_l[i, k] = (span[k] - a * legs.crank[i, k]) / l
+            legs.e_l[i, k] = (span[k] - a * legs.crank[i, k]) / rod
         legs.transmission[i] = dot(legs.e_l[i], legs.e_n[i])
         legs.lever[i] = a * legs.transmission[i]
         cross(legs.arm[i], legs.e_l[i], legs.line[i, :3])
@@ -213,17 +221,18 @@ def crank_jacobian(legs: Any, out: Any) -> None:
 
 
 @njit
-def conditioning(robot: Any, legs: Any) -> float:
+def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
     """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
 
-    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`.
+    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of
+    `linear_algebra.singular_vectors`.
     """
     scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
     for i in range(6):
         for k in range(3):
             scaled[i, k] = legs.line[i, k] / robot.length
             scaled[i, 3 + k] = legs.line[i, 3 + k]
-    singular_vectors(scaled, s, v, 1e-7)
+    singular_vectors(scaled, s, v, tolerance)
     return s.min() / s.max()
 
 
@@ -274,7 +283,6 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
     error, iteration = np.inf, 0
     while True:
         rotation(pose[:3], turn)
-        sp, cp, sy, cy = np.sin(pose[1]), np.cos(pose[1]), np.sin(pose[2]), np.cos(pose[2])
         error = 0.0
         for i in range(6):
             turned(turn, robot.joint[i], arm)
@@ -286,12 +294,9 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
                 error = abs(residual[i, 0])
             for k in range(3):
                 rod[k] /= size
-            # Moments act on angular velocity; the columns are for Euler rates.
             cross(arm, rod, moment)
-            rows[i, 0] = cp * (cy * moment[0] + sy * moment[1]) - sp * moment[2]
-            rows[i, 1] = cy * moment[1] - sy * moment[0]
-            rows[i, 2] = moment[2]
-            rows[i, 3:] = rod
+            euler_moment(pose[:3], moment)
+            rows[i, :3], rows[i, 3:] = moment, rod
         if error <= tolerance or iteration == iterations or not error < np.inf:
             return error, iteration
         if solve(rows, residual) == 0.0:

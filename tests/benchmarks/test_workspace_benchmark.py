@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import measure_poses, smallest_reach
-from stewart_drake.planning.workspace_region import spanning_grid
+from stewart_drake.planning.measures import measure_poses, smallest_reach
+from stewart_drake.planning.workspace import spanning_grid
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()

@@ -13,9 +13,9 @@ from stewart_drake.mechanics.force_map import force_map
 from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import PoseMeasures, _invert, _strength, measure_poses, smallest_reach
+from stewart_drake.planning.measures import PoseMeasures, _invert, _strength, measure_poses, smallest_reach
 from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays, icosphere, split_edges
-from stewart_drake.planning.workspace_region import (
+from stewart_drake.planning.workspace import (
     COORDINATES,
     LIMIT_NAMES,
     Grid,
