@@ -92,6 +92,9 @@ class SystemPart(NamedTuple):
         return self.says.get(output, output)
 
 
+AnyPart = Part | SystemPart
+
+
 class Setup(NamedTuple):
     """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
 
@@ -107,8 +110,10 @@ class Setup(NamedTuple):
         still: (6,) [N m] at the motors until the first command arrives.
         delay: [ticks] of the commands.
         ahead: [ticks] by which the controller sees state and reference ahead of time.
+        latency: [s] from a reading to its torque, as believed.
         sensors: Options of the sensors.
         reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+        noise: [rad] of a reading, as an observer believes it.
         friction: [N m] largest break-away torque that the motors are believed to have.
         weights: Of the tuner at the start.
         levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
@@ -127,8 +132,10 @@ class Setup(NamedTuple):
     still: np.ndarray
     delay: int
     ahead: int
+    latency: float
     sensors: Any
     reading: int
+    noise: float
     friction: float
     weights: tuple[float, ...]
     levels: tuple[float, float]

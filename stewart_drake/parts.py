@@ -17,14 +17,12 @@ from stewart_drake.hardware.command_link import delay_part, link_part, standing_
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.friction_feedforward import friction_part
 from stewart_drake.hardware.motors import motor_part
+from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import WELL, Part, Setup, SystemPart, guarded
+from stewart_drake.part import AnyPart, Part, Setup, SystemPart, guarded
 from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
-
-AnyPart = Part | SystemPart
-
 
 class Source(NamedTuple):
     """A signal that is a function of time alone.
@@ -53,7 +51,7 @@ class Loop(NamedTuple):
         last: Index after the controller's last part but the late ones; those behind it carry the command to the motors.
         logged: Signals by their names in a log; an array stays as it is.
 
-    The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_angles` (6,) [rad].
+    The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_state` (12,), angles [rad] and rates.
     """
 
     parts: tuple[AnyPart, ...]
@@ -97,9 +95,11 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         pose_rate=rate,
         still=standing_torque(robot, pose, scenario.gravity),
         delay=scenario.command_delay,
-        ahead=scenario.estimator.ahead(scenario.command_delay) if scenario.estimator.expected else 0,
+        ahead=scenario.ahead,
+        latency=scenario.controller.period * (1 + scenario.estimator.ahead(scenario.command_delay)),
         sensors=scenario.sensors,
         reading=scenario.sensors.reading_size,
+        noise=max(scenario.sensors.reading_noise, SMALLEST_NOISE),
         friction=0.0 if friction is None else max(friction.levels[1]),
         weights=tuner.weights,
         levels=tuner.levels,
@@ -123,7 +123,7 @@ class _Builder:
         if scenario.disturbances:
             sources.append(Source("wrench", 6, lambda times: total_wrench(scenario.disturbances, times)))
             self.logged["disturbance"] = "wrench"
-        reading = self.add_sensors()
+        self.reading = self.add_sensors()
         first = len(self.parts)
         self.add_estimator()
         if setup.ahead > 0:
@@ -137,7 +137,7 @@ class _Builder:
         torque = self.add_way_to_motors()
         if torque != "torque":
             self.logged["torque_applied"] = torque
-        return Loop((*self.parts, *self.late), tuple(sources), torque, reading, first, last, self.logged)
+        return Loop((*self.parts, *self.late), tuple(sources), torque, self.reading, first, last, self.logged)
 
     def add(self, *parts: AnyPart) -> None:
         """Adds parts in order."""
@@ -152,9 +152,9 @@ class _Builder:
     def add_estimator(self) -> None:
         """What the controller gets of the readings."""
         setup, estimator = self.setup, self.scenario.estimator
-        parts = [self._guarded(part, "sensor_health") for part in estimator.parts(setup)]
-        self.add(*parts)
-        self.measurement = "measurement" if parts else ("reading" if self.parts else "plant_pose")
+        parts = [part._replace(reads={**part.reads, "reading": self.reading}) for part in estimator.parts(setup)]
+        self.add(*(self._guarded(part, "sensor_health") for part in parts))
+        self.measurement = "measurement" if parts else self.reading
         self.logged["measurement"] = self.measurement
         self.observes = any("ahead" in part.outputs for part in parts)
         if self.observes:
@@ -218,7 +218,7 @@ class _Builder:
         if not scenario.link.perfect:
             steps = steps_per("controller.period", setup.period, setup.time_step)
             part = link_part(scenario.link, steps, setup.still)
-            self.add(part._replace(reads={"torque": torque}, says={"torque": "arrived"}))
+            self.add(part._replace(reads={"torque": torque}, says={"torque": "arrived"}, every_step=True))
             torque, age = "arrived", "age"
         if scenario.safety is not None:
             self.add(self._safety(torque, age))
@@ -237,17 +237,6 @@ class _Builder:
     def _safety(self, command: str, age: str | None) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
-        nothing, has = np.full(6, np.nan), {signal for part in self.parts for signal in map(part.signal, part.outputs)}
-        reads: dict[str, str | np.ndarray] = {
-            "command": command,
-            "measurement": self.measurement,
-            "reference": "reference",
-            "age": age or np.zeros(1),
-            "angles": "reading" if setup.reading == 6 else nothing,
-            "innovation": "innovation" if self.observes else np.zeros(6),
-            "pose_reading": self._pose_reading(),
-            **{name: name if name in has else np.array(WELL) for name in ("sensor_health", "controller_health")},
-        }
         part = safety_part(
             setup.robot,
             scenario.safety,
@@ -255,15 +244,20 @@ class _Builder:
             setup.period,
             setup.still,
             scenario.sensors.quantum,
-            self.scenario.estimator.innovation_scale(setup),
+            scenario.estimator.innovation_scale(setup),
         )
+        reads = {**part.reads, "command": command, "measurement": self.measurement}
+        if age is not None:
+            reads["age"] = age
+        if setup.reading == 6:
+            reads["angles"] = self.reading
+        if self.observes:
+            reads["innovation"] = "innovation"
+            if setup.reading == 12:
+                reads["pose_reading"] = self.reading
+        for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
+            reads[health] = health
         return part._replace(reads=reads, says={"torque": "guarded"})
-
-    def _pose_reading(self) -> str | np.ndarray:
-        """What a sensor of the pose says where an observer stands behind it."""
-        if self.setup.reading == 12 and self.observes:
-            return "reading" if self.parts[0].signal(self.parts[0].outputs[0]) == "reading" else "plant_pose"
-        return np.full(12, np.nan)
 
     def _guarded(self, part: AnyPart, health: str) -> AnyPart:
         """A part whose failing ticks the safety layer hears of, where there is one."""

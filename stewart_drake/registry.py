@@ -27,18 +27,10 @@ REFERENCES = Family(
 )
 CONTROLLERS = Family(
     {
-        "lqi": (
-            "control.lqi_options:LqiOptions",
-            "systems.lqi_controller:LqiController.build",
-            "control.lqi:lqi_part",
-        ),
-        "pid": ("control.joint_pid:PidOptions", "systems.joint_pid:JointPid.build", "control.joint_pid:pid_part"),
-        "computed_torque": (
-            "control.computed_torque:ComputedTorqueOptions",
-            "systems.computed_torque:ComputedTorque.build",
-            "control.computed_torque:computed_torque_part",
-        ),
-        "python": ("control.user_controller:PythonOptions", "systems.user_controller:load_user_controller"),
+        "lqi": ("control.lqi_options:LqiOptions",),
+        "pid": ("control.joint_pid:PidOptions",),
+        "computed_torque": ("control.computed_torque:ComputedTorqueOptions",),
+        "python": ("control.user_controller:PythonOptions",),
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -46,45 +38,17 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-        "paper": ("control.tuners:AnnTuner", "systems.ann_tuner:add_network_tuner", "control.tuners:asked_weights"),
-        "block": ("control.tuners:BlockTuner", "systems.ann_tuner:add_fixed_weights", "control.tuners:held_weights"),
-        "policy": (
-            "control.tuners:PolicyTuner",
-            "systems.setting_tuner:add_setting_tuner",
-            "control.tuners:chosen_settings",
-        ),
-        "schedule": (
-            "control.tuners:ScheduleTuner",
-            "systems.setting_tuner:add_setting_tuner",
-            "control.tuners:chosen_settings",
-        ),
+        "fixed": ("control.tuners:FixedTuner",),
+        "paper": ("control.tuners:AnnTuner",),
+        "block": ("control.tuners:BlockTuner",),
+        "policy": ("control.tuners:PolicyTuner",),
+        "schedule": ("control.tuners:ScheduleTuner",),
     },
     older={"ann": "paper"},
 )
-SENSORS = Family(
-    {
-        "ideal": (
-            "hardware.sensors:IdealSensors",
-            "systems.task_space_sensor:add_ideal_sensor",
-        ),
-        "encoders": (
-            "hardware.sensors:EncoderOptions",
-            "systems.motor_encoders:add_encoders",
-        ),
-    }
-)
+SENSORS = Family({"ideal": ("hardware.sensors:IdealSensors",), "encoders": ("hardware.sensors:EncoderOptions",)})
 ESTIMATORS = Family(
-    {
-        "difference": (
-            "hardware.estimator:DifferenceOptions",
-            "systems.pose_estimator:add_difference",
-        ),
-        "observer": (
-            "hardware.observer:ObserverOptions",
-            "systems.platform_observer:add_observer",
-        ),
-    },
+    {"difference": ("hardware.estimator:DifferenceOptions",), "observer": ("hardware.observer:ObserverOptions",)},
     default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")

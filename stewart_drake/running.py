@@ -17,6 +17,7 @@ class Running:
     Args:
         parts: In order.
         outside: Signals that come from elsewhere -> size; whoever has this object writes them.
+        inside: Signals that are parts of those -> where in `values` they are.
 
     Attributes:
         values: (n,) all signals and states. A copy of it is a snapshot of the whole loop.
@@ -24,13 +25,16 @@ class Running:
         time: (1,) [s] of the tick; to be written before it.
     """
 
-    def __init__(self, parts: Sequence[Part], outside: Mapping[str, int]) -> None:
+    def __init__(
+        self, parts: Sequence[Part], outside: Mapping[str, int], inside: Mapping[str, slice] | None = None
+    ) -> None:
         self._parts = tuple(parts)
         sizes = [*outside.values(), *(part.initial.dtype.itemsize // 8 for part in parts)]
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
         self.values, self.time = np.zeros(starts[-1]), np.zeros(1)
         self.places = {name: slice(starts[k], starts[k] + size) for k, (name, size) in enumerate(outside.items())}
-        self._states = []
+        self.places |= inside or {}
+        self._states: list[np.ndarray] = []
         for part, start, size in zip(parts, starts[len(outside) :], sizes[len(outside) :], strict=False):
             self._states.append(self.values[start : start + size].view(part.initial.dtype))
             for output in part.outputs:

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.features import TunerContext
 from stewart_drake.control.lqi_options import LqiOptions
@@ -30,7 +29,7 @@ from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.older import compiled_moved, warn_of_compiled
+from stewart_drake.older import warn_of_compiled, without_compiled
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -105,10 +104,6 @@ class Scenario(Section):
     """What makes of it the pose and rate that the controller sees."""
     friction_compensation: FrictionCompensation | None = None
     """Friction of the motors that every command makes up for; null for none."""
-    compiled: Flag = False
-    """Whether numba compiles the ticks of the controllers (of the LQI with `controller.solver: split`), of estimators,
-    tuner and safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected.
-    The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())
@@ -205,27 +200,10 @@ class Scenario(Section):
         """The network that this scenario names, or None where the weights are fixed; see `Tuner.network`."""
         return self.tuner.network()
 
-    def control_law(self) -> ControlLaw:
-        """The controller of this scenario as a pure function, see `ControlLaw`.
-
-        Raises:
-            ConfigurationError: It is no LQI; as `load_tuner_network`.
-        """
-        return ControlLaw(
-            self.believed_robot,
-            self.lqi,
-            self.gravity,
-            self.load_tuner_network(),
-            self.tuner.density,
-            self.tuner.window,
-            self.tuner.weights,
-        )
-
-    def tuner_context(self) -> TunerContext:
-        """What its tuner is built for."""
-        period, robot, noise = self.controller.period, self.believed_robot, self.sensors.reading_noise
-        latency = period * (1 + self.estimator.ahead(self.command_delay))
-        return TunerContext(period, max(noise, SMALLEST_NOISE), latency, robot.characteristic_length)
+    @property
+    def ahead(self) -> int:
+        """[ticks] by which the controller sees state and reference ahead of time; 0 without an observer."""
+        return self.estimator.ahead(self.command_delay) if self.estimator.expected else 0
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""
@@ -295,7 +273,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:
     """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
-    data = compiled_moved(data)
+    data = without_compiled(data)
     return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 
@@ -365,9 +343,9 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key == "controller.compiled":
+    if key in ("compiled", "controller.compiled"):
         warn_of_compiled()
-        key = "compiled"
+        return
     *parents, last = key.split(".")
     if not parents:
         data.update(_own(_spelled({key: value})))

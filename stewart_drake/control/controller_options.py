@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.inputs import SingularityLimits
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.part import AnyPart, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Fraction, Positive, Section
 
@@ -17,7 +19,7 @@ class _UsualLimits(NamedTuple):
     min_conditioning: float = 0.005
 
 
-class ControllerOptions(Section, key="controller"):
+class ControllerOptions(Section, ABC, key="controller"):
     """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
 
     own_keys = frozenset({"feedforward", "saturation"})
@@ -58,6 +60,10 @@ class ControllerOptions(Section, key="controller"):
     def code(self) -> str | None:
         """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
         return None
+
+    @abstractmethod
+    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+        """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
 
     def limit(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] of the motors' torques."""

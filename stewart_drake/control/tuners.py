@@ -217,7 +217,8 @@ class SettingTuner(BlockWeights):
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
         length = setup.robot.characteristic_length
         context = TunerContext(setup.period, setup.noise, setup.latency, length, self.smoothness)
-        return (setting_part(self.chooser(), context, base, setup.disturbance),)
+        part = setting_part(self.chooser(), context, base, setup.disturbance)
+        return (part._replace(says={"disturbance": "expected_disturbance"}),)
 
 
 class PolicyTuner(SettingTuner):

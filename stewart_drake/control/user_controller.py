@@ -9,10 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.control.function_part import function_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade, user_sources
 from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass
 from stewart_drake.files.user_errors import UserCode
+from stewart_drake.part import AnyPart, Setup, SystemPart
 from stewart_drake.section import Positive, Text
 
 
@@ -43,6 +45,13 @@ class PythonOptions(ControllerOptions, UserMade):
         """Where the class comes from."""
         return _SystemClass(self.system, super().source.key)
 
+    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+        """The user's LeafSystem, or a function that is called at every tick."""
+        made = construct(self, {"robot": setup.robot, "period": self.period, "gravity": setup.gravity})
+        if callable(made):
+            return (function_part(made),)
+        return (_system_part(self, made, len(setup.weights)),)
+
     @property
     def file(self) -> Path | None:
         """See `UserClass.file`."""
@@ -65,6 +74,31 @@ class _SystemClass(UserClass):
         if not issubclass(found, System):
             raise ConfigurationError(self.key, self.path, "a LeafSystem of pydrake")
         return found
+
+
+def _system_part(options: PythonOptions, system: Any, weights: int) -> SystemPart:
+    """A System of pydrake as a part of a loop, its ports checked.
+
+    Raises:
+        ConfigurationError: A port is missing or of the wrong size.
+    """
+    from pydrake.systems.framework import PortDataType
+
+    inputs = {"measurement": 12, "reference": 18, **({"weights": weights} if system.HasInputPort("weights") else {})}
+    answers = {"error": 6, "integral": 6}
+    outputs = {"torque": 6, **(answers if any(map(system.HasOutputPort, answers)) else {})}
+    for side, ports in (("Input", inputs), ("Output", outputs)):
+        for name, size in ports.items():
+            has, get = getattr(system, f"Has{side}Port"), getattr(system, f"Get{side}Port")
+            expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
+            if not has(name):
+                raise ConfigurationError("controller.system", options.system, f"{expected}; it has no such port")
+            if get(name).get_data_type() != PortDataType.kVectorValued:
+                raise ConfigurationError("controller.system", options.system, f"{expected}; its own is abstract")
+            if get(name).size() != size:
+                own = f"{expected}; its own is ({get(name).size()},)"
+                raise ConfigurationError("controller.system", options.system, own)
+    return SystemPart("controller", inputs, tuple(outputs), system)
 
 
 def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:

@@ -32,7 +32,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     robot_record,
 )
 from stewart_drake.mechanics.linear_algebra import solve
-from stewart_drake.part import WELL, Part
+from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Section
 
@@ -65,6 +65,14 @@ class EstimatorOptions(Section, key="estimator"):
         """[ticks] from a command to its torque, as believed, of those that it takes."""
         return delay
 
+    def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
+        """What the innovations of an observer mean, see `observer.innovation_scale`."""
+        return 0.0, 1.0
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002
+        """What makes of `reading` the signal `measurement`; none where that is the reading itself."""
+        return ()
+
 
 class DifferenceOptions(EstimatorOptions):
     """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
@@ -75,6 +83,12 @@ class DifferenceOptions(EstimatorOptions):
     def exact(self) -> bool:
         """It is."""
         return True
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `EstimatorOptions`."""
+        if setup.reading == 12:
+            return ()
+        return (difference_part(setup.robot, setup.sensors, setup.period, setup.pose, setup.pose_rate),)
 
 
 SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())

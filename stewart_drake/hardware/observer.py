@@ -43,7 +43,7 @@ from stewart_drake.mechanics.kinematics_laws import (
 )
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.mechanics.spectral import spectral_factor
-from stewart_drake.part import WELL, Part
+from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Natural, Positive
 
@@ -92,6 +92,28 @@ class ObserverOptions(EstimatorOptions):
     def ahead(self, delay: int) -> int:
         """[ticks] of its own, or those of the commands."""
         return delay if self.delay is None else self.delay
+
+    def innovation_scale(self, setup: Setup) -> tuple[float, float]:
+        """See `EstimatorOptions`."""
+        return innovation_scale(setup.noise, self.disturbance * setup.levels[1], setup.period)
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `EstimatorOptions`."""
+        part = observer_part(
+            setup.robot,
+            self,
+            setup.gravity,
+            setup.period,
+            setup.noise,
+            setup.pose,
+            setup.pose_rate,
+            setup.still,
+            command_delay=setup.delay,
+            friction=setup.friction,
+            size=setup.reading,
+        )
+        expected = "expected_disturbance" if setup.listens else np.array([self.disturbance])
+        return (part._replace(reads={"disturbance": expected}),)
 
 
 SETUP = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), arrived=(), slip=(), delay=())

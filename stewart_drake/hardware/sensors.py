@@ -13,7 +13,7 @@ from pydantic import Field
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal
 from stewart_drake.hardware.seeded import tick_normal
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import Part
+from stewart_drake.part import Part, Setup
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
@@ -45,6 +45,15 @@ class SensorOptions(Section, key="sensors"):
         """[rad] standard deviation of a crank's angle as it is read."""
         return 0.0
 
+    @property
+    def reading_size(self) -> int:
+        """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
+        return 12
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
+        """What makes of `plant_pose` or `crank_state` the signal `reading`; none where that is `plant_pose` itself."""
+        return ()
+
 
 class IdealSensors(SensorOptions):
     """Pose and rate of the platform, exact."""
@@ -57,6 +66,12 @@ class IdealSensors(SensorOptions):
     def exact(self) -> bool:
         """Without faults it is."""
         return not self.faults
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `SensorOptions`."""
+        if not self.faults:
+            return ()
+        return (faulty_sensor_part(self.faults, 12, setup.period)._replace(reads={"reading": "plant_pose"}),)
 
 
 class EncoderOptions(SensorOptions):
@@ -92,6 +107,18 @@ class EncoderOptions(SensorOptions):
     def reading_noise(self) -> float:
         """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
         return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
+
+    @property
+    def reading_size(self) -> int:
+        """See `SensorOptions`."""
+        return 6
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `SensorOptions`."""
+        if not self.faults:
+            return (encoder_part(self),)
+        true = encoder_part(self)._replace(says={"reading": "true_reading"})
+        return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
 
     def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
         """What the encoders say, while none fails.

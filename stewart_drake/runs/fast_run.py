@@ -10,7 +10,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.part import Part
 from stewart_drake.parts import loop_of
-from stewart_drake.plant.closed_chain import ClosedChain
+from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
 from stewart_drake.running import Running
 from stewart_drake.runs.engine import quiet, signals_of
 from stewart_drake.safety import first_trip
@@ -20,6 +20,13 @@ from stewart_drake.scenario import Scenario
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+def _place(field: str) -> slice:
+    """Where twelve numbers begin in the plant's state, which comes first in all values."""
+    start = CHAIN_STATE.fields[field][1] // 8  # type: ignore[index]
+    return slice(start, start + 12)
+
+
+_POSE, _CRANKS = _place("pose"), _place("angles")
 _ROWS = 2048
 """Rows that there is place for at first."""
 
@@ -48,13 +55,13 @@ class FastRun:
         self._step = on_grid(time_step)
         self._per_tick = steps_per("controller.period", scenario.controller.period, time_step)
         self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
-        sizes = {"plant_pose": 12, "crank_angles": 6, "plant_rest": self._chain.size - 18}
-        outside = {**sizes, "wrench": 6, **{source.signal: source.size for source in self._loop.sources}}
-        self._running = Running(parts, outside)
+        outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
+        outside |= {source.signal: source.size for source in self._loop.sources}
+        self._running = Running(parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.sources
         ]
-        self._state = self._running.values[: self._chain.size].view(self._chain.kind)
+        self._state = self._running.signal("plant").view(CHAIN_STATE)
         self._torque, self._wrench = self._running.signal(self._loop.torque), self._running.signal("wrench")
         self._table = np.empty((_ROWS, len(self._running.values)))
         self._now, self._first, self._count = 0, 0, 0
@@ -71,7 +78,7 @@ class FastRun:
         self._begin()
 
     def _begin(self) -> None:
-        self._state[:] = self._chain.start(*self._scenario.start())
+        self._state[:] = self._chain.initial(*self._scenario.start())
 
     def start(self) -> None:
         """See `Engine`."""
@@ -84,7 +91,7 @@ class FastRun:
             if self._now % self._per_tick == 0:
                 running.late()
             try:
-                self._chain.advance(self._torque, self._wrench, self._state)
+                self._chain.step(self._torque, self._wrench, self._state)
             except RunFailure as failure:
                 failure.time = (self._now + 1) * self._step
                 raise
@@ -125,8 +132,9 @@ class FastRun:
                 values[name] = rows[:, self._running.places[signal]].copy()
             else:
                 values[name] = np.tile(signal, (len(rows), 1))
-        values["pose"], values["pose_rate"] = rows[:, :6].copy(), rows[:, 6:12].copy()
-        values["crank_angle"], values["loop_gap"] = rows[:, 12:18].copy(), np.zeros((len(rows), 6))
+        for name, place in (("pose", _POSE), ("crank_angle", _CRANKS)):
+            values[name] = rows[:, place][:, :6].copy()
+        values["pose_rate"], values["loop_gap"] = rows[:, _POSE][:, 6:].copy(), np.zeros((len(rows), 6))
         self._first, self._count = self._first + self._count, 0
         return signals_of(self._scenario, steps, values)
 

@@ -118,7 +118,7 @@ class _Wiring:
             ApplyVisualizationConfig(config, builder=self.builder, meshcat=meshcat)
         sensor = self.add("sensor", TaskSpaceSensor(self.plant))
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
-        self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_angles": sensor.crank_angles}
+        self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
         self.systems: dict[str, Any] = {}
         # Signals that somebody reads before they are said: of the tick before.
         said, self._held = {source.signal for source in loop.sources} | set(self.signals), set()
@@ -127,7 +127,6 @@ class _Wiring:
             if not part.late:
                 said |= set(map(part.signal, part.outputs))
         self._held.discard("time")
-        self._ports: dict[str, OutputPort] = {}
 
     def add(self, name: str, system: _System) -> _System:
         """Adds a system."""
@@ -163,24 +162,21 @@ class _Wiring:
     def connect(self, part: AnyPart) -> None:
         """Connects the inputs of a part."""
         for port in part.inputs:
-            if port != "time":
-                self.builder.Connect(self.port(part.source(port)), self.systems[part.name].GetInputPort(port))
+            source = part.source(port)
+            if port != "time" and isinstance(source, str):
+                self.builder.Connect(self.signals[source], self.systems[part.name].GetInputPort(port))
 
-    def port(self, source: str | np.ndarray) -> OutputPort:
+    def port(self, name: str, source: str | np.ndarray) -> OutputPort:
         """The port of a signal, or of an array that stays."""
         if isinstance(source, str):
             return self.signals[source]
-        key = str(source)
-        if key not in self._ports:
-            constant = self.add(f"constant_{len(self._ports)}", ConstantVectorSource(source))
-            self._ports[key] = constant.get_output_port()
-        return self._ports[key]
+        return self.add(name, ConstantVectorSource(source)).get_output_port()
 
     def add_log(self, logged: Mapping[str, str | np.ndarray], period: float) -> dict[str, VectorLogSink]:
         """Exports all signals, and logs them every so many seconds."""
         log_period, sinks = on_grid(period), {}
         ports = {"plant_state": self.plant.state_output_port}
-        for name, port in (ports | {name: self.port(source) for name, source in logged.items()}).items():
+        for name, port in (ports | {name: self.port(name, source) for name, source in logged.items()}).items():
             self.builder.ExportOutput(port, name)
             sinks[name] = LogVectorOutput(port, self.builder, publish_period=log_period)
             sinks[name].set_name(f"log_{name}")

@@ -35,7 +35,8 @@ class PartSystem(LeafSystem):
         result: Port: the part's state, and the number of ticks done. A port for each output costs a call of Python
             where it is asked for; a Demultiplexer on this one does not.
 
-    Ports: those of the part, by name and as attributes.
+    Ports: those of the part, by name and as attributes; an output with the name of an input is the attribute
+    `NAME_out`. An input whose part has an array for it may be left alone.
     """
 
     def __init__(self, part: Part, period: float) -> None:
@@ -45,12 +46,15 @@ class PartSystem(LeafSystem):
         initial = np.append(part.initial.view(np.float64), 0.0)
         index = self.DeclareDiscreteState(initial)
         self._time = np.zeros(1)
-        self._ports: list[InputPort | None] = []
+        # What stands at a port: its value, and for one that may be left alone what stands there then.
+        self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
         for name, size in part.inputs.items():
-            port = None if name == "time" else self.DeclareVectorInputPort(name, size)
-            self._ports.append(port)
-            if port is not None:
-                setattr(self, name, port)
+            if name == "time":
+                self._ports.append((None, self._time))
+                continue
+            port, otherwise = self.DeclareVectorInputPort(name, size), part.source(name)
+            self._ports.append((port, None if isinstance(otherwise, str) else otherwise))
+            setattr(self, name, port)
         self.result: OutputPort
         if part.late:
             self.result = self.DeclareStateOutputPort("result", index)
@@ -60,7 +64,7 @@ class PartSystem(LeafSystem):
                 "result", len(initial), self._answer, prerequisites_of_calc=needs
             )
         for name in part.outputs:
-            setattr(self, name, self._slice(name))
+            setattr(self, f"{name}_out" if name in part.inputs else name, self._slice(name))
         self.DeclarePeriodicDiscreteUpdateEvent(period_sec=self.period, offset_sec=0.0, update=self._store)
 
     def state(self, context: Context) -> np.ndarray:
@@ -99,12 +103,17 @@ class PartSystem(LeafSystem):
         needs = {self.xd_ticket()} if self.part.late else {ticket}
         return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
 
+    @staticmethod
+    def _at(port: InputPort | None, otherwise: np.ndarray | None, context: Context) -> Any:
+        if port is None or (otherwise is not None and not port.HasValue(context)):
+            return otherwise
+        return port.Eval(context)
+
     def _ticked(self, context: Context, values: np.ndarray, now: float) -> None:
         """Ticks on values (n + 1,) that hold the state of the tick before."""
         self._time[0] = context.get_time()
-        inputs = [self._time if port is None else port.Eval(context) for port in self._ports]
         try:
-            self._tick(*inputs, values[:-1].view(self._kind))
+            self._tick(*(self._at(port, otherwise, context) for port, otherwise in self._ports), values[:-1].view(self._kind))
         except RunFailure as error:
             error.time = context.get_time()
             raise
