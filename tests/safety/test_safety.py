@@ -347,11 +347,6 @@ def test_a_message_that_is_not_a_number_is_no_good_one(bad, monitor):
     assert (MONITORS[int(said.monitor)], said.level) == (monitor, HOLD)
 
 
-def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
-    done, _ = run([GOOD, inputs(rate=np.full(6, 1e300))], SafetyOptions(horizon=1e10))
-    assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
-
-
 @settings(max_examples=15)
 @given(vectors(6, 0.4))
 def test_the_safe_hold_takes_energy_out(rate):
@@ -538,19 +533,6 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
                 assert "\n" not in str(caught.value)
             else:
                 refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
-
-
-def test_what_the_layer_forgives_for_a_while_is_not_refused():
-    time, motion = swing(2.0, 0.005)
-    needed = np.abs(inverse_dynamics(ROBOT, *motion)).max() / ROBOT.effort_limit
-    refuse_motion(ROBOT, SafetyOptions(torque_limit=0.999 * needed), STANDARD_GRAVITY, time, motion)
-    with pytest.raises(ConfigurationError, match=r"torque_limit.*for too long"):
-        refuse_motion(ROBOT, SafetyOptions(torque_limit=0.8 * needed), STANDARD_GRAVITY, time, motion)
-    slope = np.abs(np.diff(inverse_dynamics(ROBOT, *motion), axis=0)).max() / PERIOD
-    fast = SafetyOptions(torque_rate=0.999 * slope, torque_rate_time=0.05)
-    refuse_motion(ROBOT, fast, STANDARD_GRAVITY, time, motion)
-    with pytest.raises(ConfigurationError, match=r"torque_rate"):
-        refuse_motion(ROBOT, SafetyOptions(torque_rate=0.2 * slope), STANDARD_GRAVITY, time, motion)
 
 
 @pytest.mark.parametrize("limit", ["workspace", "transmission", "conditioning"])
