@@ -147,9 +147,9 @@ def test_innovations_may_be_large_for_a_blow_and_no_longer():
 
 
 def test_every_monitor_is_tested_here():
-    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation"} == set(MONITORS)
+    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation", "reading_stuck"} == set(MONITORS)
     assert MONITORS[numbers.SERIAL] == "serial_singularity"
-    assert MONITORS[numbers.INNOVATION] == MONITORS[-1] == "innovation"
+    assert MONITORS[numbers.READING] == MONITORS[-1] == "reading_stuck"
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
@@ -324,7 +324,7 @@ def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor()
     frozen_one = (failure_code("frozen"), 2.0)
     unguarded = SafetyOptions(failures=False)
     done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
-    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("sensor_failed", 2.0)
+    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("reading_stuck", 2.0)
     told = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1].trip
     assert (told["cause"], told["leg"]) == ("encoder", 2)
     assert failure_code("something of a user's own") == 1
@@ -419,7 +419,7 @@ def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
     trips = [each for each in done if each.trip is not None]
     if not trips:
         return None
-    assert (trips[0].trip["monitor"], trips[0].trip["cause"]) == ("sensor_failed", "frozen")
+    assert (trips[0].trip["monitor"], trips[0].trip["cause"]) == ("reading_stuck", None)
     return -1 if trips[0].trip["leg"] is None else trips[0].trip["leg"]
 
 
