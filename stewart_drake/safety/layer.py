@@ -30,7 +30,7 @@ from stewart_drake.safety.monitors import (
     unexplained,
     unusable,
 )
-from stewart_drake.safety.safety_options import MONITORS, SafetyOptions
+from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyOptions
 from stewart_drake.safety.user_monitor import SafetyInputs
 
 Level = Literal["none", "hold", "ramp", "safe_hold", "end"]
@@ -328,9 +328,10 @@ def _stopped(options: SafetyOptions, period: float, status: int, fastest: float,
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
         HELD: f"stopped, and held for {options.safe_hold_time:g} s",
     }[status]
+    text = "; ".join(filter(None, (MEANINGS.get(name), what)))
     if status != HELD:
         state["safety"][0, 0] = state["worst"] = END
-    return SafetyStop(name, f"{name}: {what}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))
+    return SafetyStop(name, f"{name}: {text}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))
 
 
 def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:

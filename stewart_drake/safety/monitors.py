@@ -27,8 +27,8 @@ from stewart_drake.safety.safety_options import SafetyOptions
 
 (
     QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
-    TORQUE_LIMIT, TORQUE_RATE, INNOVATION,
-) = range(14)  # fmt: skip
+    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING,
+) = range(15)  # fmt: skip
 """Places in `MONITORS`."""
 
 LIMITS = (
@@ -268,7 +268,7 @@ def measured(setup: Any, measurement: Any) -> bool:
 
 @njit
 def failed(setup: Any, cause: float) -> bool:
-    """Whether a sensor or controller has failed; a frozen sensor has switches of its own."""
+    """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
     return cause == FROZEN or (setup.failures != 0.0 and cause != 0.0)
 
 
@@ -289,7 +289,8 @@ def unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: An
     """
     if setup.finite != 0.0 and not is_measured:
         return MEASUREMENT, -1, 0
-    if failed(setup, sensor[0]):
+    stuck = sensor[0] == FROZEN
+    if not stuck and failed(setup, sensor[0]):
         return SENSOR, _whole(sensor[1]), _whole(sensor[0])
     if failed(setup, controller[0]):
         return CONTROLLER, _whole(controller[1]), _whole(controller[0])
@@ -304,6 +305,8 @@ def unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: An
         return DEADLINE, -1, 0
     if largest > ABSURD:
         return TORQUE_LIMIT, leg, 0
+    if stuck:
+        return READING, int(sensor[1]), 0
     return QUIET, -1, 0
 
 
@@ -331,11 +334,11 @@ NOTHING_FROZEN = -2
 
 @njit
 def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
-    """Looks for a sensor that repeats itself while things move.
+    """Looks for a reading that stays the same while things move.
 
-    In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never
-    contradict each other. Nor is a crank frozen that friction holds where it turns back: it stands about where it is
-    wanted.
+    Its sensor is frozen, or friction holds the crank, or the platform, that it reads: six encoders measure six degrees
+    of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
+    stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
 
     Args:
         robot: `ROBOT` record.
@@ -348,7 +351,7 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
         legs: `LEGS` record, overwritten.
 
     Returns:
-        Leg whose encoder is frozen, -1 for the pose as a whole, or `NOTHING_FROZEN`.
+        Leg whose reading is stuck, -1 for the pose as a whole, or `NOTHING_FROZEN`.
     """
     if state.encoders == 0.0 and np.isfinite(angles).any():
         state.encoders = 1.0

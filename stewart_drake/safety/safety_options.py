@@ -28,8 +28,11 @@ MONITORS = (
     "torque_limit",
     "torque_rate",
     "innovation",
+    "reading_stuck",
 )
 """Stable names of the monitors, by their number in the log: new ones come last."""
+MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
+"""What a name leaves open, for the message of a run that the monitor ends."""
 
 
 class SafetyOptions(Section, key="safety"):

@@ -18,13 +18,6 @@ def arrivals(options, ticks=8, steps=STEPS):
     return np.array(said).reshape(ticks, steps, 2)
 
 
-def test_every_command_arrives_at_once():
-    assert LinkOptions().perfect
-    told = arrivals(LinkOptions())
-    np.testing.assert_array_equal(told[..., 0], np.arange(1.0, 9.0)[:, None] * np.ones(STEPS))
-    np.testing.assert_array_equal(told[..., 1], 0.0)
-
-
 def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
     told = arrivals(LinkOptions(dropped=(2, 3, 6)))
     np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 2, 2, 5, 6, 6, 8])
@@ -43,10 +36,6 @@ def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
     np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
     all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
     np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
-
-
-def test_a_tick_that_is_both_is_dropped():
-    np.testing.assert_array_equal(arrivals(LinkOptions(dropped=(2,), late=(2,)))[2, :, 0], 2.0)
 
 
 def test_from_its_stop_time_nothing_arrives():

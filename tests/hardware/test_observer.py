@@ -88,15 +88,6 @@ def test_the_gains_are_those_of_the_riccati_equation(noise, disturbance, period)
     np.testing.assert_allclose(kalman_gains(noise, disturbance, period), expected, rtol=1e-6)
 
 
-def test_the_bandwidth_is_the_geometric_mean_of_slow_poles():
-    noise, disturbance, period = 1e-4, 5.0, 1e-4
-    gains, h = kalman_gains(noise, disturbance, period), period
-    transition = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
-    poles = np.linalg.eigvals(transition @ (np.eye(3) - np.outer(gains, [1.0, 0.0, 0.0])))
-    mean = np.exp(np.log(np.abs(np.log(poles)) / h).mean())
-    assert mean == pytest.approx(bandwidth(noise, disturbance, period), rel=1e-3)
-
-
 def test_readings_without_noise_count_as_little_noisy():
     assert innovation_scale(0.0, 3.0, PERIOD) == innovation_scale(SMALLEST_NOISE, 3.0, PERIOD)
 
@@ -165,9 +156,7 @@ def test_a_load_that_nobody_knows_is_found_and_made_up_for():
 @pytest.mark.parametrize(("friction", "off", "turning", "grows"), [
     (0.05, 0.0, 0.0, False), (0.05, 0.1, 0.0, True), (0.05, 0.0, 0.1, True), (0.0, 0.0, 0.0, True),
 ])  # fmt: skip
-def test_what_is_not_explained_stays_while_a_robot_with_friction_rests_where_it_is_wanted(
-    friction, off, turning, grows
-):
+def test_the_disturbance_stays_while_a_robot_with_friction_rests_where_it_is_wanted(friction, off, turning, grows):
     tick, _ = begun(friction=friction)
     reference = np.concatenate([HOME + off, np.full(6, turning), STILL])
     seen = tick(inverse_kinematics(ROBOT, HOME) + 1e-5, reference=reference)
@@ -188,17 +177,6 @@ def test_missing_readings_are_bridged_by_the_model_and_then_end_the_run():
     with pytest.raises(RunFailure, match="4 is missing or not believed") as caught:
         tick(angles)
     assert (caught.value.reason, caught.value.leg) == ("encoder", 4)
-
-
-def test_a_robot_in_motion_starts_without_a_kick():
-    rate, torque = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.06]), static_torque(ROBOT, HOME, GRAVITY)
-    tick, seen = begun(rate=rate)
-    np.testing.assert_array_equal(seen["measurement"][6:], rate)
-    np.testing.assert_array_equal(seen["compensation"], STILL)
-    after = moved(HOME, rate, torque, PERIOD)
-    seen = tick(inverse_kinematics(ROBOT, after[0]))
-    np.testing.assert_allclose(seen["measurement"][6:], after[1], atol=1e-3)
-    assert np.abs(seen["compensation"]).max() < 1e-3
 
 
 def test_a_singularity_has_a_name():

@@ -55,13 +55,6 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
     assert np.abs(run.angles - rested).max() / 0.1 < 1e-8
 
 
-@pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
-def test_above_break_away_it_slides(robot):
-    hold = static_torque(robot, robot.home_pose)
-    run = Run(robot=robot, motor_friction=0.05).hold(hold + 1.05 * 0.05 * np.sign(hold)).to(0.1)
-    assert np.abs(run.angles - Run(robot=robot, motor_friction=0.05).angles).max() > 1e-3
-
-
 def test_between_the_levels_what_rests_stays_and_what_slides_goes_on():
     options = {"gravity": 0.0, "friction": FrictionOptions(coulomb=0.05, break_away=0.1, stribeck_velocity=0.02)}
     torque = np.full(6, 0.07)
@@ -99,12 +92,6 @@ def test_friction_takes_its_energy_from_a_moving_robot_along_the_stribeck_curve(
     lost, dissipated = before - run.kinetic_energy, 1e-4 * (np.sum(powers) - 0.5 * (powers[0] + powers[-1]))
     assert lost > 1e-3
     assert lost == pytest.approx(dissipated, rel=0.01)
-
-
-def test_saturation_leaves_friction_alone():
-    slowed = Run(gravity=0.0, motor_friction=1.0).hold([100.0] * 6).to(0.02)
-    free = Run(gravity=0.0).hold([4.0] * 6).to(0.02)
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
 
 
 def test_anchors_live_in_the_context():
