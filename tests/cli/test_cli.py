@@ -418,7 +418,7 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
 
 # --- what a start loads -------------------------------------------------------------------------------------------
 
-HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "distributed", "array_api_compat.numpy")
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "distributed")
 
 
 @pytest.mark.slow
