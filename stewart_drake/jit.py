@@ -2,6 +2,9 @@
 
 Laws are compiled functions of one robot or one part. What they take and fill are records: structured arrays of one
 entry, all of it float64. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for a debugger.
+
+A record does not keep its array alive where it is compiled. So scratch memory is made by one law and handed as an array
+to an inner one, which takes its record: never `record(np.empty(1, KIND))`.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
 
+
 class Source(NamedTuple):
     """A signal that is a function of time alone.
 

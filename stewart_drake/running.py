@@ -40,7 +40,9 @@ class Running:
             for output in part.outputs:
                 at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
                 self.places[part.signal(output)] = slice(at, at + part.size(output))
-        calls = [partial(part.tick, *self._inputs(part), state) for part, state in zip(parts, self._states, strict=True)]
+        calls = [
+            partial(part.tick, *self._inputs(part), state) for part, state in zip(parts, self._states, strict=True)
+        ]
         self._tick = [call for part, call in zip(parts, calls, strict=True) if not part.late]
         self._between = [call for part, call in zip(parts, calls, strict=True) if part.every_step]
         self._late = [call for part, call in zip(parts, calls, strict=True) if part.late]

@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.features import TunerContext
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
@@ -25,7 +24,6 @@ from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -46,7 +44,6 @@ from stewart_drake.section import (
     NAME,
     NAME_WORDS,
     Count,
-    Flag,
     NotNegative,
     Positive,
     Section,

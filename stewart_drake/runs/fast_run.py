@@ -20,6 +20,7 @@ from stewart_drake.scenario import Scenario
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+
 def _place(field: str) -> slice:
     """Where twelve numbers begin in the plant's state, which comes first in all values."""
     start = CHAIN_STATE.fields[field][1] // 8  # type: ignore[index]

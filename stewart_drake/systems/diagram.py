@@ -67,7 +67,9 @@ class ClosedLoop(Diagram):
         for part in self.loop.parts:
             wiring.connect(part)
         wiring.builder.Connect(wiring.signals[self.loop.torque], wiring.plant.torque_input_port)
-        self.sinks = wiring.add_log(self.loop.logged, scenario.effective_log_period if log_period is None else log_period)
+        self.sinks = wiring.add_log(
+            self.loop.logged, scenario.effective_log_period if log_period is None else log_period
+        )
         with drake_guard("building the diagram"):
             wiring.builder.BuildInto(self)
         self.set_name(scenario.name)

@@ -248,6 +248,4 @@ class SafetyLayer(PartSystem):
         quantum: float = 0.0,
         innovation_scale: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        super().__init__(
-            safety_part(robot, options, gravity, period, initial, quantum, innovation_scale), period
-        )
+        super().__init__(safety_part(robot, options, gravity, period, initial, quantum, innovation_scale), period)

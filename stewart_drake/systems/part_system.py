@@ -113,7 +113,9 @@ class PartSystem(LeafSystem):
         """Ticks on values (n + 1,) that hold the state of the tick before."""
         self._time[0] = context.get_time()
         try:
-            self._tick(*(self._at(port, otherwise, context) for port, otherwise in self._ports), values[:-1].view(self._kind))
+            self._tick(
+                *(self._at(port, otherwise, context) for port, otherwise in self._ports), values[:-1].view(self._kind)
+            )
         except RunFailure as error:
             error.time = context.get_time()
             raise
