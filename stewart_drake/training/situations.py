@@ -279,11 +279,6 @@ def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
 def situation(kind: str, robot: str, seed: int) -> Scenario:
     """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant.
 
-    Args:
-        kind: One of `KINDS`.
-        robot: One of its robots.
-        seed: See `TRAINING`, `VALIDATION`, `HELD_OUT`.
-
     Raises:
         ConfigurationError: A kind that there is not, or not for this robot; a seed below 0.
     """
