@@ -79,7 +79,7 @@ def computed_torque_tick(
         memory: Of the tick before; zeros at first.
 
     Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`.
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `inputs.checked_legs`.
     """
     if not np.isfinite(measurement.pose_rate).all():
         raise NotFiniteError("measured pose rate", measurement.pose_rate)

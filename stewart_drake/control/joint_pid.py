@@ -105,7 +105,7 @@ def pid_tick(
         memory: Of the tick before; zeros at first.
 
     Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `control_inputs.checked_legs`; UnreachablePoseError
+        NotFiniteError, UnreachablePoseError, SingularPoseError: As `inputs.checked_legs`; UnreachablePoseError
             also where the reference is out of reach.
     """
     if not np.isfinite(measurement.pose_rate).all():

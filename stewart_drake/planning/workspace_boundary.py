@@ -210,7 +210,7 @@ def split_edges(vertices: np.ndarray, triangles: np.ndarray, chosen: np.ndarray)
     Args:
         vertices: (m, 3) unit vectors.
         triangles: (k, 3).
-        chosen: (e,) bool, in the order of `np.unique` over the edges' sorted vertices.
+        chosen: (e,) bool, in the order of `numpy.unique` over the edges' sorted vertices.
 
     Returns:
         Vertices, the new ones after the old, and triangles, turned as before.

@@ -17,7 +17,7 @@ from stewart_drake.stability.linear_loop import LinearLoops
 from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
 
 _SLOWEST = 0.1
-"""Of the snot_above closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
+"""Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
 _MODAL_ERROR = 1e-7
 """Of responses by modes; loops whose modes are worse than that are solved one by one."""
 _BLOCK = 50
@@ -108,11 +108,11 @@ def gain_of_disk(disk: np.ndarray) -> np.ndarray:
 
 
 def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
-    """Frequencies [rad/s] of all loops, from below the snot_above pole to Nyquist's."""
+    """Frequencies [rad/s] of all loops, from below the slowest pole to Nyquist's."""
     fast = np.abs(poles) > 1e-3
     rates = np.abs(np.log(np.where(fast, poles, 0.5))) / period
-    snot_above = np.clip(rates.min(), 1e-5 / period, 0.1 / period)
-    return np.geomspace(_SLOWEST * snot_above, np.pi / period, count)
+    slowest = np.clip(rates.min(), 1e-5 / period, 0.1 / period)
+    return np.geomspace(_SLOWEST * slowest, np.pi / period, count)
 
 
 class _Responses(NamedTuple):
