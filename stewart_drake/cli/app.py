@@ -95,26 +95,27 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     rows = RowsInFile(results.folder)
     rows.check(loaded)
 
+    from stewart_drake.runs.engine import engine_of
     from stewart_drake.runs.simulation import check_scenario
     from stewart_drake.runs.simulation import run as simulate
-    from stewart_drake.systems.diagram import build_diagram
 
     if loaded.duration > _LONG and not quiet:
         click.echo("checking the motion", err=True)
     check_scenario(loaded)
-    graph = build_diagram(loaded).graph()
+    viewer = None
+    if meshcat:
+        from pydrake.geometry import Meshcat
+
+        viewer = Meshcat()
+        click.echo(f"live view: {viewer.web_url()}", err=True)
+    engine = engine_of(loaded, viewer)
+    graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
     with results:
         if not quiet:
             announce_compilation(loaded)
-        viewer = None
-        if meshcat:
-            from pydrake.geometry import Meshcat
-
-            viewer = Meshcat()
-            click.echo(f"live view: {viewer.web_url()}", err=True)
         with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
-            log = simulate(loaded, progress=advance, meshcat=viewer, check=False, rows=rows)
+            log = simulate(loaded, progress=advance, check=False, rows=rows, engine=engine)
         try:
             metrics = results.finish(log, graph)
         except KeyboardInterrupt:

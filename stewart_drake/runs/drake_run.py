@@ -73,6 +73,10 @@ class DrakeRun:
         """See `Engine`."""
         return None if self._loop.safety is None else self._loop.safety.first_trip(self._context)
 
+    def graph(self) -> str | None:
+        """See `Engine`."""
+        return self._loop.graph()
+
     def close(self) -> None:
         """See `Engine`."""
         release(self._loop)

@@ -177,6 +177,9 @@ class ReducedRun:
         memory = SafetyMemory.from_flat(self._safety.memory[:MEMORY_SIZE])
         return first_trip(memory, self._scenario.controller.period, options.monitor_names)
 
+    def graph(self) -> None:
+        """See `Engine`."""
+
     def close(self) -> None:
         """See `Engine`."""
         self._control.close()

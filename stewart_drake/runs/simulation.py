@@ -53,6 +53,7 @@ def run(
     meshcat: Meshcat | None = None,
     check: bool = True,
     rows: LogRows | None = None,
+    engine: Engine | None = None,
 ) -> SimulationLog:
     """Simulates a scenario.
 
@@ -65,6 +66,8 @@ def run(
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
         rows: Where the rows of the log go; None keeps them in memory.
+        engine: What `engine_of` has made of the scenario, with its own `meshcat`; it is closed afterwards. None makes
+            one.
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
@@ -80,7 +83,7 @@ def run(
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
-    engine = engine_of(scenario, meshcat)
+    engine = engine_of(scenario, meshcat) if engine is None else engine
     try:
         return _run_engine(engine, scenario, rows, files, progress)
     except BaseException as error:

@@ -18,6 +18,7 @@ from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import simulation
 from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.systems.diagram import ClosedLoop
 
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
 
@@ -78,6 +79,17 @@ def test_set_changes_what_runs_and_a_folder_with_brackets_is_printed_as_it_is(ca
     assert "deep/[a] b" in out
     scenario = load_log("deep/[a] b").scenario
     assert (scenario.name, scenario.controller.solver, scenario.tuner.kind) == ("mine", "split", "fixed")
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize(("engine", "diagrams"), [("drake", 1), ("reduced", 0)])
+def test_the_diagram_that_is_drawn_is_the_one_that_ran(call, monkeypatch, engine, diagrams):
+    built, init = [], ClosedLoop.__init__
+    monkeypatch.setattr(ClosedLoop, "__init__", lambda self, *args: (built.append(self), init(self, *args))[1])
+    changes = ("--set", "controller.solver=split", "--set", f"plant.engine={engine}", "--out", "out")
+    assert call("run", "paper_fig7", *QUICK, *changes, "--quiet") == (0, "", "")
+    assert len(built) == diagrams
+    assert Path("out/diagram.dot").exists() == (diagrams > 0)
 
 
 def test_the_help_of_every_command_tells_its_arguments(call):
