@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import signal
 import sys
 import traceback
 from pathlib import Path
@@ -18,6 +17,7 @@ from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag
 from stewart_drake.cli.identify_command import excite, identify
+from stewart_drake.cli.interrupts import interruptible
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.train_command import collect, train
@@ -211,10 +211,6 @@ def main() -> None:
 
     SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
     """
-    for number in {signal.Signals.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
-        # What `nohup` has shut out stays out.
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
     with quiet_libraries():
         status = _status()
     try:
@@ -242,7 +238,8 @@ def _status() -> int:
 def _expected() -> int:
     """The same for what can be expected to go wrong."""
     try:
-        cli(standalone_mode=False)
+        with interruptible():
+            cli(standalone_mode=False)
     except SystemExit as end:
         if not isinstance(end.code, int | None):
             raise

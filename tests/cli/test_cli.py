@@ -428,6 +428,33 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
     assert list(tmp_path.iterdir()) == []
 
 
+DROPPED = """
+import ctypes, signal, time
+from stewart_drake.cli.app import cli, main
+
+class Deleted:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+@cli.command()
+def wait():
+    {where}
+    {then}
+
+main()
+"""
+"""Python drops what is raised in a callback from C or in a `__del__`; numba has both."""
+
+
+@pytest.mark.parametrize("where", ["ctypes.CFUNCTYPE(None)(Deleted().__del__)()", "Deleted()"], ids=["C", "del"])
+@pytest.mark.parametrize("then", ["time.sleep(10.0)", "raise RuntimeError('no compiled object')"], ids=["on", "error"])
+def test_an_interrupt_that_python_drops_ends_the_command_all_the_same(shell, where, then):
+    start = time.monotonic()
+    status, out, err = shell("wait", code=DROPPED.format(where=where, then=then))
+    assert (status, out, err.strip()) == (130, "", "stewart-drake: interrupted")
+    assert time.monotonic() - start < 8.0
+
+
 # --- what a start loads -------------------------------------------------------------------------------------------
 
 HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy", "distributed", "array_api_compat.numpy")
