@@ -26,24 +26,29 @@ def interruptible() -> Iterator[None]:
     Raises:
         KeyboardInterrupt: In place of an error after an interrupt that was dropped.
     """
-    for number in {signal.Signals.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+    interrupted = dropped = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
+            signal.signal(number, interrupt)
     before = sys.unraisablehook
-    dropped = False
 
-    def raise_again(what: UnraisableHookArgs) -> None:
+    def hook(what: UnraisableHookArgs) -> None:
         nonlocal dropped
         if what.exc_type is KeyboardInterrupt:
             dropped = True
             # Raised here it would be dropped too.
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-        else:
+        elif not interrupted:
             before(what)
 
-    sys.unraisablehook = raise_again
+    sys.unraisablehook = hook
     try:
         yield
     except Exception as error:
@@ -52,4 +57,6 @@ def interruptible() -> Iterator[None]:
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        sys.unraisablehook = before
+        # After an interrupt what is half made complains until the process ends.
+        if not interrupted:
+            sys.unraisablehook = before
