@@ -93,7 +93,7 @@ def test_degrees_are_no_turns(tmp_path):
 
 def test_a_swing_about_half_a_turn_can_be_taken_as_a_swing_about_home(tmp_path):
     swing = -0.15 * np.sin(2.0 * TIMES)
-    path = save(table(yaw=wrapped(math.pi + swing, -math.pi)), tmp_path / "motion.csv")
+    path = save(table(roll=0.0 * TIMES, yaw=wrapped(math.pi + swing, -math.pi)), tmp_path / "motion.csv")
     about_home = {"kind": "sum", "parts": [reference(path)], "center": (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)}
     log = run(Scenario(reference=about_home, duration=1.0, controller={"model": "exact"}, tuner="block"))
     assert log.status == "completed"
