@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from stewart_drake.control.control_law import ControlLaw
 from strategies import ROBOT
 from ticks import ticked
 
-from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.density import density
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.lqi import lqi_part

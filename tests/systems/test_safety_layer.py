@@ -3,6 +3,7 @@ import pytest
 from ended import ended
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from stewart_drake.systems.safety_layer import SafetyLayer
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, SafetyStop
@@ -17,7 +18,6 @@ from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.safety import LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 
 BASE = {
