@@ -22,7 +22,6 @@ class Bounds(Section, key="bounds"):
     """[m] largest distance between the platform and its reference."""
     loop_gap: Annotated[Positive | None, LENGTH] = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    motion_ratio: Positive | None = 0.25
-    """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all
-    poses, rotations times the robot's characteristic length. Friction that swallows a motion makes it 0. It says
-    nothing, and is None, where reference or error move by no more than 0.02 mm."""
+    error_ratio: Positive | None = 0.95
+    """[-] largest RMS error of a window, after settling, over the RMS of the motion, see docs/promises.md. A platform
+    that stands still has 1, or a little less where friction lets it creep."""
