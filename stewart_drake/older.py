@@ -23,18 +23,6 @@ def compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
-def motion_ratio_gone(data: dict[str, Any]) -> dict[str, Any]:
-    """`bounds` of older files without `motion_ratio`; null, which switched it off, does so for `error_ratio`."""
-    bounds = data.get("bounds")
-    if isinstance(bounds, Mapping) and "motion_ratio" in bounds:
-        warnings.warn("bounds.error_ratio takes the place of bounds.motion_ratio", OlderFileWarning, stacklevel=5)
-        kept = {key: value for key, value in bounds.items() if key != "motion_ratio"}
-        if bounds["motion_ratio"] is None:
-            kept.setdefault("error_ratio", None)
-        data = {**data, "bounds": kept}
-    return data
-
-
 def warn_of_compiled() -> None:
     """Says that the key `controller.compiled` has moved."""
     moved = "controller.compiled is the scenario's own key `compiled` now"

@@ -28,7 +28,7 @@ from stewart_drake.hardware.observer import SMALLEST_NOISE, DifferenceOptions, E
 from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.older import compiled_moved, motion_ratio_gone, warn_of_compiled
+from stewart_drake.older import compiled_moved, warn_of_compiled
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -300,7 +300,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:
     """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
-    data = motion_ratio_gone(compiled_moved(data))
+    data = compiled_moved(data)
     return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 

@@ -205,6 +205,10 @@ METRICS: list[Metric] = [
         ("largest angle from the reference", "largest distance from it"),
     ),
     Metric(
+        "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
+        lambda t: t.motion_ratio, "ticks",
+    ),
+    Metric(
         "error_ratio", "1", "RMS error of the worst window after settling over the motion, null where that is small",
         lambda t: t.error_ratio, "ticks", label="error over motion, worst window", form=".3g",
     ),

@@ -84,6 +84,10 @@ def judge(
         what = "the loops opened by more than" if name == "loop_gap" else f"the error in {name} went beyond"
         text = f"{what} {bound} at t = {event['time']:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
+    ratio = figures["motion_ratio"]
+    if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
+        text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
+        return Outcome("lost", "not_followed", text, end_time)
     ratio = figures["error_ratio"]
     if bounds.error_ratio is not None and ratio is not None and not ratio <= bounds.error_ratio:
         text = f"{_error_over_motion(figures)}; bound {bounds.error_ratio:.3g}"

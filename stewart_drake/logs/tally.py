@@ -99,8 +99,8 @@ class Tally:
         self._interventions = 0
         self._held: dict[str, Any] | None = None
         self._origin: np.ndarray | None = None
-        # Ticks with the controller in charge, and there sums of the reference, and of its squares, from its start.
-        self._led_ticks, self._led = 0, np.zeros((2, 6))
+        # Ticks with the controller in charge, and there sums of reference and pose, and of their squares.
+        self._motion, self._motion_ticks = np.zeros((2, 2, 6)), 0
         self._settled = min(SETTLING, SETTLING_SHARE * scenario.duration)
         windows = max(1, int((scenario.duration - self._settled) / WINDOW + 1e-9))
         self._window = (scenario.duration - self._settled) / windows
@@ -183,17 +183,27 @@ class Tally:
         return self._integral if self._last_time >= INTEGRAL_TIME - 1e-9 else None
 
     @property
+    def motion_ratio(self) -> float | None:
+        """Size of the platform's motion over that of its reference; None for a motion that is small."""
+        wanted, made = self._motion_sizes()
+        return made / wanted if wanted else None
+
+    @property
     def error_ratio(self) -> float | None:
-        """RMS error of the worst window over the RMS of the reference about its mean; None for a motion that is small.
+        """RMS error of the worst window over the size of the reference's motion; None for a motion that is small.
 
         Errors are those after `SETTLING`, over windows of `WINDOW` or a little more; the motion is that of the whole
         run, for windows in which the reference rests as for others. Rotations count times the characteristic length.
         """
+        wanted, _ = self._motion_sizes()
         worst = self._worst_window()
-        mean, squares = self._led / max(1, self._led_ticks)
-        motion = float(np.sqrt(np.maximum(0.0, squares - mean * mean).sum()))
-        small = motion <= LEAST_MOTION * self.scenario.robot.characteristic_length
-        return None if small or worst is None else worst[0] / motion
+        return worst[0] / wanted if wanted and worst else None
+
+    def _motion_sizes(self) -> tuple[float, float]:
+        """[m] RMS of reference and pose, each about its mean; a reference that moves by less than counts has 0."""
+        mean, squares = self._motion.swapaxes(0, 1) / max(1, self._motion_ticks)
+        wanted, made = map(float, np.sqrt(np.maximum(0.0, squares - mean * mean).sum(axis=1)))
+        return (0.0 if wanted <= LEAST_MOTION * self.scenario.robot.characteristic_length else wanted), made
 
     def _worst_window(self) -> tuple[float, float, float] | None:
         """Its RMS error [m], and its begin and end [s]; None before the first."""
@@ -263,9 +273,9 @@ class Tally:
     def _add_followed(self, time: np.ndarray, reference: np.ndarray, pose: np.ndarray, counts: np.ndarray) -> None:
         if self._origin is None:
             self._origin = reference[0].copy()
-        led = (self._scale * (reference - self._origin))[counts]
-        self._led += led.sum(axis=0), (led * led).sum(axis=0)
-        self._led_ticks += len(led)
+        each = self._scale * np.stack([reference - self._origin, pose - self._origin])[:, counts]
+        self._motion += np.stack([each.sum(axis=1), (each * each).sum(axis=1)], axis=1)
+        self._motion_ticks += int(counts.sum())
         counts = counts & (time >= self._settled - 1e-9)
         window = ((time[counts] - self._settled) / self._window + 1e-9).astype(np.int64)
         window = np.minimum(window, len(self._window_ticks) - 1)

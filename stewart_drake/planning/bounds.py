@@ -22,6 +22,8 @@ class Bounds(Section, key="bounds"):
     """[m] largest distance between the platform and its reference."""
     loop_gap: Annotated[Positive | None, LENGTH] = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
-    error_ratio: Positive | None = 0.95
-    """[-] largest RMS error of a window, after settling, over the RMS of the motion, see docs/promises.md. A platform
-    that stands still has 1, or a little less where friction lets it creep."""
+    motion_ratio: Positive | None = 0.25
+    """[-] least size of the platform's motion over that of its reference, see docs/promises.md. Friction that swallows
+    a motion makes it 0."""
+    error_ratio: Positive | None = 1.0
+    """[-] largest error, after a time for settling, over the size of the reference's motion, see docs/promises.md."""

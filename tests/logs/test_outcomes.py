@@ -105,32 +105,43 @@ def test_a_start_that_is_off_has_to_come_back():
         (1.0, "completed", False),
         (0.55, "completed", False),
         (0.45, "completed", True),
-        (0.15, "completed", True),
-        (0.02, "lost", None),
-        (0.0, "lost", None),
-        (-2.0, "lost", None),
+        (0.26, "completed", True),
         (1.45, "completed", False),
-        (2.0, "lost", None),
+        (1.55, "completed", True),
+        (1.95, "completed", True),
+        (2.05, "lost", False),
+        (-2.0, "lost", False),
+        (0.24, "lost", False),
+        (0.0, "lost", False),
     ],
 )
 def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warning(share, status, warned):
     scenario, figures = tallied(**swinging(share))
-    assert figures["error_ratio"] == pytest.approx(abs(1.0 - share), rel=0.05)
+    assert figures["error_ratio"] == pytest.approx(abs(1.0 - share), rel=0.03)
+    assert figures["motion_ratio"] == pytest.approx(abs(share), rel=1e-9)
     outcome = judge(scenario.bounds, figures, None, 10.0, None)
     assert (outcome.status, outcome.reason) == (status, "not_followed" if status == "lost" else None)
     warnings = {each["name"]: each for each in find_warnings(outcome.status, figures, None)}
-    assert ("poorly_followed" in warnings) == bool(warned)
+    assert ("poorly_followed" in warnings) == warned
     if warned:
         assert warnings["poorly_followed"]["number"] == figures["error_ratio"]
-    assert verdict(scenario={"bounds": {"error_ratio": None}}, **swinging(share)).status == "completed"
+    off = {"bounds": {"error_ratio": None, "motion_ratio": None}}
+    assert verdict(scenario=off, **swinging(share)).status == "completed"
+
+
+def test_a_platform_that_stands_still_is_lost_though_the_motion_is_over_before_errors_count():
+    signals = swinging(0.0, until=2.5)
+    assert tallied(**signals)[1]["error_ratio"] == 0.0
+    assert verdict(**signals).message == "the platform moved by 0.0% of its reference's motion; bound 25%"
 
 
 def test_a_platform_held_28_mm_away_is_lost_though_its_motion_ends_in_the_first_half():
     away = np.zeros((101, 6))
     away[:, 3] = 0.028 * np.clip(TIMES / 2.0, 0.0, 1.0)
-    outcome = verdict(reference=away, pose=0.02 * away)
-    assert (outcome.status, outcome.reason) == ("lost", "not_followed")
-    assert verdict(reference=away, pose=0.98 * away).status == "completed"
+    for moved in (0.0, 0.3):
+        outcome = verdict(reference=away / (1.0 - moved), pose=moved * away / (1.0 - moved))
+        assert (outcome.status, outcome.reason) == ("lost", "not_followed")
+    assert verdict(reference=away, pose=0.9 * away).status == "completed"
 
 
 def test_an_end_at_rest_does_not_hide_what_was_before_and_the_message_says_where_it_was():
@@ -172,7 +183,7 @@ def test_a_motion_of_less_than_a_third_of_a_millimetre_is_judged_by_the_bounds_a
     assert verdict(**swinging(0.0, reach)).status == status
     still = {"reference": np.tile(HOME, (101, 1)), "pose": np.tile(HOME + 0.01, (101, 1))}
     assert verdict(**still).status == "completed"
-    # In proportion to the robot: the head of Reachy Mini is 3.7 times smaller.
+    # In the size of the robot: the head of Reachy Mini is 3.7 times smaller.
     assert verdict(scenario={"robot": "reachy_mini"}, **swinging(0.0, 3.0 / 11.0 * reach)).status == status
 
 
