@@ -8,9 +8,9 @@ HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
 
 
 def random_scenario(seed):
-    """A run of 2 to 6 s of the paper's robot on the reduced engine, followed well, badly or not at all."""
+    """A run of 1.5 to 5 s of the paper's robot on the reduced engine, followed well, badly or not at all."""
     rng = np.random.default_rng(seed)
-    duration = round(float(rng.uniform(2.0, 6.0)), 1)
+    duration = round(float(rng.uniform(1.5, 5.0)), 1)
     return Scenario.from_dict(
         {
             "name": f"random {seed}",
