@@ -316,7 +316,7 @@ def test_a_reading_that_is_stuck_is_called_that_for_nobody_can_tell_a_sensor_fro
     for options in (OPTIONS, unguarded):
         trip = first_trip(run([GOOD, stuck], options)[0][-1], PERIOD)
         assert (trip["monitor"], trip["level"], trip["leg"], trip["cause"]) == ("reading_stuck", "hold", 2, None)
-    done, stop = run([GOOD, *[stuck] * 100])
+    _, stop = run([GOOD, *[stuck] * 100])
     assert stop.reason == "reading_stuck"
     assert str(stop).startswith("reading_stuck: a sensor repeats itself, or friction holds what it reads; stopped: ")
 
