@@ -108,6 +108,7 @@ BUILT_IN_MONITORS = Table(
         "torque_limit": "safety.monitors:TORQUE_LIMIT",
         "torque_rate": "safety.monitors:TORQUE_RATE",
         "innovation": "safety.monitors:INNOVATION",
+        "reading_stuck": "safety.monitors:READING",
     }
 )
 """Their limits are keys of `safety`; the place here, from 1, is the number in a log: new ones come last."""

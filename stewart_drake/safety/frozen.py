@@ -1,4 +1,4 @@
-"""A sensor that repeats itself while things move; pure."""
+"""A reading that stays the same while things move; pure."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def frozen_tick(
     reference: np.ndarray,
     memory: np.ndarray,
 ) -> tuple[int | None, np.ndarray]:
-    """Looks for a sensor that repeats itself while things move.
+    """Looks for a reading that stays the same while things move.
 
-    In a robot that stands still nobody can tell: six encoders measure six degrees of freedom, so they can never
-    contradict each other. Nor is a crank frozen that friction holds where it turns back: it stands about where it is
-    wanted.
+    Its sensor is frozen, or friction holds the crank, or the platform, that it reads: six encoders measure six degrees
+    of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
+    stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
 
     Args:
         robot: As believed.
@@ -41,7 +41,7 @@ def frozen_tick(
         memory: (42,) of the tick before, NaN before the first; see `FROZEN_SIZE`.
 
     Returns:
-        Leg whose encoder is frozen, -1 for the pose as a whole, None for nothing; and the memory (42,) of this tick.
+        Leg whose reading is stuck, -1 for the pose as a whole, None for nothing; and the memory (42,) of this tick.
     """
     readings, compared = (pose, reference) if angles is None else (angles, angles)
     # NaN never equals itself; the monitor `finite` looks for it.

@@ -106,12 +106,14 @@ class Monitor(NamedTuple):
         rank: Lower ones are asked first: what they see explains the others.
         trips: Leg or -1, and cause, see `Trip`, of the options, `SafetyInputs` and the torque limit [N m]; None where
             nothing is wrong.
+        meaning: What the name leaves open, for the message of a run that it ends.
     """
 
     key: str = ""
     margin: Callable[[Any, Seen], np.ndarray] | None = None
     rank: int = 1
     trips: Callable[[SafetyOptions, SafetyInputs, np.ndarray], tuple[int, int] | None] | None = None
+    meaning: str = ""
 
 
 def _nearer(limit: tuple[float, float], apart: np.ndarray) -> np.ndarray:
@@ -150,13 +152,17 @@ def measured(options: SafetyOptions, inputs: SafetyInputs) -> bool:
 
 
 def failed(options: SafetyOptions, health: tuple[float, float]) -> bool:
-    """Whether a sensor or controller has failed; a frozen sensor has switches of its own."""
-    return health[0] == failure_code("frozen") or (options.failures and health[0] != 0.0)
+    """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
+    return _stuck(health) or (options.failures and health[0] != 0.0)
+
+
+def _stuck(health: tuple[float, float]) -> bool:
+    return health[0] == failure_code("frozen")
 
 
 def _failure(options: SafetyOptions, health: tuple[float, float]) -> tuple[int, int] | None:
     cause, leg = (int(x) if np.isfinite(x) else -1 for x in health)
-    return (leg, cause) if failed(options, health) else None
+    return (leg, cause) if failed(options, health) and not _stuck(health) else None
 
 
 def _unmeasured(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
@@ -175,6 +181,10 @@ def _absurd(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> 
 
 def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
     return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
+
+
+def _still(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
+    return (int(inputs.sensor[1]), 0) if _stuck(inputs.sensor) else None
 
 
 def surprising(options: SafetyOptions, inputs: SafetyInputs) -> bool:
@@ -196,6 +206,7 @@ TORQUE_LIMIT = Monitor(trips=_absurd)
 """What is at the limit for too long `tick` sees, which cuts it; likewise what comes after this."""
 TORQUE_RATE = Monitor()
 INNOVATION = Monitor()
+READING = Monitor(trips=_still, meaning="a sensor repeats itself, or friction holds what it reads")
 
 
 def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> Trip | None:

@@ -33,7 +33,7 @@ _REFILL = 0.05
 """Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
 """Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
-COMPILED = 13
+COMPILED = 14
 """Monitors, the first of the registry, that the compiled tick knows; with others the reference runs alone."""
 
 
@@ -115,9 +115,11 @@ class _Layer(NamedTuple):
         """The end of the run."""
         names = self.options.monitor_names
         name = names[int(memory.monitor)]
+        meaning = BUILT_IN_MONITORS[name].meaning if name in BUILT_IN_MONITORS.names else ""
         last = memory if held else memory._replace(level=float(END), worst=float(END))
         leg = int(memory.leg) if memory.leg >= 0.0 else None
-        return SafetyStop(name, f"{name}: {what}", leg, first_trip(last, self.period, names))
+        text = "; ".join(filter(None, (meaning, what)))
+        return SafetyStop(name, f"{name}: {text}", leg, first_trip(last, self.period, names))
 
 
 def safety_tick(

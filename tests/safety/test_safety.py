@@ -138,7 +138,7 @@ def test_innovations_may_be_large_for_a_blow_and_no_longer():
 
 
 def test_every_monitor_is_tested_here():
-    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation"} == set(MONITORS)
+    assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation", "reading_stuck"} == set(MONITORS)
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
@@ -310,11 +310,19 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     )
 
 
-def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor():
-    frozen_one = (failure_code("frozen"), 2.0)
+def test_a_reading_that_is_stuck_is_called_that_for_nobody_can_tell_a_sensor_from_a_motor():
+    stuck = inputs(sensor=(failure_code("frozen"), 2.0))
     unguarded = SafetyOptions(failures=False)
-    done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
-    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("sensor_failed", 2.0)
+    for options in (OPTIONS, unguarded):
+        trip = first_trip(run([GOOD, stuck], options)[0][-1], PERIOD)
+        assert (trip["monitor"], trip["level"], trip["leg"], trip["cause"]) == ("reading_stuck", "hold", 2, None)
+    _, stop = run([GOOD, *[stuck] * 100])
+    assert stop.reason == "reading_stuck"
+    assert str(stop).startswith("reading_stuck: a sensor repeats itself, or friction holds what it reads; stopped: ")
+
+
+def test_a_failed_sensor_blinds_no_other_monitor():
+    unguarded = SafetyOptions(failures=False)
     told = first_trip(run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1], PERIOD)
     assert (told["cause"], told["leg"]) == ("encoder", 2)
     assert failure_code("something of a user's own") == 1
