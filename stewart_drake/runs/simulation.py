@@ -157,7 +157,7 @@ def _run_engine(
         outcome_time=None if outcome.time is None else _nominal(outcome.time, time_step),
         end_time=end_time,
         leg=outcome.leg,
-        warnings=tuple(plain_json(each) for each in find_warnings(figures, trip)),
+        warnings=tuple(plain_json(each) for each in find_warnings(outcome.status, figures, trip)),
         safety=trip,
         wall_time=wall,
         figures=plain_json(figures),

@@ -55,7 +55,8 @@ class Setup:
     @cached_property
     def base(self) -> Scenario:
         """The scenario before anything is drawn, with the default setting of the loop."""
-        common = {"duration": self.duration, "tuner": {"kind": "block"}, "safety": None}
+        # How large an error is beside its motion, the cost of a run says here.
+        common = {"duration": self.duration, "tuner": {"kind": "block"}, "safety": None, "bounds.error_ratio": None}
         return load_scenario(self.scenario).replace({**common, **self.changes})
 
 

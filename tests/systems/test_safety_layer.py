@@ -137,6 +137,13 @@ def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause
         assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
 
 
+@pytest.mark.slow
+def test_a_motor_that_sticks_is_no_sensor_that_failed():
+    log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
+    assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
+    assert "friction holds what it reads" in log.message
+
+
 def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
     bad = BASE["controller"] | {"min_transmission": 0.97}
     log = run(scenario(controller=bad, safety={"failures": False}, duration=0.3), check=False)
