@@ -2,7 +2,7 @@
 
 python docs/tuner_training.py FILE...     # policies [default: the shipped one]
 
-Prints a table for docs/results/tuner_training.md: a quarter of an hour on two cores for four policies.
+Prints a table for docs/results/tuner_training.md: some minutes on two cores for four policies.
 """
 
 import sys

@@ -17,7 +17,9 @@ TEXT = """# What a tuner is worth
 (`stewart_drake/training/situations.py`): {kinds} kinds, of which {untrained} were never trained or searched on, with
 the paper's robot at 1 kHz and Reachy Mini at 100 Hz, and seeds that nobody had trained or searched on. All have the
 same observer on noisy encoders, a tick of delay and more, and the same feedforward. J = sqrt((RMS error / 0.03 deg)^2 +
-(RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run.
+(RMS error / 0.03 mm)^2 + (RMS change of torque in a millisecond / 0.03 N m)^2) of the second half of a run, and 1000
+for one that failed: that was not completed. An error larger than its motion is no failure here
+(`bounds.error_ratio: null`); J says how large it is.
 
 - *best fixed*: the setting of least mean log J over all kinds that are trained on, by CMA-ES with {evaluations}
   evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.

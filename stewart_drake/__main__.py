@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> None:
-    """`cli.main`; Ctrl-C while that loads ends in one line too."""
+    """`app.main`; Ctrl-C while that loads ends in one line too."""
     try:
         from stewart_drake.cli.app import main as run
     except KeyboardInterrupt:

@@ -52,7 +52,8 @@ class Loop(NamedTuple):
         last: Index after the controller's last part but the late ones; those behind it carry the command to the motors.
         logged: Signals by their names in a log; an array stays as it is.
 
-    The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_state` (12,), angles [rad] and rates.
+    The plant gives the signals `plant_pose` (12,), pose [rad, m] and rate, and `crank_state` (12,), angles [rad] and
+    their rates.
     """
 
     parts: tuple[AnyPart, ...]

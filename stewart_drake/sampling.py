@@ -51,6 +51,12 @@ def times_of(steps: np.ndarray, time_step: float) -> np.ndarray:
     return steps * time_step
 
 
+def unwrapped(angles: np.ndarray) -> np.ndarray:
+    """Angles (n, k) [rad] without jumps by whole turns, of which the first is within half a turn."""
+    angles = np.unwrap(angles, axis=0)
+    return angles - 2.0 * math.pi * np.round(angles[0] / (2.0 * math.pi))
+
+
 def steps_per(key: str, period: float, time_step: float) -> int:
     """Whole number of plant steps in `period`.
 

@@ -1,209 +1,426 @@
-"""Records what the package computes, and compares two recordings: for changes of shape that must change no number.
+"""The contract: what the package computes, recorded, so that a rewrite can be checked against it step by step.
 
-    python tests/golden_set.py record FOLDER      # by whichever stewart_drake Python finds
-    python tests/golden_set.py compare OLD NEW
+    python tests/golden_set.py record FOLDER         # by whichever stewart_drake Python finds
+    python tests/golden_set.py compare OLD NEW       # what differs, the worst first; status 1 if anything does
+    python tests/golden_set.py check                 # records anew and compares with tests/golden
 
-Twelve short runs over all controllers, tuners, sensors, safety and faults; a sweep; a comparison; the quick report.
-`record --no-report` leaves out the report, which takes minutes. It uses public names and the command line alone, so
-that it runs on any revision.
+`--report` adds the numbers of `stewart-drake reproduce --quick`, which takes minutes more. The cases are data, in
+golden/cases.yaml; the recording is golden/numbers.json (outcomes, metrics, tables), golden/signals.npz (some twenty
+rows of each run, the last among them) and golden/report.json. Only names that a user has are used, so that it runs on
+any revision; `HOMES` says where they are.
 """
 
+import csv
+import fnmatch
 import json
+import math
+import os
 import subprocess
 import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
 from pathlib import Path
 
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # sums in one order
+
 import numpy as np
-import pyarrow.parquet as pq
 import yaml
 
-EXACT = {
-    "period": 0.001,
-    "model": "exact",
-    "feedforward": "full",
-    "feedforward_at": "reference",
-    "weight_length": 0.11,
-    "solver": "split",
-    "compiled": True,
-    "saturation": "back_calculation",
-    "hold_ticks": 10,
+ROOT = Path(__file__).resolve().parents[1]
+GOLDEN = ROOT / "tests" / "golden"
+ROWS = 20
+"""Of a run that are kept, beside the last."""
+
+HOMES = {
+    "stewart_drake": """
+        MeasurementNoise Recording RobotParameters Scenario calibrate check_reference excite identify load_robot
+        load_scenario plan_poses run run_metrics""",
+    "stewart_drake.mechanics.kinematics": """
+        conditioning crank_rates euler_rate_matrix euler_rate_matrix_dot forward_kinematics inverse_kinematics
+        leg_geometry line_conditioning pose_jacobian pose_rate_to_twist reach_margin rod_lines roll_pitch_yaw
+        rotation_angle rotation_matrix twist_jacobian twist_to_pose_rate""",
+    "stewart_drake.mechanics.dynamics": """
+        euler_acceleration forward_dynamics inverse_dynamics pose_acceleration_map static_torque static_torque_of_legs
+        task_bias task_inertia""",
+    "stewart_drake.mechanics.force_map": "crank_map force_map force_map_of_legs rod_map",
+    "stewart_drake.mechanics.friction": "at_rest friction_law implicit_torque moved torque",
+    "stewart_drake.planning.feasibility": "amplitude_table largest_scale",
+    "stewart_drake.planning.workspace": "measure_poses",
 }
-BLOCK = {"kind": "block", "q_pose": 4.0e5, "q_rate": 30.0, "q_integral": 4.0e7, "r": 1.0}
-ENCODERS = {"kind": "encoders", "resolution_bits": 17, "rate_cutoff": 150.0, "noise": 2e-5, "noise_seed": 3}
-BREATHING = {
-    "kind": "sine",
-    "amplitude": [0.05, 0, 0, 0, 0, 0.01],
-    "angular_frequency": [1.9, 1.9, 1.9, 1.9, 1.9, 1.9],
+"""Module -> names that are used of it."""
+
+SIGNALS = (
+    *("time", "pose", "pose_rate", "reference", "reference_rate", "reference_acceleration", "error", "integral"),
+    *("torque", "torque_applied", "crank_angle", "weights", "block_weights", "setting", "density", "loop_gap"),
+    *("measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety"),
+)
+
+TOLERANCES = (
+    ("*/pose", 1e-9, 0.0),
+    ("*/reference", 1e-9, 0.0),
+    ("*/measured_pose", 1e-9, 0.0),
+    ("*/error", 1e-9, 0.0),
+    ("*/crank_angle", 1e-9, 0.0),
+    ("*/torque", 0.0, 1e-8),
+    ("*/torque_applied", 0.0, 1e-8),
+    ("mechanics/*", 0.0, 1e-9),
+    ("*_mm*", 1e-6, 1e-6),  # what 1e-9 of a pose makes of a metric
+    ("*_deg*", 6e-8, 1e-6),
+    ("report/*", 1e-9, 1e-6),
+    ("*", 1e-12, 1e-6),
+)
+"""Name -> absolute tolerance, and relative to the largest number of the signal or list; the first that fits counts."""
+
+PASSING = {
+    *("files", "git_revision", "host", "message", "poses_per_second", "real_time_factor", "scenario"),
+    *("sha256", "simulation_s", "source", "text", "values", "versions", "wall_s", "worker"),
 }
-SCENARIOS = {
-    "ann": {"duration": 1.0},
-    "fixed_no_gravity": {"gravity": 0.0, "duration": 1.0, "tuner": {"kind": "fixed", "omega_q": 10.0}},
-    "falls": {"duration": 2.0, "tuner": {"kind": "fixed"}, "controller": {"feedforward": "none"}},
-    "signed": {"duration": 0.6, "tuner": {"kind": "fixed", "density": "signed", "window": 9}},
-    "exact": {"duration": 1.0, "controller": EXACT, "tuner": BLOCK, "reference": BREATHING},
-    "exact_numpy": {
-        "duration": 0.3,
-        "controller": {**EXACT, "compiled": False},
-        "tuner": BLOCK,
-        "reference": BREATHING,
-    },
-    "encoders": {
-        "duration": 1.0,
-        "controller": EXACT,
-        "tuner": BLOCK,
-        "reference": BREATHING,
-        "sensors": ENCODERS,
-        "command_delay": 1,
-        "plant": {"motor_friction": 0.01},
-    },
-    "pid": {"duration": 0.6, "controller": {"kind": "pid", "period": 0.001}, "reference": BREATHING},
-    "computed_torque": {
-        "duration": 0.6,
-        "controller": {"kind": "computed_torque", "period": 0.001},
-        "reference": {"kind": "heartbeat"},
-        "initial_offset": [0.01, 0, 0, 0, 0.001, 0],
-    },
-    "payload_push": {
-        "duration": 0.8,
-        "controller": EXACT,
-        "tuner": BLOCK,
-        "reference": {"kind": "hold"},
-        "plant": {"payload_mass": 0.3},
-        "motors": {"ripple": 0.01},
-        "disturbances": [{"kind": "step", "wrench": [0, 0, 0, 3.0, -2.0, -4.0], "time": 0.2, "until": 0.5}],
-    },
-    "safety": {
-        "duration": 1.0,
-        "controller": EXACT,
-        "tuner": BLOCK,
-        "reference": BREATHING,
-        "sensors": ENCODERS,
-        "safety": {},
-        "link": {"stop_time": 0.5},
-    },
-    "faulty_encoder": {
-        "duration": 0.8,
-        "controller": EXACT,
-        "tuner": BLOCK,
-        "reference": BREATHING,
-        "sensors": {**ENCODERS, "faults": [{"leg": 2, "kind": "freeze", "time": 0.4}]},
-        "safety": {},
-    },
-}
-SWEEP = {
-    "scenario": "paper_fig7",
-    "runs": 4,
-    "seed": 5,
-    "mismatch": True,
-    "set": {"duration": 0.4, "tuner": {"kind": "fixed", "omega_q": 10.0}},
-    "distributions": {
-        "robot.platform_mass": {"kind": "uniform", "low": 0.8, "high": 1.2, "factor": True},
-        "initial_offset[0]": {"kind": "normal", "mean": 0.0, "std": 0.01},
-    },
-}
-COMPARISON = {
-    "scenario": "exact_fig7",
-    "set": {"duration": 0.5},
-    "controllers": {"exact": {}, "pid": {"controller": {"kind": "pid"}}, "fixed": {"tuner": {"kind": "fixed"}}},
-    "references": {"(37), (38)": {}, "breathing": {"reference": BREATHING}},
-    "conditions": {"ideal": {}, "encoders": {"sensors": ENCODERS}},
-    "runs": [
-        {
-            "controllers": ["exact", "pid", "fixed"],
-            "references": ["(37), (38)", "breathing"],
-            "conditions": ["ideal", "encoders"],
-        }
-    ],
-}
+"""Keys of what tells about a machine, or in words."""
 
 
-def record(folder, report=True):
-    """Writes NAME.npz and NAME.json of each run, and the folders sweep, comparison and report."""
-    from stewart_drake import Scenario, run, run_metrics
-
-    folder.mkdir(parents=True)
-    for name, data in SCENARIOS.items():
-        log = run(Scenario.from_dict(data), check=False)
-        np.savez(folder / f"{name}.npz", **log.signals)
-        (folder / f"{name}.json").write_text(json.dumps(run_metrics(log), indent=1))
-    (folder / "sweep.yaml").write_text(yaml.safe_dump(SWEEP))
-    (folder / "comparison.yaml").write_text(yaml.safe_dump(COMPARISON, sort_keys=False))
-    command(folder, "sweep", "sweep", str(folder / "sweep.yaml"))
-    command(folder, "comparison", "compare", str(folder / "comparison.yaml"))
-    if report:
-        command(folder, "report", "reproduce", "--quick")
+def named(name):
+    """A function or class of the package."""
+    home = next(module for module, names in HOMES.items() if name in names.split())
+    return getattr(import_module(home), name)
 
 
-def command(folder, name, *arguments):
-    out = ["--out", str(folder / name), "--quiet"]
-    subprocess.run([sys.executable, "-m", "stewart_drake", *arguments, *out], check=True)
+# --- what is recorded ---
 
 
-def numbers(folder):
-    """Name -> array or plain value of everything recorded."""
-    found = {}
-    for path in sorted(folder.glob("*.npz")):
-        found |= {f"{path.stem}.{name}": value for name, value in np.load(path).items()}
-    for path in [*sorted(folder.glob("*.json")), folder / "report" / "report.json"]:
-        if path.is_file():
-            document = json.loads(path.read_text())
-            flatten(path.stem, document.get("numbers", document), found)
-    for path in sorted(folder.glob("*/*.parquet")):
-        for column, values in pq.read_table(path).to_pydict().items():
-            flatten(f"{path.parent.name}.{path.stem}.{column}", values, found)
+def cases():
+    """The document cases.yaml."""
+    return yaml.safe_load((GOLDEN / "cases.yaml").read_text())
+
+
+def scenario_of(group, name, engine=None):
+    """A scenario among the cases."""
+    data = dict(cases()[group][name])
+    if group == "shipped":
+        shipped = data.pop("scenario")
+        return named("load_scenario")(shipped, [f"{key}={json.dumps(value)}" for key, value in data.items()])
+    return named("Scenario")(**{**data, "plant": {**data.get("plant", {}), "engine": engine}})
+
+
+def run_case(group, name, engine=None):
+    """Rows and metrics of a run."""
+    log = named("run")(scenario_of(group, name, engine), check=False)
+    found = {"metrics": named("run_metrics")(log)}
+    for signal in SIGNALS:
+        try:
+            values = np.asarray(log[signal])
+        except KeyError:
+            continue
+        stride = max(1, (len(values) - 1) // ROWS)
+        found[signal] = np.concatenate([values[:-1:stride], values[-1:]])
     return found
 
 
-def flatten(key, value, found):
+def motions(group):
+    """References or disturbances at fixed times."""
+    times = np.linspace(0.0, 4.0, 41)
+    found = {}
+    for name, data in cases()[group].items():
+        if group == "references":
+            found[name] = np.hstack(named("Scenario")(reference=data).reference.evaluate(times))
+        else:
+            found[name] = named("Scenario")(disturbances=[data]).disturbances[0].evaluate(times)
+    return found
+
+
+def robots():
+    """Four robots and poses (3, 4, 6) near home of each, with rates and accelerations."""
+    legs = [{"rod_length": 0.41}, {}, {"crank_length": 0.105}, {"platform_joint": [-0.09, 0.05, 0.004]}, {}, {}]
+    own = {"legs": legs, "platform_center_of_mass": [0.003, -0.002, 0.004], "rotor_inertia": 1e-5}
+    chosen = {name: named("load_robot")(name) for name in ("paper", "reachy_mini", "servo_hexapod")}
+    for name, robot in {**chosen, "uneven": named("RobotParameters")(**own)}.items():
+        size = np.array([1.0] * 3 + [robot.characteristic_length] * 3)
+        pose, rate, acceleration = size * np.random.default_rng(7).uniform(-1.0, 1.0, (3, 3, 4, 6))
+        yield name, robot, robot.home_pose + 0.1 * pose, rate, 10.0 * acceleration
+
+
+def mechanics():
+    """Every public function of mechanics."""
+    found = {}
+    for name, robot, pose, rate, acceleration in robots():
+        legs, rpy = named("leg_geometry")(robot, pose), pose[..., :3]
+        angles, twist = named("inverse_kinematics")(robot, pose), named("pose_rate_to_twist")(pose, rate)
+        torque = named("inverse_dynamics")(robot, pose, rate, acceleration)
+        rotation = named("rotation_matrix")(rpy)
+        inertia = named("task_inertia")(robot, pose)
+        law = named("friction_law")(0.02, 0.03, 0.01, 0.005, robot.crank_axis_inertias, 1e-3)
+        bristles = named("moved")(law, named("at_rest")(angles), angles + 0.01 * rate, 1e-3)
+        mobility = np.linalg.inv(inertia)
+        asked = {
+            "inverse_kinematics_other": ("inverse_kinematics", robot, robot.home_pose, 1),
+            "forward_kinematics": (robot, angles, robot.home_pose),
+            "rotation_angle": (rotation,),
+            "roll_pitch_yaw": (rotation,),
+            "euler_rate_matrix": (rpy,),
+            "euler_rate_matrix_dot": (rpy, rate[..., :3]),
+            "twist_to_pose_rate": (pose, twist),
+            "reach_margin": (robot, pose),
+            "conditioning": (robot, pose),
+            "line_conditioning": (robot, legs),
+            "rod_lines": (legs,),
+            "rod_map": (legs,),
+            "crank_map_statics": ("crank_map", robot, legs, "statics"),
+            "crank_map_printed": ("crank_map", robot, legs, "printed"),
+            "force_map": (robot, pose),
+            "force_map_of_legs": (robot, legs, "printed"),
+            "crank_rates": (robot, legs, pose, rate),
+            "twist_jacobian": (robot, pose),
+            "pose_jacobian": (robot, pose),
+            "static_torque": (robot, pose),
+            "static_torque_of_legs": (robot, legs, 3.7),
+            "task_bias": (robot, pose, twist),
+            "pose_acceleration_map": (robot, pose),
+            "forward_dynamics": (robot, pose, rate, torque),
+            "euler_acceleration": (pose, rate, acceleration),
+            "friction": ("torque", law, bristles, angles + 0.01 * rate, rate),
+            "implicit_torque": (law, bristles, angles, rate, mobility, 1e-3),
+        }
+        values = {
+            **{key: getattr(legs, key) for key in ("rotation", "arm", "crank", "e_n", "e_l", "transmission")},
+            **{"inverse_kinematics": angles, "pose_rate_to_twist": twist, "rotation_matrix": rotation},
+            **{"inverse_dynamics": torque, "task_inertia": inertia, "moved": bristles.anchor},
+            **{
+                key: named(call[0])(*call[1:]) if isinstance(call[0], str) else named(key)(*call)
+                for key, call in asked.items()
+            },
+        }
+        found |= {f"{name}/{key}": value for key, value in values.items()}
+    return found
+
+
+def planning():
+    """Margins of motions and poses to the limits."""
+    paper = named("load_scenario")("paper_fig7")
+    robot, limits, gravity = paper.robot, paper.limits, paper.gravity
+    report = named("check_reference")(robot, limits, paper.reference, 4.0)
+    beyond = named("load_scenario")("paper_fig7", ["reference.amplitude=[1.0, 0, 0, 0, 0, 0.1]"])
+    broken = named("check_reference")(robot, limits, beyond.reference, 4.0).first_violation
+
+    def motion(scale):
+        return named("load_scenario")("paper_fig7", [f"reference.amplitude=[{scale}, 0, 0, 0, 0, 0.05]"]).reference
+
+    found = {
+        "smallest": {name: [each.margin, each.time, each.leg] for name, each in report.smallest.items()},
+        "first_violation": [broken.limit, broken.margin, broken.time, broken.leg],
+        "amplitude_table": named("amplitude_table")(robot, limits, [0.0, 1.0, 3.0], gravity),
+        "largest_scale": named("largest_scale")(robot, limits, motion, 4.0, gravity),
+    }
+    for name, own, pose, _, _ in robots():
+        measures = named("measure_poses")(own, pose.reshape(-1, 6))
+        keys = ("reach", "transmission", "conditioning", "ball_swing", "universal_swing", "clearance", "holding_torque")
+        found |= {f"{name}/{key}": getattr(measures, key) for key in (*keys, "force", "moment")}
+    return found
+
+
+def calibration():
+    """A calibration from the shipped poses, another with some parameters held, and a plan."""
+    robot, poses = named("load_robot")("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
+    noise = named("MeasurementNoise")(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
+    found = {}
+    for name, hold in (("all", ()), ("held", ("crank_length", "rod_length"))):
+        result = named("calibrate")(robot, poses, noise, hold=hold)
+        values = np.array([row[-2:] for row in result.rows()])
+        found[name] = {"value": values[:, 0], "half_width": values[:, 1], "noise_ratio": result.noise_ratio}
+        found[name]["error_sizes"] = result.error_sizes()
+    plan = named("plan_poses")(robot, 20, noise=noise, candidates=200)
+    found["plan"] = {"angles": plan.targets.angles, "half_width": plan.half_width, "gain": plan.gain}
+    return found
+
+
+def identification():
+    """A motion designed, and an identification from the torques that a robot needs for it."""
+    guess = named("RobotParameters")()
+    true = named("RobotParameters")(platform_mass=1.2, platform_center_of_mass=[0.01, 0.0, 0.02], rod_mass=0.09)
+    designed = named("excite")(guess, seed=2, changes=30)
+    time = np.arange(0.0, 8.0, 0.004)
+    motion = designed.reference.evaluate(time)
+    angles = named("inverse_kinematics")(guess, motion[0])
+    rates = np.einsum("nij,nj->ni", named("pose_jacobian")(guess, motion[0]), motion[1])
+    friction = 0.03 * np.tanh(rates / 0.01) + 0.01 * rates
+    noise = np.random.default_rng(1).normal(0.0, 0.002, angles.shape)
+    torque = named("inverse_dynamics")(true, *motion) + friction + noise
+    result = named("identify")(guess, [named("Recording")(time, angles, torque)])
+    values = np.array([row[4:6] for row in result.rows()])
+    predictions = [[each.guess, each.found, each.everywhere] for each in result.predictions]
+    return {
+        "excitation": {"condition": designed.condition, "random_condition": designed.random_condition},
+        "motion": np.hstack(motion)[::100],
+        "value": values[:, 0],
+        "half_width": values[:, 1],
+        "predictions": predictions,
+    }
+
+
+def command(arguments, writes):
+    """Numbers that a command of stewart-drake writes; `cases.yaml: NAME` in the arguments is a part of the cases."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, words = Path(folder) / "out", [str(each) for each in arguments]
+        if words[1] in ("sweep", "comparison"):
+            words[1] = str(Path(folder) / f"{words[1]}.yaml")
+            Path(words[1]).write_text(json.dumps(cases()[arguments[1]]))
+        call = [sys.executable, "-m", "stewart_drake", *words, "--out", str(out), "--quiet"]
+        done = subprocess.run(call, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        return {name: read(out / name) for name in writes}
+
+
+def read(path):
+    """A JSON document, or the rows of a CSV file."""
+    if path.suffix == ".json":
+        document = json.loads(path.read_text())
+        return document.get("numbers", document)
+    with path.open(newline="") as stream:
+        return [{key: as_number(cell) for key, cell in row.items()} for row in csv.DictReader(stream)]
+
+
+def as_number(text):
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def jobs():
+    """Key -> function and its arguments."""
+    own = cases()
+    found = {f"commands/{name}": (command, each["of"], each["writes"]) for name, each in own["commands"].items()}
+    found["commands/sweep"] = (command, ["sweep", "sweep", "--workers", 1], ["sweep.csv"])
+    compared = ["comparison.csv", "bands.csv"]
+    found["commands/comparison"] = (command, ["compare", "comparison", "--workers", 1], compared)
+    found |= {name: (globals()[name],) for name in ("mechanics", "planning", "calibration", "identification")}
+    found |= {name: (motions, name) for name in ("references", "disturbances")}
+    found |= {f"shipped/{name}": (run_case, "shipped", name) for name in own["shipped"]}
+    for engine in ("drake", "reduced"):
+        found |= {f"runs/{name}/{engine}": (run_case, "runs", name, engine) for name in own["runs"]}
+    return found | {f"runs/{name}/drake": (run_case, "on_drake", name, "drake") for name in own["on_drake"]}
+
+
+def perform(function, *arguments):
+    """What a job gives, or in a word that it raised; by a name of the package that has gone, say."""
+    os.chdir(ROOT)  # paths among the cases are relative to it
+    try:
+        return function(*arguments)
+    except Exception as error:
+        return {"raised": f"{type(error).__name__}: {error}"}
+
+
+def record(folder, report):
+    """Writes the recording; returns 1 if something could not be recorded."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays, numbers = {}, {}
+    with ProcessPoolExecutor(2) as pool:
+        waiting = {key: pool.submit(perform, *job) for key, job in jobs().items()}
+        for key, result in waiting.items():
+            flatten(key, result.result(), arrays, numbers)
+    # One array a run: each has a header of its own in the file.
+    layout, columns = {}, {}
+    for key, values in arrays.items():
+        group, name = key.rsplit("/", 1)
+        layout.setdefault(group, []).append([name, list(values.shape)])
+        columns.setdefault(group, []).append(values.ravel())
+    np.savez_compressed(folder / "signals.npz", **{name: np.concatenate(parts) for name, parts in columns.items()})
+    (folder / "numbers.json").write_text(json.dumps({"layout": layout, "numbers": numbers}, indent=0) + "\n")
+    if report:
+        flatten("report", perform(command, ["reproduce", "--quick"], ["report.json"]), {}, numbers := {})
+        (folder / "report.json").write_text(json.dumps(numbers, indent=0) + "\n")
+    failed = {key: each for key, each in numbers.items() if key.endswith("/raised")}
+    for key, text in failed.items():
+        print(key, text, file=sys.stderr)
+    return 1 if failed else 0
+
+
+def flatten(key, value, arrays, numbers):
+    """Arrays by their key, and plain values by theirs; lists of numbers stay together."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            flatten(f"{key}.{name}", inner, found)
-    elif isinstance(value, list):
+            if name not in PASSING:
+                flatten(f"{key}/{name}", inner, arrays, numbers)
+    elif isinstance(value, np.ndarray):
+        arrays[key] = value.astype(float)
+    elif isinstance(value, (list, tuple)) and not is_numbers(value):
         for index, inner in enumerate(value):
-            flatten(f"{key}[{index}]", inner, found)
+            flatten(f"{key}/{index}", inner, arrays, numbers)
     else:
-        found[key] = value
+        numbers[key] = value
 
 
-TELLS_ABOUT_THE_MACHINE = (
-    "versions",
-    "wall",
-    "files",
-    "seconds",
-    "git_revision",
-    "source",
-    "_s[",
-    "worker",
-    "real_time_factor",
-)
+def is_numbers(value):
+    """Whether a list has but numbers and gaps in it."""
+    return all(each is None or isinstance(each, (int, float)) for each in value)
 
 
-def compare(old, new):
-    """Prints what differs, the largest relative difference first; ends with status 1 if anything does."""
-    one, two = numbers(old), numbers(new)
+# --- what is compared ---
+
+
+def recorded(folder, report):
+    """Key -> array or plain value."""
+    document = json.loads((folder / "numbers.json").read_text())
+    found = document["numbers"]
+    with np.load(folder / "signals.npz") as stored:
+        for group, parts in document["layout"].items():
+            ends = np.cumsum([math.prod(shape) for _, shape in parts])[:-1]
+            for (name, shape), values in zip(parts, np.split(stored[group], ends), strict=True):
+                found[f"{group}/{name}"] = values.reshape(shape)
+    return found | json.loads((folder / "report.json").read_text()) if report else found
+
+
+def difference(key, old, new, ranges):
+    """How many times the tolerance two values differ, and in what words; None for not."""
+    try:
+        a, b = np.array(old, dtype=float), np.array(new, dtype=float)
+    except (TypeError, ValueError):
+        return None if old == new else (math.inf, f"{old!r} -> {new!r}")
+    if key in ranges:
+        low, high = np.array(ranges[key], dtype=float)
+        inside = b.shape == low.shape and bool(((low <= b) & (b <= high)).all())
+        return None if inside else (math.inf, f"{new} is not within {low.tolist()} and {high.tolist()}")
+    if a.shape != b.shape:
+        return math.inf, f"shape {a.shape} -> {b.shape}"
+    finite = np.isfinite(a)
+    if not np.array_equal(a[~finite], b[~finite], equal_nan=True) or not np.isfinite(b[finite]).all():
+        return math.inf, "not finite at other places"
+    absolute, relative = next(pair for pattern, *pair in TOLERANCES if fnmatch.fnmatch(key, pattern))
+    size = float(np.abs(a - b)[finite].max(initial=0.0))
+    tolerance = absolute + relative * float(np.abs(a[finite]).max(initial=0.0))
+    return None if size <= tolerance else (size / tolerance if tolerance else math.inf, f"{size:.2e} > {tolerance:.2e}")
+
+
+def compare(old, new, report=False):
+    """Prints what differs, the worst first; returns 1 if anything does."""
+    before, after, ranges = recorded(old, report), recorded(new, report), cases()["ranges"]
     differ = []
-    for key in sorted(one.keys() | two.keys()):
-        if any(word in key for word in TELLS_ABOUT_THE_MACHINE):
-            continue
-        a, b = one.get(key, "not there"), two.get(key, "not there")
-        try:
-            a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-            if np.array_equal(a, b, equal_nan=True):
-                continue
-            scale = max(float(np.nanmax(np.abs(a))), 1e-300)
-            differ.append((float(np.nanmax(np.abs(a - b))) / scale if a.shape == b.shape else np.inf, key, ""))
-        except (TypeError, ValueError):
-            if str(a) != str(b):
-                differ.append((np.inf, key, f"{str(a)[:60]} | {str(b)[:60]}"))
-    for size, key, text in sorted(differ, reverse=True):
-        print(f"{size:.2e}  {key}  {text}")
-    print(f"{len(differ)} of {len(one)} differ")
-    return bool(differ)
+    for key in before.keys() | after.keys():
+        if key not in before or key not in after:
+            differ.append((math.inf, key, f"only in {new if key in after else old}"))
+        elif not any(fnmatch.fnmatch(key, pattern) for pattern in chaotic(ranges)) or key in ranges:
+            found = difference(key, before[key], after[key], ranges)
+            differ += [] if found is None else [(found[0], key, found[1])]
+    for _, key, words in sorted(differ, key=lambda each: (-each[0], each[1])):
+        print(f"{key}: {words}")
+    return 1 if differ else 0
+
+
+def chaotic(ranges):
+    """Patterns of what is compared by ranges, or not at all."""
+    return {f"{key.split('/metrics/')[0]}/*" for key in ranges}
+
+
+def main(what, *rest):
+    report = "--report" in rest
+    folders = [Path(each).resolve() for each in rest if each != "--report"]
+    if what == "record":
+        return record(*folders, report)
+    if what == "compare":
+        return compare(*folders, report)
+    with tempfile.TemporaryDirectory() as folder:
+        return record(Path(folder), report) or compare(GOLDEN, Path(folder), report)
 
 
 if __name__ == "__main__":
-    what, *rest = sys.argv[1:]
-    if what == "record":
-        record(Path(rest[0]), "--no-report" not in rest)
-    else:
-        sys.exit(compare(Path(rest[0]), Path(rest[1])))
+    sys.exit(main(*sys.argv[1:]))

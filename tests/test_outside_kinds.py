@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
+from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
+from stewart_drake.systems.ticked import TickedSystem
 
 from stewart_drake.campaigns.distributions import Uniform
 from stewart_drake.campaigns.plan import identity
@@ -18,7 +20,6 @@ from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.faults import FaultKind
-from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metric_table import Metric, MetricError
 from stewart_drake.logs.metrics import run_metrics
@@ -29,7 +30,6 @@ from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.section import NotNegative, Positive
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
-from stewart_drake.systems.ticked import TickedSystem
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])

@@ -11,18 +11,17 @@ from stewart_drake.control.lqi import flat_tick as controller_tick
 from stewart_drake.control.lqi import initial_memory
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.mechanics.arrays import arrays_of
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
+    newton,
     pose_jacobian,
     reach_margin,
     roll_pitch_yaw,
     rotation_angle,
     rotation_matrix,
 )
-from stewart_drake.mechanics.kinematics_core import rod_errors
 from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
@@ -95,18 +94,17 @@ def test_forward_kinematics_is_the_makers_to_what_theirs_leaves():
     near = poses + np.random.default_rng(2).uniform(-1e-3, 1e-3, poses.shape)
     ours = forward_kinematics(ROBOT, angles, near)
     np.testing.assert_allclose(ours, poses, rtol=0.0, atol=1e-10)
-    own = arrays_of(ROBOT, poses)
-    assert np.abs(rod_errors(own, angles, ours)[1]).max() < 1e-12
+    assert newton(ROBOT, angles, ours, 0.0, 0)[1].max() < 1e-12
     apart = []
     for start, theta, pose in zip(transforms(near), angles, ours, strict=True):
         solver.reset_forward_kinematics(start)
         for _ in range(30):
             found = np.array(solver.forward_kinematics(theta.tolist()))
         theirs = np.concatenate([roll_pitch_yaw(found[:3, :3]), found[:3, 3]])
-        left = rod_errors(own, theta, theirs)
-        assert np.abs(left[1]).max() < 1e-6
+        (stepped,), _, _ = newton(ROBOT, theta[None], theirs[None], 0.0, 1)
+        assert newton(ROBOT, theta[None], theirs[None], 0.0, 0)[1][0] < 1e-6
         # What is between us is what their rods have left, and nothing else.
-        np.testing.assert_allclose(theirs - np.linalg.solve(*left), pose, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(stepped, pose, rtol=0.0, atol=1e-9)
         apart.append(np.abs(theirs - pose).max())
     assert np.median(apart) < 1e-6
 

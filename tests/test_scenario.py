@@ -8,8 +8,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
-
 from stewart_drake.control.control_law import ControlLaw
+
 from stewart_drake.control.inputs import Measurement, Setpoint
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.errors import ConfigurationError, OlderFileWarning

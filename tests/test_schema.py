@@ -82,3 +82,11 @@ def test_the_schema_takes_what_loads_and_nothing_else(document):
     if problem is None or "an existing file" not in problem.allowed:
         found = [error.message for error in VALIDATOR.iter_errors(document)]
         assert (not found) == (problem is None), (str(problem), found)
+
+
+def test_no_two_keys_of_a_section_have_the_same_text():
+    for name, section in scenario_schema()["$defs"].items():
+        texts = [each.get("description", "") for each in section.get("properties", {}).values()]
+        # "[rad, m]" says the unit and no more.
+        said = [text for text in texts if text.partition("] ")[2]]
+        assert len(said) == len(set(said)), name

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.optimize
 from scipy.special import stdtrit
 
-from stewart_drake.calibration.frames import guess_error, located, refuse_units
+from stewart_drake.calibration.frames import guess_error, located, refuse_units, stray_rows
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.model import CLOSED, Frame
 from stewart_drake.calibration.parameters import (
@@ -76,7 +76,8 @@ def calibrate(
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = MeasurementNoise() if noise is None else noise
     refuse_units(robot, measurements)
-    start = explain_misfit(lambda each: nearby(robot, each, noise, known_frames, hold), measurements)
+    strays = stray_rows(robot, measurements)
+    start = explain_misfit(lambda each: nearby(robot, each, noise, known_frames, hold), measurements, strays)
     return _result(fitted(start, noise), noise, known_frames, hold)
 
 

@@ -16,6 +16,8 @@ from stewart_drake.robot import RobotParameters
 
 _LEAST = 4
 """Poses of the guess from which both frames follow."""
+_APART, _OTHERS = 10.0, 50
+"""How many times further than rows usually are one is off for a stray, and the most rows that it is compared with."""
 
 
 def located(guess: RobotParameters, measurements: Measurements, known: Collection[FrameName]) -> Model:
@@ -24,7 +26,7 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     Raises:
         ConfigurationError: The guess can be assembled at next to none of the readings.
     """
-    believed, seen = _both(guess, measurements)
+    believed, seen, _ = _both(guess, measurements)
     if len(seen.shift) < _LEAST:
         got = f"readings of which {len(seen.shift)} of {len(measurements)} can be those of this robot"
         allowed = "readings in rad (or _deg), in the order of the legs, near to crank angles of the guess"
@@ -38,12 +40,35 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     return min(made, key=lambda each: each[1])[0]
 
 
-def _both(guess: RobotParameters, measurements: Measurements) -> tuple[Frame, Frame]:
-    """Believed poses of P in B and measured ones of the marker, where the guess can be assembled."""
+def _both(guess: RobotParameters, measurements: Measurements) -> tuple[Frame, Frame, np.ndarray]:
+    """Believed poses of P in B and measured ones of the marker, where the guess can be assembled; and where (n,)."""
     home = Frame(np.tile(np.eye(3), (len(measurements), 1, 1)), np.tile(guess.home_pose[3:], (len(measurements), 1)))
     believed, off = Model(guess).predicted(np.zeros(SIZE), measurements.angles, home)
     good = off <= CLOSED
-    return _rows(believed, good), _rows(Frame(measurements.rotation, measurements.position), good)
+    return _rows(believed, good), _rows(Frame(measurements.rotation, measurements.position), good), good
+
+
+def stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
+    """Rows that are suspect before anything is fitted: turned or shifted from the others as the guess is not.
+
+    Turns between two poses do not depend on any frame, and their distance hardly does. Suspect are as well the rows at
+    which the guess cannot be assembled.
+    """
+    believed, seen, good = _both(guess, measurements)
+    suspect = ~good
+    if len(seen.shift) >= _LEAST:
+        others = np.unique(np.linspace(0, len(seen.shift) - 1, _OTHERS).astype(int))
+
+        def apart(frames: Frame) -> np.ndarray:
+            traces = np.einsum("nij,mij->nm", frames.turn, frames.turn[others])
+            distances = np.linalg.norm(frames.shift[:, None] - frames.shift[others], axis=-1)
+            return np.stack([np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)), distances])
+
+        with np.errstate(all="ignore"):
+            off = np.median(np.abs(apart(seen) - apart(believed)), axis=-1)
+            usual = _APART * np.median(off, axis=-1, keepdims=True)
+        suspect[good] = (off > usual).any(axis=0)
+    return np.flatnonzero(suspect).tolist()
 
 
 def guess_error(model: Model, measurements: Measurements) -> np.ndarray:
@@ -132,7 +157,7 @@ def refuse_units(guess: RobotParameters, measurements: Measurements) -> None:
     Raises:
         ConfigurationError: The unit of positions, orientations or readings must be wrong.
     """
-    believed, seen = _both(guess, measurements)
+    believed, seen, _ = _both(guess, measurements)
     if len(seen.shift) < _LEAST:
         return
 

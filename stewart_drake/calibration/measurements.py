@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +19,8 @@ from stewart_drake.robot.leg import LEGS
 from stewart_drake.section import Positive, Section
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
+_FARTHEST = 1e6
+"""[m] beyond which no tracker is."""
 QUANTITIES = (
     *((name, "rad") for name in ("roll", "pitch", "yaw")),
     *((name, "m") for name in ("x", "y", "z")),
@@ -50,8 +53,8 @@ class Measurements:
         source: What they are called in messages, such as the file's name.
 
     Raises:
-        ConfigurationError: Wrong shapes; a value that is not finite; angles beyond two turns, pitch beyond a quarter
-            of one; rows that say the same.
+        ConfigurationError: Wrong shapes; a value that is not finite, or no tracker's; angles beyond two turns, pitch
+            beyond a quarter of one; rows that say the same.
     """
 
     pose: np.ndarray
@@ -68,8 +71,11 @@ class Measurements:
         table = np.concatenate([self.pose, self.angles], axis=-1)
         self._refuse(~np.isfinite(table), table, "a finite number")
         # A stroke of pi covers what roll, pitch and yaw can be; an encoder may have been homed a turn away.
-        most = np.array([math.pi, math.pi / 2.0, math.pi, math.inf, math.inf, math.inf] + [4.0 * math.pi] * LEGS)
-        allowed = "radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; degrees go by _deg"
+        most = np.array([math.pi, math.pi / 2.0, math.pi] + [_FARTHEST] * 3 + [4.0 * math.pi] * LEGS)
+        allowed = (
+            "metres, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; "
+            "millimetres go by _mm, degrees by _deg"
+        )
         self._refuse(np.abs(table) > most * (1.0 + 1e-9), table, allowed)
         for columns, what in ((slice(0, 12), "row"), (slice(0, 6), "pose")):
             seen: dict[bytes, int] = {}
@@ -94,9 +100,9 @@ class Measurements:
         """(n, 3) [m] of the marker."""
         return self.pose[:, 3:]
 
-    def without(self, row: int) -> Measurements:
-        """All but one row, counted from 0."""
-        return Measurements(np.delete(self.pose, row, 0), np.delete(self.angles, row, 0), self.source)
+    def without(self, rows: int | Sequence[int]) -> Measurements:
+        """All but one row or some, counted from 0."""
+        return Measurements(np.delete(self.pose, rows, 0), np.delete(self.angles, rows, 0), self.source)
 
     def to_csv(self) -> str:
         """A table that `load_measurements` reads."""

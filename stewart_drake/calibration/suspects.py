@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,10 @@ BETTER = 5.0
 FAR = 0.3
 """[-] change of a parameter, in `parameters.scales`, that nobody's guess is off by. Legs whose encoders are swapped
 are fitted well by a robot whose shafts are swapped too, and an inverted encoder by a motor that is turned over."""
+STRAY = 50.0
+"""[-] size of a row's closures over their noise, for a robot fitted to the others, beyond which the row is wrong."""
+_FEW = 0.2
+"""Of the rows: so many at most can be strays."""
 _ROWS = 3
 
 
@@ -55,17 +59,21 @@ class Start:
         return self.misfit if np.abs((self.told @ self.step)[:OF_ROBOT]).max() <= FAR else np.inf
 
 
-def explain_misfit(given: Callable[[Measurements], Start], measurements: Measurements) -> Start:
+def explain_misfit(
+    given: Callable[[Measurements], Start], measurements: Measurements, strays: Sequence[int] = ()
+) -> Start:
     """A start whose measurements fit, or fit as well as anything does.
 
     Args:
         given: Makes the start of measurements.
         measurements: As they are.
+        strays: Rows that are suspect, see `frames.stray_rows`.
 
     Raises:
         ConfigurationError: Two encoders are swapped, one is inverted, one row is wrong, or a leg stands on the other
             branch than the guess's; else what `given` raises for the measurements.
     """
+    _refuse_strays(given, measurements, strays)
     problem: ConfigurationError | None = None
     start: Start | None = None
     try:
@@ -74,9 +82,13 @@ def explain_misfit(given: Callable[[Measurements], Start], measurements: Measure
     except ConfigurationError as error:
         problem, misfit = error, np.inf
     if misfit > MISFIT:
-        found = [(_misfit(given, other), error) for other, error in _others(measurements, start)]
-        best, reason = min(found, key=lambda each: each[0])
-        if best * BETTER < misfit and best < np.inf:
+        best, reason = np.inf, problem
+        for other, why in _others(measurements, start):
+            if (found := _misfit(given, other)) < best:
+                best, reason = found, why
+            if best <= min(MISFIT, misfit / BETTER):
+                break
+        if reason is not None and best * BETTER < misfit and best < np.inf:
             raise reason
     if start is None:
         assert problem is not None
@@ -95,6 +107,10 @@ def _misfit(given: Callable[[Measurements], Start], measurements: Measurements) 
 def _others(measurements: Measurements, start: Start | None) -> Iterator[tuple[Measurements, ConfigurationError]]:
     """Measurements that would be right if something were wrong, and what to say of it."""
     source, pose, angles = measurements.source, measurements.pose, measurements.angles
+    if start is not None and start.misfit > MISFIT:
+        closures, _ = start.model.closure_error(start.change, measurements)
+        for row in np.argsort(-np.abs(closures).max(axis=-1))[:_ROWS].tolist():
+            yield measurements.without(row), _wrong_row(measurements, row)
     for one, other in itertools.combinations(range(LEGS), 2):
         swapped = angles.copy()
         swapped[:, [one, other]] = angles[:, [other, one]]
@@ -107,13 +123,37 @@ def _others(measurements: Measurements, start: Start | None) -> Iterator[tuple[M
         got = "readings that fit with the other sign"
         error = ConfigurationError(f"{source}: theta_{leg}", got, "angles that grow as the guess's crank angle does")
         yield Measurements(pose, inverted, source), error
-    if start is None or start.misfit <= MISFIT:
+
+
+def _wrong_row(measurements: Measurements, row: int) -> ConfigurationError:
+    got = "a pose that does not fit the others, which fit without it"
+    allowed = "pose and readings of the same moment, at rest"
+    return ConfigurationError(f"{measurements.source}: row {row + 1}", got, allowed)
+
+
+def _refuse_strays(given: Callable[[Measurements], Start], measurements: Measurements, strays: Sequence[int]) -> None:
+    """Refuses a suspect row that does not fit a robot that fits the others.
+
+    A fit to all rows, one of them absurd, takes long and tells little.
+
+    Raises:
+        ConfigurationError: There is one.
+    """
+    if not 0 < len(strays) <= _FEW * len(measurements):
         return
-    closures, _ = start.model.closure_error(start.change, measurements)
-    for row in np.argsort(-np.abs(closures).max(axis=-1))[:_ROWS].tolist():
-        got = "a pose that does not fit the others, which fit without it"
-        error = ConfigurationError(f"{source}: row {row + 1}", got, "pose and readings of the same moment, at rest")
-        yield measurements.without(row), error
+    try:
+        start = given(measurements.without(strays))
+    except ConfigurationError:
+        return
+    if start.score > MISFIT:
+        return
+    with np.errstate(all="ignore"):
+        closures, _ = start.model.closure_error(start.change, measurements)
+        sizes = np.linalg.norm(closures, axis=-1)
+    usual = np.sqrt(np.mean(np.delete(sizes, strays) ** 2)) / max(start.misfit, 1.0)
+    worst = max(strays, key=lambda row: sizes[row])
+    if not sizes[worst] <= STRAY * usual:
+        raise _wrong_row(measurements, worst)
 
 
 def _refuse_branch(start: Start) -> None:

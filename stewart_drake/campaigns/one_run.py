@@ -97,7 +97,7 @@ def execute(function: RunFunction, task: Task) -> Row:
         task: What to run.
 
     Returns:
-        index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `files.plain_json`.
+        index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `whole.plain_json`.
 
     Raises:
         KeyboardInterrupt: The run was interrupted; it is no row.

@@ -139,7 +139,7 @@ class Tuning:
         return sum(len(self.cells(name)) for name in self.ranges) * self.evaluations + self.verdict({}).runs
 
     def cells(self, controller: str) -> list[int]:
-        """Runs of an evaluation of a controller, as places in `comparison.cells`."""
+        """Runs of an evaluation of a controller, as places in the cells of `comparison`."""
         return [place for place, cell in enumerate(self.comparison.cells) if cell.controller == controller]
 
     @property

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import signal
 import sys
 import traceback
 from pathlib import Path
@@ -18,6 +17,7 @@ from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag
 from stewart_drake.cli.identify_command import excite, identify
+from stewart_drake.cli.interrupts import interruptible
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.train_command import collect, train
@@ -26,11 +26,11 @@ from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.runs.terminal import (
     ProgressBar,
-    announce_compilation,
     drop_output,
     print_run,
     print_table,
     quiet_libraries,
+    shown_compiling,
 )
 
 if TYPE_CHECKING:
@@ -95,26 +95,26 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     rows = RowsInFile(results.folder)
     rows.check(loaded)
 
+    from stewart_drake.runs.engine import engine_of
     from stewart_drake.runs.simulation import check_scenario
     from stewart_drake.runs.simulation import run as simulate
-    from stewart_drake.systems.diagram import build_diagram
 
     if loaded.duration > _LONG and not quiet:
         click.echo("checking the motion", err=True)
-    check_scenario(loaded)
-    graph = build_diagram(loaded).graph()
+    with shown_compiling(quiet):
+        check_scenario(loaded)
+    viewer = None
+    if meshcat:
+        from pydrake.geometry import Meshcat
+
+        viewer = Meshcat()
+        click.echo(f"live view: {viewer.web_url()}", err=True)
+    engine = engine_of(loaded, viewer)
+    graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
     with results:
-        if not quiet:
-            announce_compilation(loaded)
-        viewer = None
-        if meshcat:
-            from pydrake.geometry import Meshcat
-
-            viewer = Meshcat()
-            click.echo(f"live view: {viewer.web_url()}", err=True)
-        with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
-            log = simulate(loaded, progress=advance, meshcat=viewer, check=False, rows=rows)
+        with shown_compiling(quiet), ProgressBar(loaded.name, loaded.duration, quiet) as advance:
+            log = simulate(loaded, progress=advance, check=False, rows=rows, engine=engine)
         try:
             metrics = results.finish(log, graph)
         except KeyboardInterrupt:
@@ -210,10 +210,6 @@ def main() -> None:
 
     SIGTERM and SIGHUP, of a cluster that wants its machine back or a line that breaks, are taken as Ctrl-C.
     """
-    for number in {signal.Signals.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
-        # What `nohup` has shut out stays out.
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
     with quiet_libraries():
         status = _status()
     try:
@@ -241,7 +237,8 @@ def _status() -> int:
 def _expected() -> int:
     """The same for what can be expected to go wrong."""
     try:
-        cli(standalone_mode=False)
+        with interruptible():
+            cli(standalone_mode=False)
     except SystemExit as end:
         if not isinstance(end.code, int | None):
             raise

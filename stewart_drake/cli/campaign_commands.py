@@ -121,7 +121,9 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @_robot
 @campaign_options
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
-    """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair [default: tracking].
+    """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair, observer.
+
+    Without one it is tracking.
 
     Writes comparison.parquet, .csv and .md (tables for a README), bands.parquet and .csv, and pictures. A run that
     fails is a row with its reason. What is done is kept in OUT, and an interrupted comparison goes on from it.

@@ -52,7 +52,7 @@ def collect(out: Path, quiet: bool) -> None:
     help="Of the paper's: what is held back for validation, samples at random, which leak between runs [default], or "
     "whole runs.",
 )
-@click.option("--generations", type=click.IntRange(1), help="Of the policy: steps of evolution [default: 100].")
+@click.option("--generations", type=click.IntRange(1), help="Of the policy: steps of evolution [default: 150].")
 @quiet_flag
 def train(
     dataset: Path | None,
@@ -79,7 +79,7 @@ def train(
         if given is not None:
             raise ConfigurationError(option, str(given), f"nothing: it goes with --tuner {other}")
     if tuner == "policy":
-        _train_policy(out, seed, generations or 100, quiet)
+        _train_policy(out, seed, generations or 150, quiet)
     else:
         _train_paper(dataset or Path("runs/dataset.parquet"), out, seed, epochs or 2000, split or "samples", quiet)
 

@@ -122,7 +122,7 @@ def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters,
     def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
         ended = computed_torque_tick(robots, setup, measurement, reference, legs, state)
         if ended[0] != OK:
-            raise failure(options, *ended, measurement, reference)
+            raise failure(options, ended, measurement, reference)
 
     outputs = ("torque", "error", "integral")
     return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(COMPUTED_TORQUE_STATE), tick)

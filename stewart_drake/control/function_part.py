@@ -44,7 +44,8 @@ def function_part(function: Function) -> Part:
         except (TypeError, ValueError):
             raise ControllerError(f"{name} returned {answer!r}; expected six torques [N m]") from None
         if torque.shape != (6,):
-            raise ControllerError(f"{name} returned an array of shape {torque.shape}; expected six torques [N m]")
+            what = f"an array of shape {torque.shape}" if torque.ndim else repr(answer)
+            raise ControllerError(f"{name} returned {what}; expected six torques [N m]")
         if not np.isfinite(torque).all():
             raise NotFiniteError(f"torque of {name}", torque)
         state["torque"][0] = torque

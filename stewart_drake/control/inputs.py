@@ -91,22 +91,22 @@ def checked_legs(robot: RobotParameters, options: SingularityLimits, pose: np.nd
     at_rest, legs = np.concatenate([pose, np.zeros(6)]), np.empty(1, LEGS)
     ended = _check(robot_record(robot), options.min_transmission, options.min_conditioning, at_rest, legs)
     if ended[0] != OK:
-        raise failure(options, *ended, at_rest, at_rest)
+        raise failure(options, ended, at_rest, at_rest)
 
 
 def failure(
-    limits: SingularityLimits, status: int, leg: int, margin: float, measurement: np.ndarray, reference: np.ndarray
+    limits: SingularityLimits, ended: tuple[int, int, float], measurement: np.ndarray, reference: np.ndarray
 ) -> RunFailure:
     """What a controller's law that ended with a status other than OK means, as the error to raise.
 
     Args:
         limits: What a margin is held against.
-        status: Of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more.
-        leg: Leg or -1; which signal is NOT_FINITE.
-        margin: Of the pose; a torque that is not finite.
+        ended: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
+            NOT_FINITE; margin of the pose, or a torque that is not finite.
         measurement: (12,).
         reference: (18,).
     """
+    status, leg, margin = ended
     at_reference = status >= AT_REFERENCE
     status -= AT_REFERENCE * at_reference
     pose = np.array(reference[:6] if at_reference else measurement[:6])

@@ -160,7 +160,7 @@ def pid_part(options: PidOptions, robot: RobotParameters, gravity: float) -> Par
     def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
         ended = pid_tick(robots, setup, measurement, reference, legs, state)
         if ended[0] != OK:
-            raise failure(options, *ended, measurement, reference)
+            raise failure(options, ended, measurement, reference)
 
     outputs = ("torque", "error", "integral")
     return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(PID_STATE), tick)

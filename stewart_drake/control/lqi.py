@@ -146,7 +146,7 @@ def _weights_change(setup: Any, blocks: Any, state: Any) -> bool:
     """Whether weights differ from those of the tick before in a way that z has to follow."""
     if setup.bumpless == 0.0 or state.weights[0] == 0.0:
         return False
-    return np.any(state.weights != blocks)
+    return bool(np.any(state.weights != blocks))
 
 
 @njit
@@ -353,7 +353,7 @@ def lqi_part(
                 block_weights(inputs[2])
             except RiccatiError as error:
                 return error
-        return failure(options, *ended, *inputs[:2])
+        return failure(options, ended, *inputs[:2])
 
     def split_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
         ended = lqi_tick(robots, setup, measurement, reference, weights, legs, state)

@@ -133,7 +133,7 @@ class TunerNetwork:
     def to_bytes(self) -> bytes:
         """The network as JSON with a checksum; the same network gives the same bytes.
 
-        Numbers of the provenance that are not finite become null, see `files.plain_json`.
+        Numbers of the provenance that are not finite become null, see `whole.plain_json`.
         """
         numbers = {name: getattr(self, name).tolist() for name in _SHAPES}
         content = {"density": self.density, "window": self.window, **numbers}

@@ -80,8 +80,9 @@ def answer(policy: Any, heard: Any, wanted: Any) -> float:
             off = 2.0 * FADE
             continue
         value = min(max(heard[k], -LARGEST), LARGEST)
-        off = max(off, (policy.low[k] - value) / policy.scale[k], (value - policy.high[k]) / policy.scale[k])
-        scaled[k] = (value - policy.mean[k]) / policy.scale[k]
+        beyond = max(policy.low[k] - value, value - policy.high[k])
+        off = max(off, beyond / policy.feature_scale[k])
+        scaled[k] = (value - policy.feature_mean[k]) / policy.feature_scale[k]
     own = min(max(1.0 - off / FADE, 0.0), 1.0)
     units = np.empty(policy.hidden_bias.size)
     for i in range(units.size):
@@ -226,6 +227,8 @@ class Policy:
     def numbers(self) -> np.ndarray:
         """Record of its layers."""
         values = self.layers._asdict()
+        # A record of numpy has a method `mean` already.
+        values |= {"feature_mean": values.pop("mean"), "feature_scale": values.pop("scale")}
         return new_record(fields(**{name: np.shape(value) for name, value in values.items()}), **values)
 
     def to_bytes(self) -> bytes:

@@ -79,9 +79,9 @@ def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> n
 def chain_gain(s: float, period: float, weights: Any, exact_hold: bool, gain: Any) -> bool:
     """Optimal gain of a chain of integrators z' = e, e' = v, v' = s u, sampled with period T.
 
-    The return difference on the unit circle is a cubic, see `mechanics.spectral`; the gain is read off the closed loop's
-    polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
-    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
+    The return difference on the unit circle is a cubic, see `mechanics.spectral`; the gain is read off the closed
+    loop's polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
+    No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
 
     Args:
         s: > 0, per unit of u.

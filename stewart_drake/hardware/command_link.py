@@ -35,7 +35,7 @@ class LinkOptions(Section, key="link"):
     stop_time: NotNegative | None = None
     """[s] from which on every tick is dropped: the controller hangs; null for never."""
     late_probability: Share = 0.0
-    """[-] that a tick is dropped, 0 to 1."""
+    """[-] that a tick is late, 0 to 1."""
     late: tuple[Natural, ...] = ()
     """Ticks that are late in any case."""
     late_steps: Annotated[Natural, Field(ge=1, le=100_000)] = 1

@@ -13,7 +13,7 @@ def tick_normal(seed: int, stream: int, tick: int, size: int) -> np.ndarray:
     """Standard normal numbers (size,) of a tick.
 
     Args:
-        seed: Of the scenario, 0 to `option_checks.MAX_SEED`.
+        seed: Of the scenario, 0 to `section.MAX_SEED`.
         stream: Number of who asks; different streams of one seed are independent.
         tick: 0, 1, ...
         size: How many.

@@ -15,6 +15,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
+from stewart_drake.sampling import unwrapped
 
 MAX_BYTES, MAX_ROWS = 300_000_000, 1_000_000
 UNEVEN = 0.1
@@ -33,7 +34,7 @@ class Recording:
 
     Attributes:
         time: (n,) [s].
-        angles: (n, 6) [rad] encoder readings.
+        angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
         torque: (n, 6) [N m] as the motors' amplifiers say.
         lag: [s] from a row's time to the middle of that over which its torque acts.
         gravity: [m/s^2].
@@ -74,6 +75,9 @@ class Recording:
             row, leg = np.unravel_index(np.abs(self.angles).argmax(), self.angles.shape)
             allowed = "radians within +-4 pi; degrees go by crank_angle_0_deg"
             raise ConfigurationError(f"{self.source}: row {row + 1}, crank_angle_{leg}", self.angles[row, leg], allowed)
+        angles = unwrapped(self.angles)
+        angles.flags.writeable = False
+        object.__setattr__(self, "angles", angles)
         still = (self.torque == 0.0).all(axis=0)
         if still.any():
             got = "0 in all rows"

@@ -188,7 +188,8 @@ def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndar
     try:
         for share in np.linspace(0.0, 1.0, _HOMOTOPY + 1)[1:]:
             pose = forward_kinematics(guess, home + share * (angles - home), pose)
-        stray = np.abs(inverse_kinematics(guess, pose) - angles).max()
+        off = inverse_kinematics(guess, pose) - angles
+        stray = np.abs(np.arctan2(np.sin(off), np.cos(off))).max()
     except (ForwardKinematicsError, UnreachablePoseError) as failure:
         stray = failure
     if not isinstance(stray, float) or stray > 1e-6:

@@ -204,7 +204,14 @@ METRICS: list[Metric] = [
         lambda t: (t.largest["rotation"], t.largest["position"]), "steps", ("angle", "distance"),
         ("largest angle from the reference", "largest distance from it"),
     ),
-    Metric("motion_ratio", "1", "size of the platform's motion over that of its reference", lambda t: t.motion_ratio),
+    Metric(
+        "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
+        lambda t: t.motion_ratio, "ticks",
+    ),
+    Metric(
+        "error_ratio", "1", "RMS error of the worst window after settling over the motion, null where that is small",
+        lambda t: t.error_ratio, "ticks", label="error over motion, worst window", form=".3g",
+    ),
     Metric(
         "torque_rms", "N m", "of all motors, within their limits, whole run",
         lambda t: float(np.sqrt(t.torque_squares.sum() / (6 * t.ticks))), "ticks", label="torque RMS", form=".3f",

@@ -17,6 +17,8 @@ broke midway. interrupted: the user, or the end of the process, ended it."""
 
 MUCH_SATURATION = 0.01
 """Share of torques at the limit above which there is a warning."""
+POORLY_FOLLOWED = 0.5
+"""Error over motion above which a run that was completed has a warning."""
 LARGE_GAP = 0.1
 """Share of the position's RMSE above which the loop gap is a warning: errors are then known no better than that."""
 
@@ -86,15 +88,27 @@ def judge(
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
         text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
         return Outcome("lost", "not_followed", text, end_time)
+    ratio = figures["error_ratio"]
+    if bounds.error_ratio is not None and ratio is not None and not ratio <= bounds.error_ratio:
+        text = f"{_error_over_motion(figures)}; bound {bounds.error_ratio:.3g}"
+        return Outcome("lost", "not_followed", text, end_time)
     return Outcome("completed")
 
 
-def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
+def _error_over_motion(figures: Mapping[str, Any]) -> str:
+    begin, end = figures["events"]["worst_window"]
+    return f"from {begin:.4g} to {end:.4g} s the RMS error was {figures['error_ratio']:.3g} times the motion"
+
+
+def find_warnings(
+    status: Status, figures: Mapping[str, Any], trip: Mapping[str, Any] | None
+) -> tuple[dict[str, Any], ...]:
     """What a reader of a run should know beside its outcome.
 
     Returns:
         name, time [s], number and text of each. safety_intervention: the safety layer took over and gave back, so many
         times. saturation: share of torques at the limit. loop_gap: largest gap over the RMSE of the position.
+        poorly_followed: error over motion of a run that was completed all the same.
     """
     found: list[dict[str, Any]] = []
 
@@ -110,4 +124,7 @@ def find_warnings(figures: Mapping[str, Any], trip: Mapping[str, Any] | None) ->
     if gap is not None and rmse is not None and gap > LARGE_GAP * 1e-3 * rmse:
         ratio = gap / (1e-3 * rmse) if rmse > 0.0 else math.inf
         warn("loop_gap", events["gap_at"], ratio, f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position")
+    ratio = figures["error_ratio"]
+    if status == "completed" and ratio is not None and not ratio <= POORLY_FOLLOWED:
+        warn("poorly_followed", events["worst_window"][0], ratio, _error_over_motion(figures))
     return tuple(found)

@@ -23,6 +23,7 @@ class Bounds(Section, key="bounds"):
     loop_gap: Annotated[Positive | None, LENGTH] = 0.001
     """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
     motion_ratio: Positive | None = 0.25
-    """[-] least size of the platform's motion over that of its reference in the second half: RMS about the mean of all
-    poses, rotations times the robot's characteristic length. Friction that swallows a motion makes it 0. It says
-    nothing, and is None, where reference or error move by no more than 0.02 mm."""
+    """[-] least size of the platform's motion over that of its reference, see docs/promises.md. Friction that swallows
+    a motion makes it 0."""
+    error_ratio: Positive | None = 1.0
+    """[-] largest error, after a time for settling, over the size of the reference's motion, see docs/promises.md."""

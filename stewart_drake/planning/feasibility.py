@@ -19,6 +19,8 @@ SEARCH_RTOL = 1e-4
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
 _BLOCK = 8192
+_WHOLE_TURN = 1e-3
+"""[rad] within which an angle counts as a number of whole turns."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def check_motion(
         gravity: [m/s^2] along -z of B.
 
     Raises:
-        ConfigurationError: An array of the wrong shape, or a value that is not finite.
+        ConfigurationError: An array of the wrong shape, or a value that is not finite; as `refuse_turns`.
     """
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
@@ -116,6 +118,7 @@ def check_motion(
             raise ConfigurationError(name, values, f"finite numbers of shape ({time.size}, 6)")
     if not math.isfinite(gravity):
         raise ConfigurationError("gravity", gravity, "a finite number of m/s^2")
+    refuse_turns("reference", motion["pose"], time)
     margins = limit_margins(robot, limits, **motion, gravity=gravity)
     bounds = limit_bounds(robot, limits)
 
@@ -134,6 +137,32 @@ def check_motion(
     broken = {limit: (values < 0.0).any(axis=-1) for limit, values in margins.items()}
     first = min(((int(b.argmax()), limit) for limit, b in broken.items() if b.any()), key=lambda v: v[0], default=None)
     return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]))
+
+
+def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
+    """Refuses poses that are turned by more than half a turn: no measurement of a pose says which turn it is in.
+
+    Args:
+        key: What the poses are of, for the message.
+        pose: (n, 6) [rad, m].
+        time: (n,) [s].
+
+    Raises:
+        ConfigurationError: Roll, pitch or yaw is beyond half a turn; names the largest.
+    """
+    size = np.abs(pose[:, :3])
+    if not (size > math.pi * (1.0 + 1e-9)).any():
+        return
+    sample, axis = np.unravel_index(size.argmax(), size.shape)
+    angle = float(pose[sample, axis])
+    same = math.remainder(angle, math.tau)
+    if abs(angle) < math.tau or abs(same) < _WHOLE_TURN:
+        hint = f"{round(same, 3) + 0.0:g} is the same orientation"
+    else:
+        hint = f"did you mean {math.radians(angle):.3g}?"
+    got = f"{('roll', 'pitch', 'yaw')[axis]} {angle:.4g} rad at t = {time[sample]:.3f} s"
+    allowed = f"roll, pitch and yaw within half a turn ({angle:.4g} rad is {math.degrees(angle):.4g} deg: {hint})"
+    raise ConfigurationError(key, got, allowed)
 
 
 def check_reference(

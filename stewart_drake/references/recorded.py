@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from pydantic import Field
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.parquet_files import refuse_bomb
 from stewart_drake.files.whole import open_checked
+from stewart_drake.sampling import unwrapped
 from stewart_drake.section import Positive, Real, Section, Text
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
@@ -28,9 +30,10 @@ class RecordedReference(Section, key="reference"):
     """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
 
     The file has a header with the columns `time` [s], `roll`, `pitch`, `yaw` [rad], `x`, `y`, `z` [m]; times ascend,
-    evenly spaced or not. The spline (not-a-knot) goes through every row, its acceleration through the noise of the rows
-    as well, so filter a recording first. A run starts with the recording's own velocity; after the last row
-    the motion coasts to rest, acceleration being continuous.
+    evenly spaced or not. Angles may wrap: jumps by a whole turn are taken out, and the first row is within half a turn.
+    The spline (not-a-knot) goes through every row, its acceleration through the noise of the rows as well, so filter a
+    recording first. A run starts with the recording's own velocity; after the last row the motion coasts to rest,
+    acceleration being continuous.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -87,7 +90,8 @@ def load_recording(path: str | Path) -> np.ndarray:
         path: .csv or .parquet file with the columns `COLUMNS`.
 
     Returns:
-        (n, 7) [s, rad, rad, rad, m, m, m] time ascending, roll, pitch, yaw, X, Y, Z.
+        (n, 7) [s, rad, rad, rad, m, m, m] time ascending, roll, pitch, yaw, X, Y, Z. Angles without jumps by whole
+        turns, the first within half a turn; one that is ever beyond a turn is no wrapped angle, and stays as it is.
 
     Raises:
         ConfigurationError: Not readable, of another kind, too large, a column missing, fewer than 4 rows, a cell that
@@ -117,6 +121,9 @@ def load_recording(path: str | Path) -> np.ndarray:
         row = int(back.argmax())
         got = f"{data[row + 1, 0]:g} after {data[row, 0]:g} in row {row + 2}"
         raise ConfigurationError(f"{key}: time", got, "ascending times")
+    turns = data[:, 1:4]
+    wrapped = np.abs(turns).max(axis=0) <= 2.0 * math.pi * (1.0 + 1e-9)
+    data[:, 1:4] = np.where(wrapped, unwrapped(turns), turns)
     return data
 
 

@@ -77,6 +77,10 @@ class DrakeRun:
         state = self._loop.systems["safety"].state(self._context)
         return first_trip(state, self._scenario.controller.period, options.monitor_names)
 
+    def graph(self) -> str | None:
+        """See `Engine`."""
+        return self._loop.graph()
+
     def close(self) -> None:
         """See `Engine`."""
         release(self._loop)

@@ -52,6 +52,9 @@ class Engine(Protocol):
     def first_trip(self) -> dict[str, Any] | None:
         """See `safety.first_trip`; None where there is no safety layer."""
 
+    def graph(self) -> str | None:
+        """Graphviz text of the Diagram; None where there is none."""
+
     def close(self) -> None:
         """Lets go of it all."""
 

@@ -139,6 +139,9 @@ class FastRun:
         self._first, self._count = self._first + self._count, 0
         return signals_of(self._scenario, steps, values)
 
+    def graph(self) -> None:
+        """See `Engine`."""
+
     def first_trip(self) -> dict[str, Any] | None:
         """See `Engine`."""
         options = self._scenario.safety

@@ -31,6 +31,7 @@ from stewart_drake.logs.log_rows import LogRows
 from stewart_drake.logs.outcomes import find_warnings, judge
 from stewart_drake.logs.tally import Tally
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.planning.feasibility import refuse_turns
 from stewart_drake.runs.engine import Engine, engine_of, quiet
 from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
@@ -53,6 +54,7 @@ def run(
     meshcat: Meshcat | None = None,
     check: bool = True,
     rows: LogRows | None = None,
+    engine: Engine | None = None,
 ) -> SimulationLog:
     """Simulates a scenario.
 
@@ -65,6 +67,8 @@ def run(
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
         rows: Where the rows of the log go; None keeps them in memory.
+        engine: What `engine_of` has made of the scenario, with its own `meshcat`; it is closed afterwards. None makes
+            one.
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
@@ -80,7 +84,7 @@ def run(
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
-    engine = engine_of(scenario, meshcat)
+    engine = engine_of(scenario, meshcat) if engine is None else engine
     try:
         return _run_engine(engine, scenario, rows, files, progress)
     except BaseException as error:
@@ -153,7 +157,7 @@ def _run_engine(
         outcome_time=None if outcome.time is None else _nominal(outcome.time, time_step),
         end_time=end_time,
         leg=outcome.leg,
-        warnings=tuple(plain_json(each) for each in find_warnings(figures, trip)),
+        warnings=tuple(plain_json(each) for each in find_warnings(outcome.status, figures, trip)),
         safety=trip,
         wall_time=wall,
         figures=plain_json(figures),
@@ -200,15 +204,17 @@ def check_scenario(scenario: Scenario) -> None:
 
     Raises:
         InfeasibleReferenceError: Names limit, time, leg and margin.
-        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers; a
-            recording cannot be read; the motion or its start would trip the safety layer.
+        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers, or a
+            pose is beyond half a turn; a recording cannot be read; the motion or its start would trip the safety layer.
     """
     _check_motion(scenario)
     with quiet():
+        start = scenario.start()[0]
+        refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
-            checked_legs(scenario.robot, scenario.controller.near_singularity, scenario.start()[0])
+            checked_legs(scenario.robot, scenario.controller.near_singularity, start)
         except RunFailure as failure:
-            key, value = "reference", scenario.start()[0].tolist()
+            key, value = "reference", start.tolist()
             if any(scenario.initial_offset):
                 key, value = "initial_offset", list(scenario.initial_offset)
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None

@@ -110,17 +110,7 @@ def log_cost(row: Row, scales: CostScales) -> float:
 class Benchmark(KeptRuns):
     """Runs of candidates, known by what is run: one that is in the folder already is not run again.
 
-    A context manager: within it, the folder is this process's alone.
-
-    Args:
-        folder: For the rows.
-        engine: See `PlantOptions.engine`.
-        where: Where the runs go; None for processes of this machine.
-        tell: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-
-    Raises:
-        ConfigurationError: The folder holds rows of another version, is in use, or cannot be written to.
+    A context manager, and its arguments, as `KeptRuns`; for `engine` see `PlantOptions`.
     """
 
     def __init__(
@@ -135,11 +125,7 @@ class Benchmark(KeptRuns):
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        """A row for each run, candidate by candidate: how it ended, see `one_run.execute`, and `measure_parts`.
-
-        Raises:
-            ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `KeptRuns.rows`.
-        """
+        """A row for each run, candidate by candidate: how it ended, see `one_run.execute`, and `measure_parts`."""
         tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
         return self.rows(tasks, lambda _: simulate_unchecked)
 

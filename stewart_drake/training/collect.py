@@ -155,12 +155,8 @@ def collect_dataset(
 ) -> Dataset:
     """Runs the nine experiments in the Diagram and gathers their densities.
 
-    Args:
-        base: Robot, plant, controller, limits and density settings; None takes the defaults (gravity on, `feedforward:
-            gravity`, 5 ms).
-        progress: Called with the number of experiments done.
-        samples: Samples per experiment.
-        where: Where the runs go; None runs them in this process, one after the other.
+    None for `base` takes the defaults (gravity on, `feedforward: gravity`, 5 ms); None for `where` runs them here, one
+    after the other. `progress` is called with the number of experiments done.
 
     Raises:
         ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.

@@ -53,6 +53,7 @@ class Dataset:
 
         Raises:
             ConfigurationError: The folder is missing or not writable.
+            ValueError, TypeError: The metadata are no plain values with finite numbers.
         """
         import pyarrow as pa
 

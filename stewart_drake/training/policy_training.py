@@ -40,6 +40,8 @@ LEARNING_RATE = 0.03
 """Of Adam at first; it falls to a tenth along half a cosine."""
 FAIRNESS = 4.0
 """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
+MORE = {"reachy_mini": 2}
+"""Times as many situations in a generation, of a robot whose runs are short."""
 VALIDATED = 5
 """[generations] between two looks at the validation situations."""
 
@@ -51,14 +53,14 @@ class PolicyOptions:
     Attributes:
         seed: Of the first weights, the tastes and the directions.
         generations: Steps of evolution.
-        situations: Of each kind in a generation; of a robot with short runs twice as many.
+        situations: Of each kind and robot in a generation, times `MORE`.
         pool: Of each kind and robot, that generations take theirs from in turn.
         validation: Of each kind and robot, by which the best generation is chosen.
         robots: Names of those to train on.
     """
 
     seed: int = 0
-    generations: int = 100
+    generations: int = 150
     situations: int = 8
     pool: int = 32
     validation: int = 6
@@ -218,11 +220,9 @@ class Training:
 
     def _batch(self, generation: int) -> np.ndarray:
         """Places in the pool of the episodes of a generation."""
-        longest = max(ROBOTS[robot].duration / ROBOTS[robot].base.controller.period for robot in self.options.robots)
         chosen = []
         for (_, robot), places in cells_of(self.cases).items():
-            ticks = ROBOTS[robot].duration / ROBOTS[robot].base.controller.period
-            count = min(self.options.situations * (1 if ticks > 0.5 * longest else 2), len(places))
+            count = min(self.options.situations * MORE.get(robot, 1), len(places))
             chosen.append(places[(generation * count + np.arange(count)) % len(places)])
         return np.concatenate(chosen)
 

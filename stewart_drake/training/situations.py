@@ -55,7 +55,8 @@ class Setup:
     @cached_property
     def base(self) -> Scenario:
         """The scenario before anything is drawn, with the default setting of the loop."""
-        common = {"duration": self.duration, "tuner": {"kind": "block"}, "safety": None}
+        # How large an error is beside its motion, the cost of a run says here.
+        common = {"duration": self.duration, "tuner": {"kind": "block"}, "safety": None, "bounds.error_ratio": None}
         return load_scenario(self.scenario).replace({**common, **self.changes})
 
 
@@ -278,11 +279,6 @@ def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
 
 def situation(kind: str, robot: str, seed: int) -> Scenario:
     """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant.
-
-    Args:
-        kind: One of `KINDS`.
-        robot: One of its robots.
-        seed: See `TRAINING`, `VALIDATION`, `HELD_OUT`.
 
     Raises:
         ConfigurationError: A kind that there is not, or not for this robot; a seed below 0.

@@ -71,13 +71,9 @@ class Estimate(NamedTuple):
 
 
 def geometric_mean(logs: Sequence[np.ndarray], seed: int = 0) -> Estimate:
-    """Geometric mean over cells of the geometric means in them, each cell counting alike.
+    """Geometric mean over cells of the geometric means in them, each cell counting alike; of logarithms (n,) by cell.
 
     The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
-
-    Args:
-        logs: For each cell, logarithms (n,).
-        seed: Of the bootstrap.
     """
     return _estimate(logs, lambda *runs, axis=-1: np.mean([each.mean(axis=axis) for each in runs], axis=0), seed)
 
@@ -142,12 +138,7 @@ class Verdict:
 
 
 def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
-    """Those of a verdict by name: fixed ones, those that the paper has, an oracle, and more.
-
-    Args:
-        baselines: What a search has found.
-        more: Name -> changes of the scenario, such as `{"tuner": {"kind": "policy"}}`.
-    """
+    """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
     fixed = with_setting(baselines.best)
     return {
         BEST_FIXED: fixed,
@@ -171,17 +162,7 @@ def judge(
 ) -> Verdict:
     """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
 
-    Args:
-        entered: Candidates by name, `BEST_FIXED` among them.
-        folder: For the rows and the tables.
-        seeds: Of each kind of each robot.
-        engine: See `PlantOptions.engine`.
-        where: Where the runs go; None for processes of this machine.
-        tell: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-
-    Raises:
-        ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `Benchmark`.
+    `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
     """
     cases, scales = cases_of(cells_for(), HELD_OUT[:seeds]), CostScales()
     with Benchmark(folder, engine, where, tell, restart) as benchmark:

@@ -7,9 +7,11 @@ import time
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
+from stewart_drake.compiled import control
+from stewart_drake.systems.motor_encoders import MotorEncoders
+from stewart_drake.systems.pose_estimator import PoseEstimator
 
 from stewart_drake import RobotParameters, build_diagram, build_plant, load_network, load_scenario
-from stewart_drake.compiled import control
 from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.riccati import riccati_gain
@@ -22,8 +24,6 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.sampling import on_grid
 from stewart_drake.systems.density_features import DensityFeatures
 from stewart_drake.systems.lqi_controller import LqiController
-from stewart_drake.systems.motor_encoders import MotorEncoders
-from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
 
 ROBOT = RobotParameters()

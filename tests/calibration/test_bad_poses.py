@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
+from stewart_drake.calibration import fit
 from stewart_drake.calibration.fit import calibrate
 from stewart_drake.calibration.measurements import COLUMNS, MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.pose_plan import candidate_poses
@@ -97,7 +98,7 @@ def test_poses_that_are_there_twice(refused, good, columns, what):
         (slice(6, 12), 180.0 / np.pi, "theta"),
         (slice(6, 12), np.pi / 180.0, "radians for degrees"),
         (slice(0, 3), np.pi / 180.0, "radians for degrees"),
-        (slice(0, 3), 180.0 / np.pi, "degrees go by _deg"),
+        (slice(0, 3), 180.0 / np.pi, "degrees by _deg"),
     ],
 )
 def test_wrong_units(refused, good, columns, factor, said):
@@ -127,6 +128,47 @@ def test_a_single_wrong_row_is_named(refused, good, column, by):
     table = table_of(good)
     table[17, column] += by
     assert "row 18: got 'a pose that does not fit the others" in refused(COLUMNS, table)
+
+
+@pytest.fixture
+def fits(monkeypatch):
+    """How many rows each fit was of."""
+    counts, nearby = [], fit.nearby
+    monkeypatch.setattr(
+        fit, "nearby", lambda guess, each, *args: (counts.append(len(each)), nearby(guess, each, *args))[1]
+    )
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [(3, 1e3), (5, 1e6), (4, -5.0), (3, 100.0), (0, 3.1), (2, -3.0), (6, 12.0), (8, -3.0)]
+)
+def test_an_absurd_cell_is_refused_after_one_fit_of_the_other_rows(refused, good, fits, column, value):
+    table = table_of(good)
+    table[17, column] = value
+    assert "row 18: got 'a pose that does not fit the others" in refused(COLUMNS, table)
+    assert fits == [24]
+
+
+@pytest.mark.parametrize("value", [1e10, -1e300])
+def test_a_position_beyond_all_trackers_is_named_by_its_cell(refused, good, fits, value):
+    table = table_of(good)
+    table[17, 5] = value
+    assert f"row 18, z: got {value}; allowed: metres" in refused(COLUMNS, table)
+    assert fits == []
+
+
+def test_a_row_that_is_a_little_off_is_the_first_that_is_tried(refused, good, fits):
+    table = table_of(good)
+    table[17, 8] += 0.02
+    assert "row 18: got" in refused(COLUMNS, table)
+    assert fits == [25, 24]
+
+
+def test_a_row_that_only_looks_astray_is_kept(good, monkeypatch):
+    plain = calibrate(ROBOT, good)
+    monkeypatch.setattr(fit, "stray_rows", lambda *_: [3, 11])
+    np.testing.assert_array_equal(calibrate(ROBOT, good).change, plain.change)
 
 
 def test_another_branch_is_named(good):

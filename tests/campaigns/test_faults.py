@@ -112,6 +112,7 @@ NEEDED = {
     "torque_limit": ("command_stays_full", {"torque_limit_time": 1e6}),
     "torque_rate": ("command_chatter", {"torque_rate": None}),
     "innovation": ("dead_motor_observed", {"innovation": None}),
+    "reading_stuck": ("pose_frozen_on_the_way", {"frozen_pose": None}),
 }
 # Monitors that no row of the table needs alone.
 OTHERS = {
@@ -120,6 +121,12 @@ OTHERS = {
         name="dead_motor_observed",
         changes={**BY_NAME["dead_motor_0"].changes, "estimator": {"kind": "observer"}},
         monitors=("innovation",),
+    ),
+    "pose_frozen_on_the_way": dataclasses.replace(
+        BY_NAME["pose_frozen"],
+        name="pose_frozen_on_the_way",
+        drift=(0.0, 0.0, 0.0, 0.05, 0.0, 0.0),
+        expected=("ended",),
     ),
     "controller_breaks": dataclasses.replace(
         BY_NAME["to_dead_centre"],
@@ -275,7 +282,7 @@ def test_a_terse_line_sets_side_by_side_what_differs():
             "dead_motor_0", "paper", "ended", safety_monitor="following_error", latency_ms=74.4, peak_error_mm=9.125
         ),
         made_row("encoder_frozen", "hold", "unnoticed", status="lost"),
-        made_row("encoder_frozen", "paper", "ended", safety_monitor="sensor_failed", latency_ms=54.0, status="failed"),
+        made_row("encoder_frozen", "paper", "ended", safety_monitor="reading_stuck", latency_ms=54.0, status="failed"),
         # There from the start: a time of its trip is no latency.
         made_row(
             "dropped_10_percent", "hold", "held", safety_monitor="deadline", latency_ms=1181.0, status="completed"
@@ -283,7 +290,7 @@ def test_a_terse_line_sets_side_by_side_what_differs():
     ]
     assert terse_rows(rows) == [
         ("dead_motor_0", "ended", "-", "following_error", "74-81", "-", "9.12", "-"),
-        ("encoder_frozen", "unnoticed / ended", "lost / failed", "- / sensor_failed", "54", "-", "-", "-"),
+        ("encoder_frozen", "unnoticed / ended", "lost / failed", "- / reading_stuck", "54", "-", "-", "-"),
         ("dropped_10_percent", "held", "completed", "deadline", "-", "-", "-", "-"),
     ]
 

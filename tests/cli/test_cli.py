@@ -18,6 +18,7 @@ from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import simulation
 from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.systems.diagram import ClosedLoop
 
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
 
@@ -78,6 +79,17 @@ def test_set_changes_what_runs_and_a_folder_with_brackets_is_printed_as_it_is(ca
     assert "deep/[a] b" in out
     scenario = load_log("deep/[a] b").scenario
     assert (scenario.name, scenario.controller.solver, scenario.tuner.kind) == ("mine", "split", "fixed")
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize(("engine", "diagrams"), [("drake", 1), ("reduced", 0)])
+def test_the_diagram_that_is_drawn_is_the_one_that_ran(call, monkeypatch, engine, diagrams):
+    built, init = [], ClosedLoop.__init__
+    monkeypatch.setattr(ClosedLoop, "__init__", lambda self, *args: (built.append(self), init(self, *args))[1])
+    changes = ("--set", "controller.solver=split", "--set", f"plant.engine={engine}", "--out", "out")
+    assert call("run", "paper_fig7", *QUICK, *changes, "--quiet") == (0, "", "")
+    assert len(built) == diagrams
+    assert Path("out/diagram.dot").exists() == (diagrams > 0)
 
 
 def test_the_help_of_every_command_tells_its_arguments(call):
@@ -414,6 +426,33 @@ def test_ctrl_c_before_the_run_leaves_nothing_and_ends_with_status_130(call, mon
     assert (status, out) == (130, "")
     assert err.strip() == "stewart-drake: interrupted"
     assert list(tmp_path.iterdir()) == []
+
+
+DROPPED = """
+import ctypes, signal, time
+from stewart_drake.cli.app import cli, main
+
+class Deleted:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+@cli.command()
+def wait():
+    {where}
+    {then}
+
+main()
+"""
+"""Python drops what is raised in a callback from C or in a `__del__`; numba has both."""
+
+
+@pytest.mark.parametrize("where", ["ctypes.CFUNCTYPE(None)(Deleted().__del__)()", "Deleted()"], ids=["C", "del"])
+@pytest.mark.parametrize("then", ["time.sleep(10.0)", "raise RuntimeError('no compiled object')"], ids=["on", "error"])
+def test_an_interrupt_that_python_drops_ends_the_command_all_the_same(shell, where, then):
+    start = time.monotonic()
+    status, out, err = shell("wait", code=DROPPED.format(where=where, then=then))
+    assert (status, out, err.strip()) == (130, "", "stewart-drake: interrupted")
+    assert time.monotonic() - start < 8.0
 
 
 # --- what a start loads -------------------------------------------------------------------------------------------

@@ -1,4 +1,5 @@
 import functools
+import math
 
 import pytest
 
@@ -37,6 +38,39 @@ def test_what_cannot_be_done_is_one_line_and_status_2(check):
     assert err.count("\n") == 1
     assert "crank_speed at t = 0.000 s" in err
     assert "feasible" not in out
+
+
+SINE = "{kind: sine, amplitude: [0, 0, 0.1, 0, 0, 0]}"
+BEYOND = {
+    "{kind: hold, pose: [0, 0, 45, 0, 0, 0.31]}": "yaw 45 rad at t = 0.000 s, 45 rad is 2578 deg: did you mean 0.785?",
+    "{kind: hold, pose: [0, 0, 6.2832, 0, 0, 0.3]}": "yaw 6.283 rad, 6.283 rad is 360 deg: 0 is the same orientation",
+    "{kind: hold, pose: [0, -3.5, 0, 0, 0, 0.3]}": "pitch -3.5 rad, is -200.5 deg: 2.783 is the same orientation",
+    "{kind: sine, amplitude: [30, 0, 0, 0, 0, 0]}": "roll 30 rad, did you mean 0.524?",
+    "{kind: minimum_jerk, poses: [[0, 0, 0, 0, 0, 0.3], [0, 0, 20, 0, 0, 0.3]], durations: [1]}": "t = 1.000 s, 0.349?",
+    f"{{kind: sum, parts: [{SINE}, {SINE}], center: [0, 0, 3.1, 0, 0, 0.3]}}": "yaw 3.3 rad at t = 0.786 s",
+}
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize(("reference", "said"), BEYOND.items(), ids=["degrees", "turn", "less", "sine", "path", "sum"])
+def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path, command, reference, said):
+    status, _, err = call(command, "hold", "--set", f"reference={reference}", "--set", "duration=1")
+    assert (status, err.count("\n")) == (2, 1)
+    assert all(words in err for words in ("reference: got", "within half a turn", *said.split(", ")))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_start_beyond_half_a_turn_is_refused(call, command):
+    status, _, err = call(command, "hold", "--set", "initial_offset=[0, 0, 12.5664, 0, 0, 0]", "--set", "duration=1")
+    assert status == 2
+    assert "initial_offset: got 'yaw 12.57 rad" in err
+    assert "720 deg: 0 is the same orientation" in err
+
+
+def test_half_a_turn_is_the_robots_to_refuse(check):
+    _, _, err = check("hold", "--set", f"reference.pose=[0, 0, {math.pi}, 0, 0, 0.3]", "--set", "duration=0.1")
+    assert "breaks the limit" in err
 
 
 def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes(check, tmp_path):

@@ -2,6 +2,8 @@ import functools
 
 import pytest
 
+from stewart_drake.files.yaml_files import shipped_folder
+
 TEXT = """
 scenario: paper_fig7
 set: {duration: 0.05, controller: {kind: pid}}
@@ -30,6 +32,11 @@ def test_a_file_is_run_and_its_tables_are_shown_and_kept(compare, tmp_path, monk
     status, out, _ = compare("mine.yaml", "--quiet", "--quick", "--workers", 1)
     assert (status, out) == (0, "")
     assert (tmp_path / "runs" / "mine-quick").is_dir()
+
+
+def test_the_help_names_every_shipped_comparison(compare):
+    _, text, _ = compare("--help")
+    assert all(path.stem in text for path in shipped_folder("comparisons").glob("*.yaml"))
 
 
 TUNE = """

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 from conftest import python
+from stewart_drake.compiled import jit
 
 from stewart_drake import compiled
-from stewart_drake.compiled import jit
 
 DISPATCHERS = {
     f"{module.name}.{name}": value

@@ -42,7 +42,9 @@ def test_a_window_at_rest_has_density_one_from_the_floor_down(kind):
     np.testing.assert_allclose(density(samples, kind), [3.0, 1.0])
 
 
-@given(st.integers(1, 6), st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.sampled_from(["magnitude", "signed"]))
+@given(
+    st.integers(1, 6), st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.sampled_from(["magnitude", "signed"])
+)
 def test_a_part_has_the_density_of_the_latest_samples(window, history, kind):
     part = density_part(window, kind)
     state = part.initial.copy()

@@ -3,7 +3,6 @@ import sys
 import mpmath
 import numpy as np
 import pytest
-import scipy.linalg
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses

@@ -1,6 +1,7 @@
 """Logs that cannot be right: one line that says what, where, and what is allowed."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -44,6 +45,18 @@ def test_degrees_and_millis_are_the_same_log(tmp_path):
     read = load_recording(tmp_path / "log.csv", ROBOT)
     np.testing.assert_allclose(read.angles, LOG.angles, atol=1e-14)
     np.testing.assert_allclose(read.torque, LOG.torque, atol=1e-14)
+
+
+def test_angles_that_wrap_are_the_same_log():
+    # They jump where each crank is in the middle of the log.
+    there = LOG.angles[len(LOG.time) // 2]
+    wrapped = there + (LOG.angles - there) % math.tau
+    assert (np.abs(np.diff(wrapped, axis=0)).max(axis=0) > 6.0).all()
+    np.testing.assert_allclose(changed(angles=wrapped).angles, LOG.angles, atol=1e-12)
+
+
+def test_an_encoder_that_was_homed_a_turn_away_is_the_same_log():
+    np.testing.assert_allclose(changed(angles=LOG.angles - math.tau).angles, LOG.angles, atol=1e-12)
 
 
 @pytest.mark.parametrize(

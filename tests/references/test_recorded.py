@@ -10,6 +10,8 @@ from references.laws import check_derivatives, check_means, check_shapes, check_
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of, recorded
 from stewart_drake.references.recorded import COLUMNS, load_recording
+from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.scenario import Scenario
 
 MOTION = SineReference()
 TIMES = np.linspace(0.0, 3.0, 151)
@@ -53,6 +55,49 @@ def test_rates_and_accelerations_are_the_derivatives_of_the_pose_and_do_not_jump
             check_derivatives(motion, time)
     check_smooth(motion, [*rows[1:], rows[-1] + 0.5], jerk=1000.0)
     check_shapes(motion, [0.3, 1.2, rows[-1] + 0.2, -1.0])
+
+
+def wrapped(yaw, lowest):
+    """Angles from `lowest` to a turn above it."""
+    return lowest + (yaw - lowest) % math.tau
+
+
+@pytest.mark.parametrize(("middle", "lowest"), [(math.pi, -math.pi), (-math.pi, -math.pi), (0.0, 0.0)])
+def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle, lowest):
+    yaw = middle + 0.3 * np.sin(2.0 * TIMES + 0.1)
+    smooth = reference(save(table(yaw=yaw), tmp_path / "smooth.csv"))
+    motion = reference(save(table(yaw=wrapped(yaw, lowest)), tmp_path / "motion.csv"))
+    assert np.abs(np.diff(wrapped(yaw, lowest))).max() > 6.0
+    assert np.abs(motion.evaluate(0.0)[0][:3]).max() <= math.pi
+    between = np.linspace(0.0, 3.0, 777)
+    (pose, *derivatives), (there, *those) = motion.evaluate(between), smooth.evaluate(between)
+    turns = (pose - there)[:, 2] / math.tau
+    np.testing.assert_allclose(turns, round(turns[0]), atol=1e-9)
+    for found, true in zip(derivatives, those, strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-8)
+
+
+def test_a_recording_begins_within_half_a_turn(tmp_path):
+    for start in (-0.1, math.tau - 0.1):
+        path = save(table(yaw=start + 0.01 * TIMES), tmp_path / "motion.csv")
+        np.testing.assert_allclose(load_recording(path)[:, 3], -0.1 + 0.01 * TIMES, atol=1e-12)
+
+
+def test_degrees_are_no_turns(tmp_path):
+    path = save(table(yaw=45.0 + 5.0 * TIMES), tmp_path / "motion.csv")
+    np.testing.assert_array_equal(load_recording(path)[:, 3], 45.0 + 5.0 * TIMES)
+    degrees = Scenario(reference=reference(path), duration=1.0)
+    with pytest.raises(ConfigurationError, match=r"yaw 50 rad at t = 1.000 s.*did you mean 0.873\?"):
+        check_scenario(degrees)
+
+
+def test_a_swing_about_half_a_turn_can_be_taken_as_a_swing_about_home(tmp_path):
+    swing = -0.15 * np.sin(2.0 * TIMES)
+    path = save(table(roll=0.0 * TIMES, yaw=wrapped(math.pi + swing, -math.pi)), tmp_path / "motion.csv")
+    about_home = {"kind": "sum", "parts": [reference(path)], "center": (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)}
+    log = run(Scenario(reference=about_home, duration=1.0, controller={"model": "exact"}, tuner="block"))
+    assert log.status == "completed"
+    assert log["pose"][-1, 2] == pytest.approx(swing[50], abs=2e-3)
 
 
 def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):

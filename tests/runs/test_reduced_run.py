@@ -75,7 +75,7 @@ CASES = {
     # Soft loops at 200 Hz show the first order of both methods.
     "paper": (("paper_fig7",), 1e-5, 1e-4),
     "tool path": (("tool_path",), 5e-4, 5e-4),
-    "nod": (("reachy_nod",), 2e-4, 2e-3),
+    "nod": (("reachy_nod", "tuner=block"), 2e-4, 2e-3),
 }  # fmt: skip
 
 

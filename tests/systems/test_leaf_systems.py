@@ -12,6 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
+from stewart_drake.systems.ann_tuner import NetworkTuner
+from stewart_drake.systems.command_link import CommandLink
+from stewart_drake.systems.computed_torque import ComputedTorque
+from stewart_drake.systems.faulty_sensor import FaultySensor
+from stewart_drake.systems.finite_check import FiniteCheck
+from stewart_drake.systems.friction_feedforward import FrictionFeedforward
+from stewart_drake.systems.joint_pid import JointPid
+from stewart_drake.systems.motor_drive import MotorDrive
+from stewart_drake.systems.motor_encoders import MotorEncoders
+from stewart_drake.systems.platform_observer import PlatformObserver
+from stewart_drake.systems.pose_estimator import PoseEstimator
+from stewart_drake.systems.safety_layer import SafetyLayer
+from stewart_drake.systems.setting_tuner import SettingSource
+from stewart_drake.systems.ticked import SampledSystem, TickedSystem
+from stewart_drake.systems.tracking_controller import TrackingController
+from stewart_drake.systems.tracking_error import TrackingError
 from strategies import ROBOT, poses, vectors
 
 from stewart_drake import systems
@@ -25,36 +41,20 @@ from stewart_drake.control.lqi import lqi_tick
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.policy import Schedule, setting_part
 from stewart_drake.hardware.command_link import LinkOptions
-from stewart_drake.hardware.sensors import EncoderOptions, flat_estimate, initial_memory
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
 from stewart_drake.hardware.observer import Observer, ObserverOptions
+from stewart_drake.hardware.sensors import EncoderOptions, flat_estimate, initial_memory
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineBurstsReference, paper_reference
 from stewart_drake.safety import SafetyOptions
-from stewart_drake.systems.ann_tuner import NetworkTuner
-from stewart_drake.systems.command_link import CommandLink
-from stewart_drake.systems.computed_torque import ComputedTorque
 from stewart_drake.systems.density_features import DensityFeatures
-from stewart_drake.systems.faulty_sensor import FaultySensor
-from stewart_drake.systems.finite_check import FiniteCheck
-from stewart_drake.systems.friction_feedforward import FrictionFeedforward
-from stewart_drake.systems.joint_pid import JointPid
 from stewart_drake.systems.lqi_controller import LqiController
-from stewart_drake.systems.motor_drive import MotorDrive
-from stewart_drake.systems.motor_encoders import MotorEncoders
-from stewart_drake.systems.platform_observer import PlatformObserver
 from stewart_drake.systems.platform_wrench import PlatformWrench
-from stewart_drake.systems.pose_estimator import PoseEstimator
 from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.safety_layer import SafetyLayer
-from stewart_drake.systems.setting_tuner import SettingSource
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
-from stewart_drake.systems.ticked import SampledSystem, TickedSystem
-from stewart_drake.systems.tracking_controller import TrackingController
-from stewart_drake.systems.tracking_error import TrackingError
 
 GRAVITY, PERIOD = 9.81, 0.001
 HOME = ROBOT.home_pose

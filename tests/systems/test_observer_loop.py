@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 
@@ -105,15 +106,13 @@ def test_at_100_hz_and_a_tick_late_it_follows():
 
 
 @pytest.mark.slow
-def test_reachy_mini_nods_on_its_bus_of_100_hz():
-    friction = {"coulomb": 0.058, "viscous": 0.095}
-    scenario = load_scenario("reachy_nod").replace(
-        {"controller.period": 0.01, "command_delay": 1, "estimator": OBSERVER, "friction_compensation": friction}
-    )
-    log = run(scenario.replace({"safety": None}))
-    assert log.status == "completed"
-    off = (log.signals["pose"] - log.signals["reference"])[log.signals["time"] >= 2.5, :3]
-    assert np.rad2deg(np.sqrt((off**2).sum(axis=1).mean())) < 0.4
+@pytest.mark.parametrize(("name", "most"), [("reachy_nod", 0.12), ("reachy_look_around", 0.055)])
+def test_reachy_mini_moves_on_its_bus_of_100_hz_with_the_policy(name, most):
+    scenario = load_scenario(name)
+    assert (scenario.controller.period, scenario.tuner.kind, scenario.estimator.kind) == (0.01, "policy", "observer")
+    log = run(scenario)
+    assert (log.status, log.warnings) == ("completed", ())
+    assert run_metrics(log)["rmse_norm_deg"] < most
 
 
 def test_gains_follow_period_and_delay():

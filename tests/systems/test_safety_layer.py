@@ -3,6 +3,7 @@ import pytest
 from ended import ended
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from stewart_drake.systems.safety_layer import SafetyLayer
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, SafetyStop
@@ -17,7 +18,6 @@ from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.safety import LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.safety_layer import SafetyLayer
 from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
 
 BASE = {
@@ -135,6 +135,13 @@ def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause
         case = scenario(controller=bad | {"min_transmission": 0.97}, tuner=tuner, compiled=compiled, duration=0.3)
         log = run(case, check=False)
         assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
+
+
+@pytest.mark.slow
+def test_a_motor_that_sticks_is_no_sensor_that_failed():
+    log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
+    assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
+    assert "friction holds what it reads" in log.message
 
 
 def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():

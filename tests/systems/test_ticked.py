@@ -6,10 +6,10 @@ from ended import ended
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
+from stewart_drake.systems.ticked import TickedSystem
 
 from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.sampling import on_grid
-from stewart_drake.systems.ticked import TickedSystem
 
 
 class Clock(LeafSystem):

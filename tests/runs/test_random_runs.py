@@ -1,0 +1,30 @@
+from collections import Counter
+
+import numpy as np
+import pytest
+from random_scenarios import random_scenario
+
+from stewart_drake.runs.simulation import run
+
+PARTS = 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(PARTS))
+def test_no_completed_run_of_300_is_worse_than_standing_still(part):
+    ends = Counter()
+    for seed in range(part, 300, PARTS):
+        log = run(random_scenario(seed))
+        ends[log.status, log.reason] += 1
+        duration, scale = log.scenario.duration, np.array([0.11] * 3 + [1.0] * 3)
+        reference, pose = scale * log["reference"], scale * log["pose"]
+        motion, moved = (np.sqrt(np.sum((each - each.mean(axis=0)) ** 2, axis=1).mean()) for each in (reference, pose))
+        settled = log.time >= min(3.0, 0.6 * duration)
+        if log.status == "completed" and motion > 0.33e-3:
+            error = np.sqrt(np.sum((pose - reference)[settled] ** 2, axis=1).mean())
+            assert error <= motion, seed
+            assert moved >= 0.25 * motion, seed
+            warned = "poorly_followed" in {warning["name"] for warning in log.warnings}
+            assert warned or error <= 0.5 * motion, seed
+    # Neither is a rare end here.
+    assert min(ends["completed", None], ends["lost", "not_followed"]) >= 3

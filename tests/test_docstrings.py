@@ -1,0 +1,47 @@
+"""What the texts in the code name is there."""
+
+import ast
+import importlib.util
+import re
+from pathlib import Path
+
+import stewart_drake
+from stewart_drake.scenario import Scenario
+
+PACKAGE = Path(stewart_drake.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+TEXTS = {str(path.relative_to(PACKAGE)): path.read_text() for path in FILES}
+ENDINGS = {"json", "jsonl", "md", "parquet", "py", "sdf", "xml", "yaml"}
+OWN = {"mujoco", "options", "part", "stewart", "stewart_drake", "task"}
+"""An extra that may be missing, names in files, and variables that are spoken of where they stand."""
+
+
+def source_of(name):
+    """The text of all modules and packages of a name, and the names of the modules in such a package."""
+    rooms = [path.parent for path in FILES if path.name == "__init__.py" and path.parent.name == name]
+    files = [path for path in FILES if path.stem == name] + [room / "__init__.py" for room in rooms]
+    return "\n".join(path.read_text() for path in files), [path.stem for room in rooms for path in room.glob("*.py")]
+
+
+def test_what_a_text_refers_to_by_its_module_is_there():
+    dead = []
+    for file, text in TEXTS.items():
+        for name, part in re.findall(r"(?<!`)`([a-z_]+)\.([A-Za-z_]+)`(?!`)", text):
+            if part in ENDINGS or name in OWN or name in Scenario.__pydantic_fields__:
+                continue
+            source, inside = source_of(name)
+            known = re.search(rf"\b{part}\b", source) or part in inside
+            if not known and (source or importlib.util.find_spec(name) is None):
+                dead.append(f"{file}: {name}.{part}")
+    assert dead == []
+
+
+def test_errors_stand_under_the_heading_that_they_belong_to():
+    beside = []
+    for file, text in TEXTS.items():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                _, _, raised = (ast.get_docstring(node) or "").partition("\nRaises:\n")
+                if re.search(r"^[A-Z]\w+Error(, \w+)*: ", raised, re.MULTILINE):
+                    beside.append(f"{file}: {node.name}")
+    assert beside == []
