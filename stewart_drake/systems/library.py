@@ -214,8 +214,8 @@ class MotorDrive(PartSystem):
 class SafetyLayer(PartSystem):
     """Watches commands and measurements, and passes on what may go to the motors; answers within the tick.
 
-    Any controller with a torque port runs behind it. Ports for which there is no signal take the arrays of
-    `safety.NOT_THERE`, as constant sources.
+    Any controller with a torque port runs behind it. A port for which there is no signal may be left alone, and takes
+    its array of `safety.NOT_THERE`.
 
     Args: As of `safety.safety_part`.
 

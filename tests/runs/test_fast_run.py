@@ -5,17 +5,23 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 
 from stewart_drake.control.controller_options import ControllerOptions
+from stewart_drake.control.function_part import function_part
+from stewart_drake.control.tuners import FixedTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import IdealSensors
+from stewart_drake.jit import fields, new_record
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.registry import SENSORS
-from stewart_drake.runs import reduced_run, simulation
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.part import Part
+from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
+from stewart_drake.runs import fast_run, simulation
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems.task_space_sensor import add_ideal_sensor
+from stewart_drake.section import Positive
 
-FAST = ("compiled=true", "plant.engine=reduced")
+WEIGHT = static_torque(Scenario().robot, Scenario().robot.home_pose)
+FAST = ("plant.engine=reduced",)
 ENCODERS = "sensors={kind: encoders, resolution_bits: 0}"
 """Without counts: a reading that is rounded the other way is a difference that neither engine can help."""
 PUSH = "disturbances=[{kind: step, wrench: [0.02, 0, 0.03, 3, -2, -4], time: 0.2, until: 0.4}]"
@@ -25,7 +31,7 @@ HELD = "tuner={kind: block, q_pose: 8.0e5, q_rate: 150.0, q_integral: 5.0e6}"
 
 def both(name, *changes):
     """Logs of the two engines: the reduced one, and Drake."""
-    scenario = load_scenario(name, ("compiled=true", *changes))
+    scenario = load_scenario(name, changes)
     return run(scenario.replace({"plant.engine": "reduced"}), check=False), run(scenario, check=False)
 
 
@@ -161,7 +167,7 @@ def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
 
 
 def test_more_rows_than_there_was_place_for(monkeypatch):
-    monkeypatch.setattr(reduced_run, "_ROWS", 7)
+    monkeypatch.setattr(fast_run, "_ROWS", 7)
     monkeypatch.setattr(simulation, "CHUNK", 0.03)
     log = run(load_scenario("exact_breathing", (HELD, *FAST, "duration=0.1")), check=False)
     np.testing.assert_allclose(log.time, 0.001 * np.arange(101), rtol=1e-14)
@@ -177,98 +183,89 @@ def test_ctrl_c_keeps_whole_rows():
     assert (log.status, log.end_time, len(log.time)) == ("interrupted", 0.1, 101)
 
 
-class Sampler(LeafSystem):
-    """The robot's weight and a spring, from what it saw at its last tick; counts its ticks."""
+def push(measurement, setpoint, time):  # noqa: ARG001
+    """The weight at home, and a spring in heave."""
+    return WEIGHT + 20.0 * (setpoint.pose[5] - measurement.pose[5])
 
-    def __init__(self, robot, gravity, period):
-        from stewart_drake.mechanics.dynamics import static_torque
 
+class Push(LeafSystem):
+    """Has the ports of a controller."""
+
+    def __init__(self):
         super().__init__()
-        self.weight = static_torque(robot, robot.home_pose, gravity)
         self.DeclareVectorInputPort("measurement", 12)
         self.DeclareVectorInputPort("reference", 18)
-        self.DeclareDiscreteState(7)
-        self.DeclareContinuousState(1)
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
-        self.DeclareVectorOutputPort("torque", 6, self._calc)
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
-        derivatives.get_mutable_vector().SetAtIndex(0, 1.0 - context.get_continuous_state_vector().GetAtIndex(0))
-
-    def _update(self, context, state):
-        before = context.get_discrete_state(0).value()
-        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
-        state.set_value(np.append(self.weight - 20.0 * away, before[6] + 1.0))
-
-    def _calc(self, context, output):
-        held, slow = context.get_discrete_state(0).value(), context.get_continuous_state_vector().GetAtIndex(0)
-        output.SetFromVector((self.weight if held[6] == 0.0 else held[:6]) * (1.0 + 0.01 * slow))
+        self.DeclareVectorOutputPort("torque", 6, lambda _, output: output.SetFromVector(WEIGHT))
 
 
-@pytest.mark.parametrize("period", [0.001, 0.005])
-def test_a_controller_of_ones_own_runs_as_in_the_diagram(period):
-    """Its discrete state is one tick late, its continuous state runs on between ticks; delays see what it says last."""
-    scenario = Scenario.from_dict(
-        {
-            "duration": 0.06,
-            "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.301]},
-            "controller": {"kind": Sampler, "period": period},
-            "command_delay": 1,
-            "log_period": 0.001,
-        }
-    )
+def test_a_leafsystem_is_refused_where_there_is_no_diagram_and_so_is_a_live_view():
+    base = {"duration": 0.05, "plant": {"engine": "reduced"}}
+    with pytest.raises(ConfigurationError, match=r"^plant\.engine: got 'reduced'; allowed: drake, with a controller"):
+        run(Scenario.from_dict({**base, "controller": Push}))
+    with pytest.raises(ConfigurationError, match=r"^plant\.engine: got 'reduced'; allowed: drake, for a live view"):
+        run(Scenario.from_dict(base), meshcat=object())
+
+
+class ShiftedSensors(IdealSensors):
+    """Off by a millimetre in Z; counts its ticks."""
+
+    kind: str = "shifted"
+
+    def parts(self, setup):  # noqa: ARG002
+        def tick(pose, time, state):
+            state["reading"][0] = pose
+            state["reading"][0, 5] += 0.001 * (time[0] > 0.0)
+            state["ticks"] += 1.0
+
+        initial = new_record(fields(reading=12, ticks=1))
+        return (Part("shifted", {"plant_pose": 12, "time": 1}, ("reading",), initial, tick),)
+
+
+class SpringOptions(ControllerOptions):
+    """A function as a controller with a section of its own."""
+
+    kind: str = "spring"
+    period: Positive = 0.005
+
+    def parts(self, setup):  # noqa: ARG002
+        return (function_part(push),)
+
+
+class LouderTuner(FixedTuner):
+    """Doubles the weights from the second tick on."""
+
+    kind: str = "louder"
+
+    def parts(self, setup):
+        def tick(density, state):  # noqa: ARG001
+            state["weights"][0] = 2.0 * np.array(setup.weights)
+
+        first = new_record(fields(weights=2), weights=setup.weights)
+        return (Part("tuner", {"density": 12}, ("weights",), first, tick, late=True),)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensors": {"kind": "shifted"}, "tuner": "fixed"},
+        {"controller": {"kind": "spring"}, "command_delay": 1, "sensors": {"kind": "shifted"}},
+        {"tuner": {"kind": "louder"}},
+    ],
+    ids=["sensors", "sensors and controller", "tuner"],
+)
+def test_kinds_from_outside_run_alike_on_both_engines(monkeypatch, changes):
+    for family, section in ((SENSORS, ShiftedSensors), (CONTROLLERS, SpringOptions), (TUNERS, LouderTuner)):
+        monkeypatch.setattr(family, "_lines", dict(family._lines))
+        family.add(section)
+    motion = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.301]}
+    scenario = Scenario.from_dict({"duration": 0.06, "reference": motion, "log_period": 0.001, **changes})
     mine, drake = run(scenario.replace({"plant.engine": "reduced"})), run(scenario)
-    assert (mine.status, drake.status) == ("completed", "completed")
-    for name in ("torque", "torque_applied", "error"):
-        np.testing.assert_allclose(mine[name], drake[name], atol=2e-5, err_msg=name)
-    assert (np.diff(mine["torque"][:, 0]) != 0.0).all()
-
-
-def test_an_error_in_a_controller_of_ones_own_ends_the_run_with_its_name():
-    scenario = load_scenario("exact_breathing", (HELD, "duration=0.05", "plant.engine=reduced")).replace(
-        {"controller": {"kind": Broken}}
-    )
-    log = run(scenario)
-    assert (log.status, log.reason) == ("failed", "controller_raised")
-    assert "mine" in log.message
-    assert len(log.time) == 10
-
-
-class Broken(Sampler):
-    def _calc(self, context, output):
-        if context.get_time() > 0.0095:
-            raise ValueError("mine")
-        super()._calc(context, output)
-
-
-class ToySensors(IdealSensors):
-    kind: str = "toy"
-
-
-def test_a_kind_that_runs_in_a_diagram_alone_is_refused_by_name(monkeypatch):
-    monkeypatch.setattr(SENSORS, "_lines", dict(SENSORS._lines))
-    SENSORS.add(ToySensors, add_ideal_sensor)
-    changes = {"plant": {"engine": "reduced"}, "sensors": {"kind": "toy"}, "duration": 0.05}
-    with pytest.raises(
-        ConfigurationError, match=r"^plant\.engine: got 'reduced'; allowed: drake, with sensors\.kind toy"
-    ):
-        run(Scenario.from_dict(changes))
-    from stewart_drake.hardware.sensors import IdealSensing
-
-    SENSORS.add(ToySensors, add_ideal_sensor, IdealSensing)
-    assert run(Scenario.from_dict(changes)).status == "completed"
-    with pytest.raises(ConfigurationError, match="for a live view"):
-        run(Scenario.from_dict({**changes, "sensors": {"kind": "ideal"}}), meshcat=object())
-
-
-def test_options_of_a_controller_without_a_function_are_run_as_the_leafsystem_that_builds_them(monkeypatch):
-    from test_outside_kinds import ToyLaw, ToyLawOptions
-
-    from stewart_drake.registry import CONTROLLERS
-
-    monkeypatch.setattr(CONTROLLERS, "_lines", dict(CONTROLLERS._lines))
-    CONTROLLERS.add(ToyLawOptions, ToyLaw)
-    assert issubclass(ToyLawOptions, ControllerOptions)
-    scenario = Scenario.from_dict({"duration": 0.05, "controller": {"kind": "toy_law"}, "reference": {"kind": "hold"}})
-    mine, drake = run(scenario.replace({"plant.engine": "reduced"})), run(scenario)
-    np.testing.assert_allclose(mine["torque"], drake["torque"], atol=1e-6)
+    assert mine.end_time == drake.end_time == 0.06
+    assert set(drake.signals) - set(mine.signals) == {"plant_state"}
+    for name in ("torque", "torque_applied", "error", "pose"):
+        np.testing.assert_allclose(mine[name], drake[name], atol=1e-6, err_msg=name)
+    if "measured_pose" in mine.signals:
+        off = mine["measured_pose"][:, 5] - mine["pose"][:, 5]
+        np.testing.assert_allclose(off[10::5], 0.001, atol=1e-12)
+    if "tuner" in changes and changes["tuner"] != "fixed":
+        np.testing.assert_array_equal(mine["weights"][5:], np.full((56, 2), 2.0))
