@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
@@ -17,7 +17,6 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.code_path import CodePath, UserCodePath, path_of, source_of
-from stewart_drake.files.named_files import file_digests
 from stewart_drake.section import Section, check_plain, to_plain
 from stewart_drake.wording import OWN, as_problem, chosen, either
 
@@ -32,8 +31,7 @@ class Family:
             Diagram: `module:name` in this package, or the thing itself; then, where it has one, what does the same
             outside of a Diagram.
         default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
-            `of(kind, rest)`: an import path, a class or an object, and the other keys.
+        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
         method: What an object of the user's own has; None for classes alone.
         without: Kinds that are not taken here.
         older: Names that kinds had in older files -> their names.
@@ -154,7 +152,8 @@ class Family:
         section = self.section_of(value)
         if isinstance(value, Mapping):
             if section is not None and self._is_own(value.get("kind")):
-                return section.of(value["kind"], {key: each for key, each in value.items() if key != "kind"})
+                rest = {key: each for key, each in value.items() if key != "kind"}
+                value = {section.path_key: CodePath.of(value["kind"]), **rest}
             if section is not None:
                 return section.__pydantic_validator__.validate_python(value)
             missing = "kind" not in value
@@ -258,12 +257,6 @@ class UserMade(Section):
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values."""
 
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
-        """The section of a class or object that was given in Python, or of an import path."""
-        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: CodePath.of(kind), **rest})
-        return made
-
     def rules(self) -> None:
         """See `Section.rules`."""
         check_plain("arguments", self.arguments)
@@ -361,12 +354,6 @@ def user_parts(section: Any) -> list[UserMade]:
     found = [section] if isinstance(section, UserMade) else []
     inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
     return found + [each for part in inside for each in user_parts(part)]
-
-
-def files_of(section: Any) -> dict[str, str | None]:
-    """Path of each file of data and of code that a section names -> sha256 of its content; see `file_digests`."""
-    code = {part.code.source: part.code.digest for part in user_parts(section) if part.code.given is None}
-    return {**file_digests(section.to_dict()), **code}
 
 
 def place_users(section: Any, place: str = "") -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code_trust import only_code
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs.log_rows import NoRows
 from stewart_drake.logs.metric_table import MetricError, flat
@@ -150,7 +150,7 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
-        with only_code(task.code):
+        with code_rule(task.code):
             log = uninterrupted(function(Scenario.from_dict(task.base).replace(task.changes)))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):

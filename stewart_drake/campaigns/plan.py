@@ -158,7 +158,8 @@ class Plan(ABC):
         drawn = self.draw(index)
         # Figures are those of every tick, whatever the scenario wants in a log.
         changes = {"name": self.run_name(index), **self.changes(drawn), "log_period": None}
-        return Task(index, self.run_seed(index), self._base_values, changes, drawn, self.measure(index), self._trusted)
+        measured = self.measure(index)
+        return Task(index, self.run_seed(index), self._base_values, changes, drawn, measured, self._trusted)
 
     @cached_property
     def code(self) -> list[CodePath]:
@@ -290,7 +291,7 @@ def identity(
         scenarios: Of the work; of networks the weights count, and not what their file is called.
         versions: From `collect_versions`; None collects them.
         more: Names of versions beside `CODE`.
-        code: Of the user's; None for what `work` names.
+        code: See `file_digests`.
 
     Raises:
         ConfigurationError: A weights file cannot be read.
@@ -299,8 +300,7 @@ def identity(
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
         **work,
-        "files": file_digests(work),
-        "code": {each.source: each.digest for each in (code_named(work) if code is None else code)},
+        "files": file_digests(work, code),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],

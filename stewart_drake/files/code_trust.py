@@ -1,4 +1,4 @@
-"""Whose code may run: what the user has said to trust, known again by the digest of the code.
+"""Whose code may run: what the user has said to trust, known again by its digest.
 
 It is kept in a file of the user's own, which whoever writes a scenario has no say in.
 """
@@ -16,36 +16,19 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, read_checked
 from stewart_drake.files.yaml_files import shipped_folder
 
+Rule = Literal["ask", "trust", "name"] | frozenset[str]
+"""ask: code that is not trusted is refused. trust: it is trusted from now on. name: it may be named, and is not run.
+Keys: this code runs and no other, as a study has one version of it."""
+_RULE: ContextVar[Rule] = ContextVar("rule", default="ask")
+_TRUSTED: set[str] = set()
+"""Keys of code that was trusted in this process."""
 _LARGEST = 10_000_000
 """[byte] of the user's file; a line takes some hundred."""
 
-_Rule = Literal["ask", "trust", "name"] | frozenset[str]
-_RULE: ContextVar[_Rule] = ContextVar("rule", default="ask")
-_TRUSTED: set[str] = set()
-"""Keys of code that was trusted in this process."""
-
-
-def trusting_code(trust: bool = True) -> AbstractContextManager[None]:
-    """Within it the code that files name is trusted, and whenever it is the same from then on.
-
-    Args:
-        trust: False changes nothing.
-    """
-    return _ruled("trust" if trust else _RULE.get())
-
-
-def naming_code() -> AbstractContextManager[None]:
-    """Within it files may name code that is not trusted; that code is not run."""
-    return _ruled("name")
-
-
-def only_code(keys: frozenset[str]) -> AbstractContextManager[None]:
-    """Within it this code is trusted, and no other: a study runs one version of it, wherever its workers are."""
-    return _ruled(keys)
-
 
 @contextmanager
-def _ruled(rule: _Rule) -> Iterator[None]:
+def code_rule(rule: Rule) -> Iterator[None]:
+    """Within it this rule holds for code that files name."""
     before = _RULE.set(rule)
     try:
         yield
@@ -53,33 +36,25 @@ def _ruled(rule: _Rule) -> Iterator[None]:
         _RULE.reset(before)
 
 
-def is_trusted(key: str, files: Sequence[Path]) -> bool:
-    """Whether code may run.
-
-    Args:
-        key: Digest and name.
-        files: That it is in.
-    """
-    rule = _RULE.get()
-    if isinstance(rule, frozenset):
-        return key in rule
-    if key in _TRUSTED or is_shipped(files) or key in _kept():
-        return True
-    if rule == "trust":
-        _keep(key)
-    return rule == "trust"
+def trusting_code(trust: bool = True) -> AbstractContextManager[None]:
+    """Within it code that files name is trusted, now and whenever it is the same; `trust` off changes nothing."""
+    return code_rule("trust" if trust else _RULE.get())
 
 
 def may_be_named() -> bool:
-    """Whether a file may name code that is not trusted."""
+    """Whether code that is not trusted may be named."""
     return _RULE.get() == "name"
 
 
-def how_to_trust(source: str) -> str:
-    """What to do about code that is not trusted, given where it is."""
-    if isinstance(_RULE.get(), frozenset):
-        return "the code that the study began with; it has changed since, and --restart begins anew"
-    return f"code that you trust; it is new or has changed: read {source}, then say --trust-code (trust_code=True)"
+def is_trusted(key: str, files: Sequence[Path]) -> bool:
+    """Whether code may run, given its key, see `CodePath.key`, and the files that it is in."""
+    rule = _RULE.get()
+    if isinstance(rule, frozenset):
+        return key in rule
+    known = key in _TRUSTED or is_shipped(files) or key in _kept()
+    if rule == "trust" and not known:
+        _keep(key)
+    return known or rule == "trust"
 
 
 def is_shipped(files: Sequence[Path]) -> bool:
@@ -89,13 +64,12 @@ def is_shipped(files: Sequence[Path]) -> bool:
 
 
 def store() -> Path:
-    """The file with the keys, a line each; who deletes a line is asked again."""
+    """The file with the keys, a line each; of one that is deleted the user is asked again."""
     return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser() / "stewart-drake" / "trusted_code"
 
 
 def _kept() -> set[str]:
-    # There may be nobody's home.
-    with suppress(ConfigurationError, RuntimeError):
+    with suppress(ConfigurationError, RuntimeError):  # RuntimeError: nobody's home
         return set(read_checked(store(), "trusted code", _LARGEST).decode(errors="replace").splitlines())
     return set()
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from stewart_drake.files.code_path import CodePath, code_in, file_of
+from stewart_drake.files.code_path import CLASS_PATH, CodePath
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.whole import digest
 
 FILE_KEYS = ("weights_file", "motion_file")
@@ -16,68 +17,60 @@ ROBOT_KEYS = ("robot", "model_robot")
 
 
 def anchored(data: Any, folder: Path) -> Any:
-    """A copy in which relative paths of weights, motions, robots and code are absolute, from `folder`, at any depth.
+    """A copy of plain values in which paths of weights, motions, robots and code are absolute.
 
     Args:
-        data: Plain values of a YAML file or a command line.
-        folder: Where that file lies; for a command line the current folder.
+        data: From a YAML file or a command line.
+        folder: Where that file lies, which paths are relative to; for a command line the current folder.
     """
 
-    def from_folder(key: str, text: str) -> str:
-        code = file_of(text)
-        if code is not None:
-            # Without `..`, and not where links lead: this very path is what is opened.
-            return f"{os.path.abspath(folder / code[0])}:{code[1]}"  # noqa: PTH100
-        return str((folder / text).absolute()) if _is_file(key, text) else text
+    def absolute(key: str, text: str) -> str:
+        named = _is_file(key, text) or (_is_code(text) and ".py:" in text)
+        return str((folder / text).absolute()) if named else text
 
-    return with_texts(data, from_folder)
+    return with_texts(data, absolute)
 
 
-def file_digests(data: Any) -> dict[str, str | None]:
-    """Path of each file of data that is named in `data` -> sha256 of its content, None where it cannot be read.
+def file_digests(data: Any, code: Iterable[CodePath] | None = None) -> dict[str, str | None]:
+    """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read.
 
     Args:
-        data: Plain values: sections, lists, and under dotted keys such as `tuner.weights_file` what a sweep chooses
-            from.
+        data: Plain values.
+        code: That is named in them, as it was; None for as it is.
     """
-    paths: set[str] = set()
-    _each_text(data, lambda key, text: paths.add(text) if _is_file(key, text) else None)
-    return {path: digest(path) for path in sorted(paths)}
+    own = {str(each.files[-1]): each.digest for each in (code_named(data) if code is None else code)}
+    return own | {path: digest(path) for path in sorted({text for key, text in _texts(data) if _is_file(key, text)})}
 
 
 def code_named(data: Any) -> list[CodePath]:
     """The user's code that is named in plain values, trusted or not."""
-    texts: set[str] = set()
-    _each_text(data, lambda _, text: texts.add(text))
-    return code_in(texts)
+    with code_rule("name"):
+        found = [CodePath.named(text) for text in sorted({text for _, text in _texts(data)}) if _is_code(text)]
+    return [code for code in found if code.files]
 
 
-def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> Any:
-    """A copy of plain values with each text changed.
+def with_texts(data: Any, change: Callable[[str, str], str | None], key: str = "") -> Any:
+    """A copy of plain values with each text changed, given the last part of its key, and the text.
 
-    Args:
-        data: Plain values.
-        change: Called with the last part of the key at which a text stands, alone or in a list, and the text. Under
-            `values`, as of a distribution, it is the key above.
-        key: At which `data` stands.
+    Of a list it is the key of the list; of `values`, from which a sweep chooses, the key above.
     """
     if isinstance(data, str):
         return change(key, data)
     if isinstance(data, Mapping):
-        leaves = {name: str(name).rpartition(".")[2] for name in data}
-        return {
-            name: with_texts(value, change, key if leaves[name] == "values" else leaves[name])
-            for name, value in data.items()
-        }
+        lasts = {name: str(name).rpartition(".")[2] for name in data}
+        return {name: with_texts(data[name], change, key if last == "values" else last) for name, last in lasts.items()}
     return [with_texts(each, change, key) for each in data] if isinstance(data, (list, tuple)) else data
 
 
-def _each_text(data: Any, look: Callable[[str, str], None]) -> None:
-    def unchanged(key: str, text: str) -> str:
-        look(key, text)
-        return text
+def _texts(data: Any) -> set[tuple[str, str]]:
+    """Each text with the last part of its key."""
+    found: set[tuple[str, str]] = set()
+    with_texts(data, lambda *each: found.add(each))
+    return found
 
-    with_texts(data, unchanged)
+
+def _is_code(text: str) -> bool:
+    return re.fullmatch(CLASS_PATH, text) is not None
 
 
 def _is_file(key: str, value: str) -> bool:

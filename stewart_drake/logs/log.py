@@ -13,7 +13,7 @@ import numpy as np
 
 from stewart_drake.control.settings import NAMES
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import naming_code
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.installed import need_pandas
 from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
 from stewart_drake.files.whole import write_atomically
@@ -332,7 +332,7 @@ def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
         raise ConfigurationError(key, what, "a log written by this package") from None
     try:
         # What is read is not run.
-        with naming_code():
+        with code_rule("name"):
             scenario = Scenario.from_dict(scenario)
     except ConfigurationError as error:
         raise error.within(f"{key}: ") from None

@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import files_of, user_parts
-from stewart_drake.files.named_files import with_texts
+from stewart_drake.families import user_parts
+from stewart_drake.files.named_files import file_digests, with_texts
 from stewart_drake.files.whole import read_checked, sync_folder, take_lock, write_atomically
 from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import UNFINISHED, SimulationLog
@@ -241,7 +241,7 @@ class ResultsFolder:
             before = Counter(json.loads(text)["files"].values())
         except (ConfigurationError, ValueError, KeyError, TypeError, AttributeError):
             return False
-        now = Counter(files_of(self._scenario).values())
+        now = Counter(file_digests(self._scenario.to_dict()).values())
         return scenario == self._files["scenario.yaml"] and before == now
 
     def _put(self) -> None:
@@ -323,22 +323,17 @@ def _replay(log: SimulationLog, path: Path) -> str | None:
 
 def _own_files(scenario: Scenario) -> dict[str, bytes]:
     """The scenario as run, and the files of the user's classes that it runs."""
-    names: dict[str, str] = {}
     files: dict[str, bytes] = {}
-    texts: dict[str, str] = {}
-    for part in user_parts(scenario):
-        path = Path(part.code.source)
+    here: dict[str, str] = {}
+    for code, key in [(part.code, part.code_key) for part in user_parts(scenario) if part.code.in_file]:
         # Of a log from elsewhere the code may be gone; then its results do without.
         with suppress(ConfigurationError):
-            if part.code.in_file and str(path) not in names:
-                content = part.code.read(part.code_key)
-                # Of two files of one name the second gets a number.
-                tries = (path.name, *(f"{path.stem}_{count}.py" for count in range(2, len(names) + 2)))
-                names[str(path)] = next(name for each in tries if (name := f"{_CODE}/{each}") not in files)
-                files[names[str(path)]] = content
-        if str(path) in names:
-            texts[str(part.code)] = f"{names[str(path)]}:{part.code.name}"
-    data = with_texts(scenario.to_dict(), lambda _, text: texts.get(text, text))
+            content, path = code.read(key), f"{_CODE}/{code.files[-1].stem}"
+            # Of two files of one name the second gets a number.
+            names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
+            here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)
+            here[str(code)] += f":{code.name}"
+    data = with_texts(scenario.to_dict(), lambda _, text: here.get(text, text))
     return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **files}
 
 

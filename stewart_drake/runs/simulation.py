@@ -22,7 +22,8 @@ from stewart_drake.errors import (
     drake_guard,
     raised_at,
 )
-from stewart_drake.families import files_of, user_parts
+from stewart_drake.families import user_parts
+from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import SimulationLog
@@ -35,6 +36,7 @@ from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
+from stewart_drake.section import to_plain
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -77,7 +79,7 @@ def run(
     if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
-    files = files_of(scenario)
+    files = file_digests(scenario.to_dict())
     engine = engine_of(scenario, meshcat)
     try:
         return _run_engine(engine, scenario, rows, files, progress)
@@ -220,7 +222,7 @@ def _check_motion(scenario: Scenario) -> None:
     """Checks the reference over the whole run, but for one that has passed before; a user's code is asked again."""
     told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    subject = (*told, *moves, tuple(files_of(scenario.reference).items()))
+    subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
     known = not user_parts(scenario)
     if known and subject in _PASSED:
         return
