@@ -294,6 +294,18 @@ def test_who_cannot_write_at_home_is_trusted_in_this_process(parts, monkeypatch)
     assert Scenario.from_dict({"disturbances": [f"{parts}:Push"]}).disturbances[0].code.trusted
 
 
+def test_a_store_in_the_current_folder_is_not_asked(parts, tmp_path, monkeypatch):
+    with trusting_code():
+        key = Scenario.from_dict({"disturbances": [f"{parts}:Push"]}).disturbances[0].code.key
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_STATE_HOME", "state")
+    monkeypatch.setattr("stewart_drake.files.code_trust._TRUSTED", set())
+    (tmp_path / "state/stewart-drake").mkdir(parents=True)
+    (tmp_path / "state/stewart-drake/trusted_code").write_text(f"{key}\n")
+    with pytest.raises(ConfigurationError, match="--trust-code"):
+        Scenario.from_dict({"disturbances": [f"{parts}:Push"]})
+
+
 def test_shipped_code_is_trusted_where_it_lies_and_only_what_it_defines(parts, monkeypatch):
     shipped = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
     assert Scenario.from_dict({"controller": shipped}).controller.load().__name__ == "TaskSpacePd"

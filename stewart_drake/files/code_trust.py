@@ -65,7 +65,10 @@ def is_shipped(files: Sequence[Path]) -> bool:
 
 def store() -> Path:
     """The file with the keys, a line each; of one that is deleted the user is asked again."""
-    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser() / "stewart-drake" / "trusted_code"
+    state = Path(os.environ.get("XDG_STATE_HOME", ""))
+    # A relative one would be in the folder of whoever wrote the scenario.
+    state = state if state.is_absolute() else Path("~/.local/state").expanduser()
+    return state / "stewart-drake" / "trusted_code"
 
 
 def _kept() -> set[str]:

@@ -26,7 +26,7 @@ def anchored(data: Any, folder: Path) -> Any:
 
     def absolute(key: str, text: str) -> str:
         named = _is_file(key, text) or (_is_code(text) and ".py:" in text)
-        return str((folder / text).absolute()) if named else text
+        return text if not named or Path(text).is_absolute() else str((folder / text).absolute())
 
     return with_texts(data, absolute)
 
