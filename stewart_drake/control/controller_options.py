@@ -61,8 +61,8 @@ class ControllerOptions(Section, key="controller"):
         return getattr(self, "saturation", "") == "none"
 
     @property
-    def code(self) -> str | None:
-        """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
+    def code(self) -> Any:
+        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
         return None
 
     def limit(self, robot: RobotParameters) -> np.ndarray:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import UserMade, user_sources
-from stewart_drake.files.user_code import CLASS_PATH, CLASS_WORDS, KEEP_GIVEN, UserClass
+from stewart_drake.families import UserMade, user_parts
+from stewart_drake.files.code_path import UserCodePath
 from stewart_drake.files.user_errors import UserCode
-from stewart_drake.section import Positive, Text
+from stewart_drake.section import Positive
 
 
-class PythonOptions(ControllerOptions, UserMade):
+class PythonOptions(UserMade, ControllerOptions):
     """A user's LeafSystem by import path; `kind` may be that path itself.
 
     Ports that it must have: inputs measurement (12,) and reference (18,), output torque (6,), as in `LqiController`.
@@ -28,54 +26,26 @@ class PythonOptions(ControllerOptions, UserMade):
     """
 
     path_key: ClassVar[str] = "system"
-    kind: Literal["python"] = "python"
-    system: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
-    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. The
-    class is a System of pydrake, and its code is run."""
+    kind: Literal["python"] = "python"  # type: ignore[assignment]
+    system: UserCodePath
+    """path/to/file.py:Class, from the folder of the file that names it, or module:Class. The class is a System of
+    pydrake, and its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values. `robot` (as the controller believes it), `period` and
     `gravity` are added where the constructor names them."""
     period: Positive = 0.001
     """[s] period of the log, of a delay and of the tuner; the controller should tick with it."""
 
-    @property
-    def source(self) -> UserClass:
-        """Where the class comes from."""
-        return _SystemClass(self.system, super().source.key)
-
-    @property
-    def file(self) -> Path | None:
-        """See `UserClass.file`."""
-        return self.source.file
-
-    @property
-    def code(self) -> str:
-        """See `UserClass.code`."""
-        return self.source.code
-
-
-class _SystemClass(UserClass):
-    """A class that must be a System of pydrake."""
-
-    def load(self) -> type:
-        """See `UserClass.load`."""
+    def load(self) -> Any:
+        """See `UserMade.load`; it must be a System of pydrake."""
         from pydrake.systems.framework import System
 
         found = super().load()
         if not issubclass(found, System):
-            raise ConfigurationError(self.key, self.path, "a LeafSystem of pydrake")
+            raise ConfigurationError(self.code_key, self.code, "a LeafSystem of pydrake")
         return found
-
-
-def construct(options: PythonOptions, offered: Mapping[str, Any]) -> Any:
-    """An object of the class, made with `options.arguments` and with those of `offered` that the constructor names.
-
-    Raises:
-        ConfigurationError: See `UserClass.load`; it is not a System of pydrake; the constructor raises.
-    """
-    return options.source.construct(options.arguments, offered)
 
 
 def user_code(section: Any) -> UserCode:
     """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
-    return UserCode(*(source.own_module for source in user_sources(section)))
+    return UserCode(*(part.code.own_module for part in user_parts(section)))

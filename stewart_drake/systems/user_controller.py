@@ -7,7 +7,7 @@ from typing import Any
 from pydrake.systems.framework import PortDataType
 
 from stewart_drake.control.parts import ControllerSite
-from stewart_drake.control.user_controller import PythonOptions, construct
+from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import ConfigurationError
 
 _INPUTS = {"measurement": 12, "reference": 18}
@@ -24,7 +24,7 @@ def load_user_controller(options: PythonOptions, site: ControllerSite) -> Any:
     Raises:
         ConfigurationError: It cannot be loaded or made, or a port is missing or of the wrong size.
     """
-    system = construct(options, {"robot": site.robot, "period": options.period, "gravity": site.gravity})
+    system = options.construct({"robot": site.robot, "period": options.period, "gravity": site.gravity})
     inputs = {**_INPUTS, "weights": site.weights} if system.HasInputPort("weights") else _INPUTS
     has = [name for name in _ANSWERS if system.HasOutputPort(name)]
     outputs = {"torque": 6, **(_ANSWERS if has else {})}
