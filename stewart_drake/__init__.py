@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stewart_drake.controller import Controller as Controller
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
+    from stewart_drake.files.code_trust import trusting_code as trusting_code
     from stewart_drake.identification.excitation import excite as excite
     from stewart_drake.identification.identified import Identification as Identification
     from stewart_drake.identification.identify import identify as identify
@@ -76,6 +77,7 @@ _HOME = {
     "build_diagram": "systems.diagram",
     "ConfigurationError": "errors",
     "StewartDrakeError": "errors",
+    "trusting_code": "files.code_trust",
     "check_reference": "planning.feasibility",
     "forward_kinematics": "mechanics.kinematics",
     "inverse_kinematics": "mechanics.kinematics",

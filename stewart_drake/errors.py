@@ -30,6 +30,9 @@ class _Short(reprlib.Repr):
         return super().repr_int(x, level) if x.bit_length() < 2000 else f"<a whole number of {x.bit_length()} bits>"
 
 
+UNTRUSTED_CODE = "untrusted_code"
+"""`reason` of a `ConfigurationError` about code that may not run."""
+
 _SHORT = _Short()
 _SHORT.maxother = _SHORT.maxstring = 120
 
@@ -81,6 +84,7 @@ class ConfigurationError(StewartDrakeError):
         """The same problems, with the place where they were found before each key."""
         made = ConfigurationError(f"{place}{self.key}", self.value, self.allowed)
         made.others, made._left_out = tuple(each.within(place) for each in self.others), self._left_out
+        made.reason = self.reason
         return made
 
 

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
-from typing import Annotated, Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
-from stewart_drake.files.user_code import (
-    CLASS_PATH,
-    CLASS_WORDS,
-    KEEP_GIVEN,
-    UserClass,
-    given_path,
-    path_of,
-    source_of,
-)
-from stewart_drake.section import Section, Text, check_plain, to_plain
+from stewart_drake.files.code_path import CodePath, UserCodePath, path_of, source_of
+from stewart_drake.section import Section, check_plain, to_plain
 from stewart_drake.wording import OWN, as_problem, chosen, either
 
 _PACKAGE = __name__.partition(".")[0]
@@ -38,9 +31,8 @@ class Family:
             Diagram: `module:name` in this package, or the thing itself; then, where it has one, what does the same
             outside of a Diagram.
         default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, as `module:name`; None where there is none. It has the class method
-            `of(kind, rest)`: an import path, a class or an object, and the other keys.
-        method: What an object of the user's own has; None for classes alone.
+        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
+        methods: What an object of the user's own has one of; none for classes alone.
         without: Kinds that are not taken here.
         older: Names that kinds had in older files -> their names.
     """
@@ -50,17 +42,17 @@ class Family:
         lines: dict[str, tuple[Any, ...]],
         default: str | None = None,
         own: str | None = None,
-        method: str | None = None,
+        methods: tuple[str, ...] = (),
         without: tuple[str, ...] = (),
         older: Mapping[str, str] | None = None,
     ) -> None:
         self.default = default
-        self._lines, self._own, self._method, self._without = lines, own, method, without
+        self._lines, self._own, self._methods, self._without = lines, own, methods, without
         self._older = older or {}
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some."""
-        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds), self._older)
+        return Family(self._lines, self.default, self._own, self._methods, (*self._without, *kinds), self._older)
 
     @property
     def kinds(self) -> list[str]:
@@ -149,7 +141,7 @@ class Family:
             return False
         if isinstance(kind, str):
             return ":" in kind
-        return isinstance(kind, type) or hasattr(kind, self._method or "")
+        return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, type) and issubclass(value, Section) and value is not Section:
@@ -160,7 +152,8 @@ class Family:
         section = self.section_of(value)
         if isinstance(value, Mapping):
             if section is not None and self._is_own(value.get("kind")):
-                return section.of(value["kind"], {key: each for key, each in value.items() if key != "kind"})
+                rest = {key: each for key, each in value.items() if key != "kind"}
+                value = {section.path_key: CodePath.of(value["kind"]), **rest}
             if section is not None:
                 return section.__pydantic_validator__.validate_python(value)
             missing = "kind" not in value
@@ -259,36 +252,62 @@ class UserMade(Section):
     asked: ClassVar[str]
     """What an object of the class does, such as `evaluate(t) returns ...`; begins with its method."""
 
-    kind: Annotated[Text, Field(pattern=CLASS_PATH), CLASS_WORDS, KEEP_GIVEN]
-    """path/to/file.py:Class, in the folder of the scenario file or below; or module:Class of an installed package. Its
-    code is run."""
+    kind: UserCodePath
+    """path/to/file.py:Class, from the folder of the file that names it, or module:Class. Its code is run."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     """Keyword arguments of the constructor, plain values."""
-
-    @classmethod
-    def of(cls, kind: Any, rest: Mapping[str, Any]) -> Self:
-        """The section of a class or object that was given in Python, or of an import path."""
-        made: Self = cls.__pydantic_validator__.validate_python({cls.path_key: given_path(kind), **rest})
-        return made
 
     def rules(self) -> None:
         """See `Section.rules`."""
         check_plain("arguments", self.arguments)
 
     @property
-    def source(self) -> UserClass:
+    def code(self) -> CodePath:
         """Where the class comes from."""
-        place = vars(self).get("place", self.section_key)
-        return UserClass(getattr(self, self.path_key), f"{place}.{self.path_key}")
+        found: CodePath = getattr(self, self.path_key)
+        return found
+
+    @property
+    def code_key(self) -> str:
+        """Key of the scenario that has it, for messages."""
+        return f"{vars(self).get('place', self.section_key)}.{self.path_key}"
+
+    def load(self) -> Any:
+        """The class; it is not called.
+
+        Raises:
+            ConfigurationError: See `CodePath.load`; it is not a class.
+        """
+        found = self.code.load(self.code_key)
+        if not isinstance(found, type) and self.code.given is None:
+            raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(found).__name__}")
+        return found if isinstance(found, type) else type(found)
+
+    def construct(self, offered: Mapping[str, Any]) -> Any:
+        """The object: made with `arguments` and with those of `offered` that the constructor names, or as it was given.
+
+        Raises:
+            ConfigurationError: See `load`; the constructor raises.
+        """
+        kind, given = self.load(), self.code.given
+        if given is not None and not isinstance(given, type):
+            return given
+        keywords = dict(self.arguments)
+        place = self.code_key.rpartition(".")[0]
+        with self.code.blamed(self.code_key, f"a constructor that takes {place}.arguments and does not raise"):
+            for name, parameter in inspect.signature(kind).parameters.items():
+                if name in offered and parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+                    keywords.setdefault(name, offered[name])
+            return kind(**keywords)
 
     @cached_property
     def made(self) -> Any:
         """The object.
 
         Raises:
-            ConfigurationError: See `UserClass.construct`; it does not have the method.
+            ConfigurationError: See `construct`; it does not have the method.
         """
-        made = self.source.construct(self.arguments, {})
+        made = self.construct({})
         method = self.asked.partition("(")[0]
         if not callable(getattr(made, method, None)):
             raise self.refusal(f"one without {method}")
@@ -296,7 +315,7 @@ class UserMade(Section):
 
     def refusal(self, found: str) -> ConfigurationError:
         """The error that says what is asked of the class, and what was found instead."""
-        return ConfigurationError(self.source.key, self.kind, f"a class whose {self.asked}, not {found}")
+        return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {found}")
 
     def numbers(self, answer: Any) -> np.ndarray:
         """An answer of the object as an array.
@@ -311,16 +330,12 @@ class UserMade(Section):
 
 
 def given_again(section: Any) -> Any:
-    """A section in plain values, except for classes and objects that were given in Python."""
+    """A section in plain values, except for its code, which need not be trusted anew."""
     if isinstance(section, (list, tuple)):
         return [given_again(each) for each in section]
-    if not isinstance(section, Section):
-        return to_plain(section)
-    data = {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
-    source = getattr(section, "source", None)
-    if isinstance(source, UserClass) and source.given is not None:
-        data = {**{key: value for key, value in data.items() if key != "system"}, "kind": source.given}
-    return data
+    if isinstance(section, Section):
+        return {name: given_again(getattr(section, name)) for name in section.__pydantic_fields__}
+    return section if isinstance(section, CodePath) else to_plain(section)
 
 
 def refuse_given(section: Any) -> None:
@@ -329,16 +344,16 @@ def refuse_given(section: Any) -> None:
     Raises:
         ConfigurationError: There is such a part.
     """
-    for source in user_sources(section):
-        if source.given is not None:
-            raise ConfigurationError(source.key, source.path, "a class by its import path, to run it many times")
+    for part in user_parts(section):
+        if part.code.given is not None:
+            raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
 
 
-def user_sources(section: Any) -> list[UserClass]:
-    """Every class of the user's own in a section, and in those inside."""
-    found = [section.source] if isinstance(getattr(section, "source", None), UserClass) else []
+def user_parts(section: Any) -> list[UserMade]:
+    """Every part of the user's own in a section, and in those inside."""
+    found = [section] if isinstance(section, UserMade) else []
     inside = vars(section).values() if isinstance(section, Section) else section if isinstance(section, tuple) else ()
-    return found + [each for part in inside for each in user_sources(part)]
+    return found + [each for part in inside for each in user_parts(part)]
 
 
 def place_users(section: Any, place: str = "") -> None:

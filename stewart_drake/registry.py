@@ -23,7 +23,7 @@ REFERENCES = Family(
         "adjusted": ("references.combined:AdjustedReference",),
     },
     own="references.user_reference:UserReference",
-    method="evaluate",
+    methods=("evaluate",),
 )
 CONTROLLERS = Family(
     {
@@ -34,7 +34,7 @@ CONTROLLERS = Family(
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
-    method="GetInputPort",
+    methods=("GetInputPort", "__call__"),
 )
 TUNERS = Family(
     {
@@ -51,9 +51,9 @@ ESTIMATORS = Family(
     {"difference": ("hardware.estimator:DifferenceOptions",), "observer": ("hardware.observer:ObserverOptions",)},
     default="difference",
 )
-OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", method="look")
+OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
-OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", method="of")
+OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
     {
@@ -64,7 +64,7 @@ DISTURBANCES = Family(
         "noise": ("hardware.disturbances:NoiseWrench",),
     },
     own="hardware.disturbances:UserDisturbance",
-    method="evaluate",
+    methods=("evaluate",),
 )
 ENCODER_FAULTS = Table(
     {

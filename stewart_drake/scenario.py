@@ -17,7 +17,8 @@ from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, given_again, place_users
-from stewart_drake.files.named_files import ROBOT_KEYS, anchor_files
+from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.named_files import ROBOT_KEYS, anchored
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
@@ -129,6 +130,18 @@ class Scenario(Section):
         robot = robot or PAPER
         return _with_defaults(data, robot, believed or robot, _latency(data))
 
+    @classmethod
+    def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
+        """See `Section.from_dict`.
+
+        Args:
+            data: Keys and values.
+            key: Goes before the key in messages.
+            trust_code: Trust the code that it names by import paths, now and whenever it is the same.
+        """
+        with trusting_code(trust_code):
+            return super().from_dict(data, key)
+
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
@@ -138,7 +151,8 @@ class Scenario(Section):
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
-                `initial_offset[5]` or `robot.legs[2].rod_length`, come last.
+                `initial_offset[5]` or `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`,
+                or is a class or an object.
 
         Raises:
             ConfigurationError: As for the class.
@@ -235,22 +249,23 @@ class Scenario(Section):
             raise ConfigurationError("log_period", self.effective_log_period, f"{allowed}: a log has at most 1e8 rows")
 
 
-def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
     """Reads a scenario file.
 
     Args:
-        path: YAML file; `weights_file`, `motion_file` and a controller's file in it are relative to its folder, and the
-            last lies in it or below. A bare name such as `paper_fig7` is looked up among the scenarios of the package.
+        path: YAML file; `weights_file`, `motion_file` and files with code in it are relative to its folder. A bare name
+            such as `paper_fig7` is looked up among the scenarios of the package.
         overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
             others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
             keys that only the old kind has. Components of lists come last, see `Scenario.replace`.
+        trust_code: Trust the code that is named in it, and in `overrides`, now and whenever it is the same.
 
     Raises:
-        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
+        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed; code that is not
+            trusted.
     """
     path = find_file("scenario", path)
-    data = read_mapping("scenario", path, 100)
-    anchor_files(data, path.parent)
+    data = anchored(read_mapping("scenario", path, 100), path.parent)
     # Before the overrides: they count, whichever of two names they use, and change keys of sections that are a text.
     data = _spelled(data)
     components: dict[str, Any] = {}
@@ -258,14 +273,14 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
         key, separator, value = text.partition("=")
         if not separator or not key.strip():
             raise ConfigurationError("--set", text, "key=value, such as controller.period=0.002")
-        change = {key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}
-        anchor_files(change, Path())
+        change = anchored({key.strip(): parse_yaml(value, f"--set {shown(key.strip())}")}, Path())
         if "[" in key:
             components |= change
         else:
             _assign(data, key.strip(), change[key.strip()])
-    made = Scenario.from_dict(data)
-    return made.replace(components) if components else made
+    with trusting_code(trust_code):
+        made = Scenario.from_dict(data)
+        return made.replace(components) if components else made
 
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:

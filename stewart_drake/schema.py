@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from stewart_drake.files.user_code import CLASS_PATH
+from stewart_drake.files.code_path import CLASS_PATH
 
 
 def json_schema(root: Any) -> dict[str, Any]:

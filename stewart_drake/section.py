@@ -10,6 +10,7 @@ import dataclasses
 import inspect
 import json
 import math
+import os
 from collections.abc import Mapping
 from functools import lru_cache, wraps
 from typing import Annotated, Any, ClassVar, Self, dataclass_transform
@@ -172,13 +173,15 @@ def plain(value: Any) -> Any:
 
 def to_plain(value: Any) -> Any:
     """A value of a section in what JSON and YAML have."""
+    if isinstance(value, (str, os.PathLike)):
+        return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, (list, tuple)):
         return [to_plain(each) for each in value]
     if isinstance(value, Mapping):
         return {key: to_plain(each) for key, each in value.items()}
-    return str(value) if isinstance(value, str) else value
+    return value
 
 
 def is_finite(value: Any) -> bool:

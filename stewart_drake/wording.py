@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 
 TINY = float(np.finfo(float).tiny)
 """Smallest number whose reciprocal is finite: what counts as above 0."""
@@ -37,7 +37,8 @@ class _Family(Protocol):
 
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
-    return PydanticCustomError("rule", "a rule", {"key": error.key, "got": error.value, "allowed": error.allowed})
+    context = {"key": error.key, "got": error.value, "allowed": error.allowed, "reason": error.reason}
+    return PydanticCustomError("rule", "a rule", context)
 
 
 def explain(root: Any, error: ValidationError, data: Any, section: str = "") -> ConfigurationError:
@@ -50,12 +51,16 @@ def explain(root: Any, error: ValidationError, data: Any, section: str = "") -> 
         section: Key of that section.
 
     Returns:
-        The first problem, unknown keys before others, with the `others`.
+        The first problem with the `others`: code that is not trusted before unknown keys, and these before the rest.
     """
     order = {key: place for place, key in enumerate(data)} if isinstance(data, dict) else {}
     reports = sorted(
         error.errors(include_url=False),
-        key=lambda report: (report["type"] not in _UNKNOWN_KEY, order.get((*report["loc"], None)[0], len(order))),
+        key=lambda report: (
+            report.get("ctx", {}).get("reason") != UNTRUSTED_CODE,
+            report["type"] not in _UNKNOWN_KEY,
+            order.get((*report["loc"], None)[0], len(order)),
+        ),
     )
     # Of a list with bad entries pydantic says too that there are too few.
     places = [report["loc"] for report in reports]
@@ -123,7 +128,9 @@ def _problem(root: Any, report: Any, data: Any, section: str) -> tuple[Configura
         if isinstance(value, str) and _is_number(value) and "number" in allowed:
             allowed += " (without quotes)"
     keys = [section, *keys] if section else keys
-    return ConfigurationError(".".join(map(shown, keys)) or "scenario", value, allowed), guess
+    problem = ConfigurationError(".".join(map(shown, keys)) or "scenario", value, allowed)
+    problem.reason = context.get("reason", problem.reason)
+    return problem, guess
 
 
 def _section_at(root: Any, location: Sequence[int | str], data: Any) -> Any:

@@ -23,10 +23,11 @@ from made_logs import made_log
 from stewart_drake.campaigns.comparison_file import load_comparison
 from stewart_drake.campaigns.sweep_file import load_sweep
 from stewart_drake.control.network import load_network
-from stewart_drake.control.user_controller import PythonOptions, construct
+from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files import parquet_files
-from stewart_drake.files.named_files import digest
+from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.whole import digest
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.references import RecordedReference
@@ -136,7 +137,8 @@ def _recording(path):
 
 
 def _controller(path):
-    return construct(PythonOptions(system=f"{path}:Mine"), {})
+    with trusting_code():
+        return PythonOptions(system=f"{path}:Mine").construct({})
 
 
 KINDS = {

@@ -15,6 +15,7 @@ from hypothesis import settings
 
 from stewart_drake.campaigns import engine
 from stewart_drake.control.network import TunerNetwork
+from stewart_drake.files import code_trust
 from stewart_drake.files.whole import seal
 from stewart_drake.logs import versions
 
@@ -43,6 +44,21 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.xdist_group(name))
         if "report" in item.fixturenames:
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def nobody_has_trusted_code(tmp_path_factory):
+    """Tests neither ask nor change what the user has trusted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def no_code_trusted_before():
+    """Each test begins with none."""
+    code_trust._TRUSTED.clear()
+    code_trust.store().unlink(missing_ok=True)
 
 
 COMMAND = "from stewart_drake.cli.app import main; main()"

@@ -91,7 +91,7 @@ def checked_logged_and_plotted(scenario, tmp_path):
 )
 def test_a_controller_from_a_notebook_cell(given, tmp_path):
     scenario = Scenario.from_dict({**SHORT, "controller": given, "reference": {"kind": "hold"}})
-    assert scenario.controller.system == "test_outside_kinds:ToyController"
+    assert str(scenario.controller.system) == "test_outside_kinds:ToyController"
     log = checked_logged_and_plotted(scenario, tmp_path)
     assert np.abs(log["torque"]).max() > 0.01
     longer = scenario.replace({"duration": 0.11, "controller.period": 0.001})
@@ -139,27 +139,19 @@ class Rise:
 """
 
 
-def test_a_file_beside_the_scenario_is_run_by_its_path_and_no_other_is(tmp_path):
+def test_a_file_beside_the_scenario_is_run_by_its_path(tmp_path):
     (tmp_path / "deep").mkdir()
     (tmp_path / "deep" / "mine.py").write_text(CODE)
     file = tmp_path / "scenario.yaml"
-    text = "duration: 0.1\ntuner: {{kind: fixed}}\nreference: {{kind: '{}:Rise', arguments: {{height: 0.002}}}}\n"
-    file.write_text(text.format("deep/mine.py"))
-    scenario = load_scenario(file)
-    # What would be run is named, and not run.
-    shown = CliRunner().invoke(cli, ["check", str(file)])
-    assert (shown.exit_code, f"runs code: {tmp_path / 'deep' / 'mine.py'}" in shown.output) == (0, True)
+    text = (
+        "duration: 0.1\ntuner: {{kind: fixed}}\nreference: {{kind: 'deep/mine.py:Rise', arguments: {{height: {}}}}}\n"
+    )
+    file.write_text(text.format(0.002))
+    scenario = load_scenario(file, trust_code=True)
     assert "made" not in vars(scenario.reference)
-    assert scenario.reference.kind == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
+    assert str(scenario.reference.kind) == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
     checked_logged_and_plotted(scenario, tmp_path)
-    file.write_text(text.format(tmp_path.parent / "mine.py"))
-    with pytest.raises(ConfigurationError, match=r"^reference\.kind: .*a file in .* or below"):
-        load_scenario(file)
-    for module in ("os:system", "builtins:print", "mine:Rise"):
-        file.write_text(text.format("x.py").replace("x.py:Rise", module))
-        with pytest.raises(ConfigurationError, match=r"^reference\.kind: .*installed package"):
-            load_scenario(file).reference.evaluate(0.0)
-    file.write_text(text.format("deep/mine.py").replace("0.002", ".nan"))
+    file.write_text(text.format(".nan"))
     with pytest.raises(ConfigurationError, match=r"^reference\.arguments"):
         load_scenario(file)
 
@@ -327,8 +319,9 @@ def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path,
         "reference: {kind: 'motions.py:Rise'}\n"
         "disturbances: [{kind: 'pushes.py:Push'}]\n"
     )
-    for scenario, out in (("s.yaml", "out"), ("out/scenario.yaml", "again")):
-        done = CliRunner().invoke(cli, ["run", scenario, "--out", out, "--quiet"])
+    # The results are known by the code in them.
+    for scenario, out, *trust in (("s.yaml", "out", "--trust-code"), ("out/scenario.yaml", "again")):
+        done = CliRunner().invoke(cli, ["run", scenario, "--out", out, "--quiet", *trust])
         assert done.exit_code == 0, done.output
         assert {path.name for path in (tmp_path / out / "code").iterdir()} == {"motions.py", "pushes.py"}
         for name in ("motions.py", "pushes.py"):
@@ -357,17 +350,18 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     )
     for command, file in (("run", "s.yaml"), ("sweep", "sweep.yaml"), ("run", "one/scenario.yaml")):
         out = "again" if file.startswith("one") else {"run": "one", "sweep": "many"}[command]
-        done = CliRunner().invoke(cli, [command, file, "--out", out, "--quiet"])
+        trust = ["--trust-code"] if (command, out) == ("run", "one") else []
+        done = CliRunner().invoke(cli, [command, file, "--out", out, "--quiet", *trust])
         assert done.exit_code == 0, done.output
     for out in ("one", "again"):
         assert json.loads((tmp_path / out / "metrics.json").read_text())["height"] == pytest.approx(0.3, abs=1e-3)
     assert "height" in (tmp_path / "many" / "sweep.csv").read_text().splitlines()[0]
     assert "height" not in run_metrics(run(Scenario(**SHORT)))
-    scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"])
+    scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"], trust_code=True)
     with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 6\)"):
         run(scenario)
     with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric\(.*\), not of a int"):
-        run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"]))
+        run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"], trust_code=True))
     mine = Metric("mine", "1", "a number", lambda t: float(t.steps), "steps")
     assert run_metrics(run(Scenario(**SHORT, metrics=[mine])))["mine"] > 10
 
@@ -414,9 +408,10 @@ def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_sce
     assert scenario == Scenario(**SHORT, reference=one) != Scenario(**SHORT, reference=two)
     for copy in (dataclasses.replace(scenario, duration=0.2), scenario.replace({"duration": 0.2})):
         assert copy.reference.made is one
+        assert copy.replace({"log_period": 0.002}).reference.made is one
     assert dataclasses.replace(scenario.reference).made is one
     controlled = Scenario(**SHORT, controller=ToyController)
-    assert dataclasses.replace(controlled.controller, period=0.002).source.load() is ToyController
+    assert dataclasses.replace(controlled.controller, period=0.002).load() is ToyController
     assert type(scenario.to_dict()["reference"]["kind"]) is str
 
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.scenario import Scenario, scenario_schema
 from stewart_drake.section import Section
 
@@ -54,7 +55,7 @@ def keys(section):
 @st.composite
 def documents(draw):
     made = copy.deepcopy(draw(st.sampled_from(DOCUMENTS)))
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, code_rule("name"):
         patch.setattr(Section, "__post_init__", no_rules)
         everything = Scenario.from_dict(copy.deepcopy(made)).to_dict()
     everything["robot"].pop("name", None)
@@ -70,7 +71,7 @@ def documents(draw):
 
 @given(documents())
 def test_the_schema_takes_what_loads_and_nothing_else(document):
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, code_rule("name"):
         # Without the rules between fields.
         patch.setattr(Section, "__post_init__", no_rules)
         try:

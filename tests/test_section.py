@@ -11,6 +11,7 @@ from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.hardware.disturbances import UserDisturbance
 from stewart_drake.references.user_reference import UserReference
 from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
@@ -58,6 +59,12 @@ NEEDED = {
     "CommandFault": {"kind": "nan"},
     "BrokenRod": {"leg": 0, "time": 0.0},
 }
+
+
+@pytest.fixture(autouse=True)
+def code_may_be_named():
+    with code_rule("name"):
+        yield
 
 
 def sections_in(annotation):

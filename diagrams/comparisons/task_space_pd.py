@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stewart_drake.mechanics.dynamics import static_torque_of_legs, task_inertia
+from stewart_drake.mechanics.dynamics import static_torque, task_inertia
 from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, rod_lines
 
 
@@ -29,4 +29,4 @@ class TaskSpacePd:
         # Forces along the rods that make this wrench, each with its crank's lever.
         forces = np.linalg.solve(rod_lines(legs).T, wrench)
         by_springs = self.robot.crank_lengths * legs.transmission * forces
-        return by_springs + static_torque_of_legs(self.robot, legs, self.gravity)
+        return by_springs + static_torque(self.robot, pose, self.gravity)

@@ -25,6 +25,7 @@ from stewart_drake.campaigns.tables import Row
 from stewart_drake.campaigns.tune_options import TunedFile, TuneOptions
 from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
@@ -246,20 +247,24 @@ class Comparison(Plan):
         }
 
 
-def load_comparison(path: str | Path, quick: bool = False, robot: str | None = None) -> Comparison:
+def load_comparison(
+    path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
+) -> Comparison:
     """Reads a comparison file.
 
     Args:
         path: YAML file, or the name of a comparison of the package such as `tracking`.
         quick: See `Comparison.from_dict`.
         robot: Likewise.
+        trust_code: See `load_scenario`.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_file("comparison", path)
     data = read_mapping("comparison", path, 80)
-    return Comparison.from_dict(data, path.parent, quick, robot)
+    with trusting_code(trust_code):
+        return Comparison.from_dict(data, path.parent, quick, robot)
 
 
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from stewart_drake.campaigns.tables import Row
-from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
+from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
+from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.whole import NOT_FINITE, plain_json
 from stewart_drake.logs.log_rows import NoRows
 from stewart_drake.logs.metric_table import MetricError, flat
@@ -46,6 +47,7 @@ class Task:
         changes: Scenario key -> value, see `Sweep.changes`.
         drawn: See `Sweep.draw`; goes into the row.
         measure: What goes into the row.
+        code: Keys of the user's code that it may run, see `CodePath.key`.
     """
 
     index: int
@@ -54,6 +56,7 @@ class Task:
     changes: Mapping[str, Any]
     drawn: Mapping[str, Any]
     measure: Measure
+    code: frozenset[str] = frozenset()
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
@@ -100,6 +103,7 @@ def execute(function: RunFunction, task: Task) -> Row:
         index, seed, values (`task.drawn`) and `outcome`'s, in values that strict JSON has: see `whole.plain_json`.
 
     Raises:
+        ConfigurationError: The user's code is not that of the task.
         KeyboardInterrupt: The run was interrupted; it is no row.
     """
     start = time.perf_counter()
@@ -146,13 +150,16 @@ def _outcome(function: RunFunction, task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
-        log = uninterrupted(function(Scenario.from_dict(task.base).replace(task.changes)))
+        with code_rule(task.code):
+            log = uninterrupted(function(Scenario.from_dict(task.base).replace(task.changes)))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
             return {**empty_row(task, log.status, log.reason, log.message), **task.measure(log)}
     except KeyboardInterrupt:
         raise
     except ConfigurationError as error:
+        if error.reason == UNTRUSTED_CODE:
+            raise  # it has changed in the midst of the study
         return empty_row(task, "rejected", error.reason, str(error))
     except RunFailure as error:
         return {**empty_row(task, "failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}

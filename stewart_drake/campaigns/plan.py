@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,8 +20,9 @@ from stewart_drake.campaigns.one_run import Measure, RunFunction, Task, empty_ro
 from stewart_drake.campaigns.row_store import RowStore
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import refuse_given, user_sources
-from stewart_drake.files.named_files import anchor_files, file_digests
+from stewart_drake.families import refuse_given, user_parts
+from stewart_drake.files.code_path import CodePath
+from stewart_drake.files.named_files import anchored, code_named, file_digests
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.metric_table import Column, added_code, columns
 from stewart_drake.logs.versions import collect_versions
@@ -64,9 +64,7 @@ class PlanFile(Section):
         folder = Path() if folder is None else folder
         if not isinstance(data, Mapping):
             raise ConfigurationError(what, data, "a mapping of keys to values")
-        keys = copy.deepcopy(dict(data))
-        anchor_files(keys, folder)
-        given = cls.from_dict(keys)
+        given = cls.from_dict(anchored(data, folder))
         relative = folder / given.scenario
         try:
             found = relative.is_file()
@@ -160,7 +158,17 @@ class Plan(ABC):
         drawn = self.draw(index)
         # Figures are those of every tick, whatever the scenario wants in a log.
         changes = {"name": self.run_name(index), **self.changes(drawn), "log_period": None}
-        return Task(index, self.run_seed(index), self._base_values, changes, drawn, self.measure(index))
+        measured = self.measure(index)
+        return Task(index, self.run_seed(index), self._base_values, changes, drawn, measured, self._trusted)
+
+    @cached_property
+    def code(self) -> list[CodePath]:
+        """The user's code that the runs name, as it was when this was asked first: no row comes from another."""
+        return code_named(self.work)
+
+    @cached_property
+    def _trusted(self) -> frozenset[str]:
+        return frozenset(code.key for code in self.code if code.trusted)
 
     @cached_property
     def _base_values(self) -> dict[str, Any]:
@@ -228,7 +236,7 @@ def run_plan(
         text = "its worker process died, also with this run alone in it: killed, out of memory, or a crash below Python"
         return empty_row(plan.task(index), "crashed", "worker_died", text)
 
-    with RowStore(folder, identity_of(plan, plan.work, versions), restart, plan.products) as store:
+    with RowStore(folder, identity_of(plan, versions), restart, plan.products) as store:
         kept = store.rows()
         rows = {index: kept[index] for index in indices if index in kept}
 
@@ -274,6 +282,7 @@ def identity(
     scenarios: Iterable[Scenario] = (),
     versions: Mapping[str, str | None] | None = None,
     more: Iterable[str] = (),
+    code: Iterable[CodePath] | None = None,
 ) -> dict[str, Any]:
     """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
 
@@ -282,6 +291,7 @@ def identity(
         scenarios: Of the work; of networks the weights count, and not what their file is called.
         versions: From `collect_versions`; None collects them.
         more: Names of versions beside `CODE`.
+        code: See `file_digests`.
 
     Raises:
         ConfigurationError: A weights file cannot be read.
@@ -290,7 +300,7 @@ def identity(
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
         **work,
-        "files": file_digests(work),
+        "files": file_digests(work, code),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
@@ -298,18 +308,17 @@ def identity(
     }
 
 
-def identity_of(plan: Plan, work: Mapping[str, Any], versions: Mapping[str, str | None]) -> dict[str, Any]:
-    """What rows of `plan` depend on, in plain values; classes of the user's are loaded: one that lacks shows early.
+def identity_of(plan: Plan, versions: Mapping[str, str | None]) -> dict[str, Any]:
+    """What rows of `plan` depend on, in plain values; the user's classes are loaded: one that lacks shows early.
 
     Args:
         plan: Whose scenarios are run.
-        work: What is done with them, in plain values.
         versions: From `collect_versions`.
 
     Raises:
         ConfigurationError: A weights file, or a class, that cannot be read.
     """
-    variants = plan.variants()
-    for source in {source.path: source for variant in variants for source in user_sources(variant)}.values():
-        source.load()
-    return identity(work, variants, versions)
+    code, variants = plan.code, plan.variants()
+    for part in {part.code: part for variant in variants for part in user_parts(variant)}.values():
+        part.load()
+    return identity(plan.work, variants, versions, code=code)

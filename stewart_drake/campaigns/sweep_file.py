@@ -19,8 +19,9 @@ from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distrib
 from stewart_drake.campaigns.one_run import simulate_figures
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.campaigns.tables import INCIDENTAL, Row, flat
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import refuse_given
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
@@ -256,16 +257,17 @@ class Sweep(Plan):
             vary(self.base, {key: value})
         except ConfigurationError as error:
             path = ".".join(map(str, split_key(key)))
-            if error.key == path or error.key.startswith(f"{path}."):
+            if error.key == path or error.key.startswith(f"{path}.") or error.reason == UNTRUSTED_CODE:
                 raise ConfigurationError(f"distributions.{shown(key)}", error.value, error.allowed) from None
 
 
-def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
+def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
     """Reads a sweep file.
 
     Args:
         path: YAML file, or the name of a sweep of the package such as `initial_offset`.
         runs: In place of the number in the file.
+        trust_code: See `load_scenario`.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -274,7 +276,8 @@ def load_sweep(path: str | Path, runs: int | None = None) -> Sweep:
     data = read_mapping("sweep", path, 80)
     if runs is not None:
         data["runs"] = runs
-    return Sweep.from_dict(data, path.parent)
+    with trusting_code(trust_code):
+        return Sweep.from_dict(data, path.parent)
 
 
 def _generator(seed: int, key: str) -> np.random.Generator:

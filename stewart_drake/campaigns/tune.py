@@ -122,7 +122,7 @@ class _Evaluations:
     ) -> None:
         comparison = tuning.comparison
         self._tuning = tuning
-        identity = identity_of(comparison, tuning.work, collect_versions())
+        identity = identity_of(comparison, collect_versions())
         self._runs = KeptRuns(folder, identity, where, tell, restart, PRODUCTS)
         assert comparison.file.cost is not None
         self._measure = partial(measure_cost, scales=comparison.file.cost)

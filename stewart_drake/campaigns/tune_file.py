@@ -14,6 +14,7 @@ from stewart_drake.campaigns.comparison_file import Comparison
 from stewart_drake.campaigns.plan import vary
 from stewart_drake.campaigns.tune_options import TuneOptions
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import value_at
 from stewart_drake.section import is_finite
@@ -171,16 +172,21 @@ class Tuning:
 
 
 def load_tuning(
-    path: str | Path, controllers: Sequence[str] = (), budget: int | None = None, quick: bool = False
+    path: str | Path,
+    controllers: Sequence[str] = (),
+    budget: int | None = None,
+    quick: bool = False,
+    trust_code: bool = False,
 ) -> Tuning:
-    """Reads a comparison file, see `Tuning.from_dict`.
+    """Reads a comparison file, see `Tuning.from_dict`, and `load_scenario` for `trust_code`.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
     """
     path = find_file("comparison", path)
     data = read_mapping("comparison", path, 80)
-    return Tuning.from_dict(data, path.parent, controllers, budget, quick)
+    with trusting_code(trust_code):
+        return Tuning.from_dict(data, path.parent, controllers, budget, quick)
 
 
 def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Ranges:

@@ -15,7 +15,7 @@ import click
 from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag, trust_flag
 from stewart_drake.cli.identify_command import excite, identify
 from stewart_drake.cli.interrupts import interruptible
 from stewart_drake.cli.margins_command import margins
@@ -77,6 +77,7 @@ def cli(context: click.Context) -> None:
 @out_folder()
 @overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
+@trust_flag
 @click.option("--meshcat", is_flag=True, help="Show the run live in a browser.")
 @quiet_flag
 def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool, meshcat: bool, quiet: bool) -> None:
@@ -136,6 +137,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
 @click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
 @overrides("gravity=0")
+@trust_flag
 @quiet_flag
 def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
     """Test the paper claim by claim: report.html, report.md, report.json, figures/.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from stewart_drake.calibration.parameters import FRAMES, NAMES, FrameName, Name
-from stewart_drake.cli.common_options import OutPath, overrides
+from stewart_drake.cli.common_options import OutPath, overrides, trust_flag
 from stewart_drake.runs.terminal import print_columns, print_table
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 )
 @click.option("--hold", multiple=True, type=click.Choice(NAMES), help="Keep these parameters as they are.")
 @overrides("limits.clearance=0.01")
+@trust_flag
 @click.option("--quiet", is_flag=True, help="No tables.")
 def calibrate(
     poses: Path | None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, overrides, quiet_flag
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, out_folder, overrides, quiet_flag, trust_flag
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
 
@@ -34,8 +34,9 @@ class Runs(Protocol):
 
 
 def campaign_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`--workers`, `--scheduler`, `--restart` and `--quiet` of a command of many runs."""
+    """`--workers`, `--scheduler`, `--restart`, `--quiet` and `--trust-code` of a command of many runs."""
     for option in (
+        trust_flag,
         quiet_flag,
         click.option("--restart", is_flag=True, help="Throw away what an earlier call left in the folder."),
         click.option(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import click
+
+from stewart_drake.files.code_trust import trusting_code
 
 EXIT_INTERRUPTED = 130
 
@@ -39,6 +42,22 @@ def out_file(default: str) -> Callable[[Any], Any]:
     """`--out FILE`."""
     kind = OutPath(dir_okay=False)
     return click.option("--out", type=kind, default=default, show_default=True, help="File to write.")
+
+
+def trust_flag(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`--trust-code`."""
+
+    @click.option(
+        "--trust-code",
+        is_flag=True,
+        help="Run the code that the files and --set name; it is asked for again once that code has changed.",
+    )
+    @wraps(function)
+    def command(*args: Any, trust_code: bool, **options: Any) -> Any:
+        with trusting_code(trust_code):
+            return function(*args, **options)
+
+    return command
 
 
 def overrides(example: str = "duration=2") -> Callable[[Any], Any]:

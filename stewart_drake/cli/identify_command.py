@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.cli.common_options import OutPath, out_file, overrides
+from stewart_drake.cli.common_options import OutPath, out_file, overrides, trust_flag
 from stewart_drake.identification.parameters import KINDS, Kind
 from stewart_drake.runs.terminal import print_columns, print_table
 
@@ -86,6 +86,7 @@ def _report(found: Identification, folder: Path) -> None:
 @_hold
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random motions.")
 @overrides("limits.crank_speed=5")
+@trust_flag
 @click.option("--quiet", is_flag=True, help="No table.")
 def excite(
     robot: str, out: Path, duration: float, hold: tuple[Kind, ...], seed: int, overrides: tuple[str, ...], quiet: bool

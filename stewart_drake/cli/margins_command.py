@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag
+from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag, trust_flag
 from stewart_drake.runs.terminal import print_columns, print_table, shown_compiling
 
 
@@ -19,6 +19,7 @@ from stewart_drake.runs.terminal import print_columns, print_table, shown_compil
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the poses.")
 @overrides("estimator.kind=observer")
+@trust_flag
 @quiet_flag
 def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[str, ...], quiet: bool) -> None:
     """Stability margins of the linear loop of SCENARIO, a file or a shipped name [default: exact_breathing].

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stewart_drake.cli.common_options import OutPath, out_file, overrides
+from stewart_drake.cli.common_options import OutPath, out_file, overrides, trust_flag
 from stewart_drake.runs.terminal import ProgressBar, print_columns
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ _SCENARIO = click.option("--scenario", help="Take robot and plant of this scenar
 @_ROBOT
 @_SCENARIO
 @overrides("robot.rod_length=0.42")
+@trust_flag
 @click.option("--collision/--no-collision", default=True, show_default=True, help="With collision geometry.")
 def write_sdf_command(
     out: Path, robot: str | None, scenario: str | None, overrides: tuple[str, ...], collision: bool
@@ -156,6 +157,7 @@ def write_sdf_command(
 @_ROBOT
 @_SCENARIO
 @overrides("plant.motor_damping=0.01")
+@trust_flag
 def write_mjcf_command(out: Path, robot: str | None, scenario: str | None, overrides: tuple[str, ...]) -> None:
     """Write a robot as an MJCF file for MuJoCo, with the scenario's time step, gravity and friction of the motors."""
     from stewart_drake.files.whole import write_atomically

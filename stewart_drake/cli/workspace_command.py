@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag
+from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag, trust_flag
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, print_table
 
@@ -30,6 +30,7 @@ from stewart_drake.runs.terminal import ProgressBar, print_table
 )
 @click.option("--scenario", help="Take robot, limits and controller of this scenario [default: the paper's].")
 @overrides("limits.clearance=0.01")
+@trust_flag
 @quiet_flag
 def workspace(
     out: Path,

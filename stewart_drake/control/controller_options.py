@@ -57,8 +57,8 @@ class ControllerOptions(Section, ABC, key="controller"):
         return getattr(self, "saturation", "") == "none"
 
     @property
-    def code(self) -> str | None:
-        """What of a user's code it runs, see `PythonOptions`; None for what comes with the package."""
+    def code(self) -> Any:
+        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
         return None
 
     @abstractmethod

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of this package; in a checkout, beside `sdf` and `diagrams`."""
+LARGEST = 100_000_000
+"""[byte] of any file that a scenario names."""
 CHECKSUM, NOT_FINITE = "checksum", "not_finite"
 """Keys that `seal` and `plain_json` add."""
 
@@ -76,6 +78,15 @@ def read_checked(path: str | Path, what: str, largest: int, allowed: str = "a re
     if len(content) > largest:
         raise ConfigurationError(what, f"more than {largest} bytes", f"at most {largest} bytes")
     return content
+
+
+def digest(path: str | Path) -> str | None:
+    """sha256 of a file's content; None where it cannot be read, is no regular file or larger than `LARGEST`."""
+    try:
+        with open_checked(path, str(path), LARGEST) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except (ConfigurationError, OSError):
+        return None
 
 
 def write_atomically(path: Path, content: bytes) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
-from stewart_drake.files.user_code import source_of
+from stewart_drake.files.code_path import source_of
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.wording import keys_of
 

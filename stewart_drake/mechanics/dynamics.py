@@ -212,16 +212,3 @@ def _pose_acceleration_maps(robots: Any, poses: Any, made: Any) -> int:
         if not laws.pose_acceleration_map(robot, legs, poses[n], made[n]):
             return PARALLEL
     return OK
-
-
-def static_torque_of_legs(robot, legs, gravity):  # type: ignore  # noqa  TEMPORARY, gone with the array core
-    from stewart_drake.mechanics import dynamics_core, kinematics_core
-    from stewart_drake.mechanics.arrays import first, namespace, numpy_robot
-
-    xp = namespace(legs.e_l)
-    parts = kinematics_core.Legs(
-        first(xp, legs.rotation.swapaxes(-1, -2), 2),
-        *(first(xp, v, 2) for v in (legs.arm, legs.crank, legs.e_n, legs.e_l)),
-        first(xp, legs.transmission, 1),
-    )
-    return dynamics_core.static_torque(numpy_robot(robot), parts, gravity, masked=False)

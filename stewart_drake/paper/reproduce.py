@@ -10,8 +10,7 @@ from pathlib import Path
 
 from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import digest
-from stewart_drake.files.whole import checksum, read_checked, seal, unseal, write_atomically
+from stewart_drake.files.whole import checksum, digest, read_checked, seal, unseal, write_atomically
 from stewart_drake.logs.versions import collect_versions, package_version
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.paper.rendering import render

@@ -15,7 +15,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.files.named_files import file_digests, take_code_along
+from stewart_drake.families import user_parts
+from stewart_drake.files.named_files import file_digests, with_texts
 from stewart_drake.files.whole import read_checked, sync_folder, take_lock, write_atomically
 from stewart_drake.files.yaml_files import MAX_BYTES, to_yaml
 from stewart_drake.logs.log import UNFINISHED, SimulationLog
@@ -322,11 +323,18 @@ def _replay(log: SimulationLog, path: Path) -> str | None:
 
 def _own_files(scenario: Scenario) -> dict[str, bytes]:
     """The scenario as run, and the files of the user's classes that it runs."""
-    data, code = scenario.to_dict(), dict[str, bytes]()
-    # Of a log from elsewhere the code may be gone; then its results do without.
-    with suppress(ConfigurationError):
-        data, code = take_code_along(data, _CODE)
-    return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **code}
+    files: dict[str, bytes] = {}
+    here: dict[str, str] = {}
+    for code, key in [(part.code, part.code_key) for part in user_parts(scenario) if part.code.in_file]:
+        # Of a log from elsewhere the code may be gone; then its results do without.
+        with suppress(ConfigurationError):
+            content, path = code.read(key), f"{_CODE}/{code.files[-1].stem}"
+            # Of two files of one name the second gets a number.
+            names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
+            here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)
+            here[str(code)] += f":{code.name}"
+    data = with_texts(scenario.to_dict(), lambda _, text: here.get(text, text))
+    return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **files}
 
 
 def _remove(path: Path) -> None:

@@ -22,7 +22,7 @@ from stewart_drake.errors import (
     drake_guard,
     raised_at,
 )
-from stewart_drake.families import user_sources
+from stewart_drake.families import user_parts
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.whole import plain_json
@@ -229,7 +229,7 @@ def _check_motion(scenario: Scenario) -> None:
     told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
-    known = not user_sources(scenario)
+    known = not user_parts(scenario)
     if known and subject in _PASSED:
         return
     motion_report(scenario).raise_if_infeasible()

@@ -46,7 +46,7 @@ class UserMonitor(UserMade, key="safety.monitors"):
     @property
     def name(self) -> str:
         """Stable name, for the log."""
-        return self.kind.rpartition(":")[2]
+        return self.code.name
 
     def look(self, inputs: SafetyInputs) -> int | None:
         """Leg, -1, or None.

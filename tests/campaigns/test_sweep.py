@@ -28,6 +28,7 @@ from stewart_drake.campaigns.sweep import run_sweep, summary
 from stewart_drake.campaigns.sweep_file import BEFORE, Sweep
 from stewart_drake.campaigns.tables import INCIDENTAL, to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.logs import metric_table, versions
 from stewart_drake.logs.metric_table import Metric, add_metric
 from stewart_drake.logs.metrics import run_metrics
@@ -513,6 +514,22 @@ def test_the_command_runs_on_a_cluster(cluster, reference, call):
     table = pq.read_table("dask/sweep.parquet")
     assert table.drop([column.name for column in INCIDENTAL]).equals(same(reference), check_metadata=True)
     assert os.getpid() not in table.column("worker").to_pylist()
+
+
+@pytest.mark.slow
+def test_the_users_code_runs_on_a_cluster_as_long_as_it_is_what_was_trusted(cluster, tmp_path):
+    code = tmp_path / "mine.py"
+    code.write_text("class Push:\n    def evaluate(self, t):\n        return [0, 0, 0, 0, 0, t]\n")
+    values = [[], [f"{code}:Push"]]
+    spec = {**SPEC, "runs": 4, "distributions": {"disturbances": {"kind": "grid", "values": values}}}
+    with trusting_code():
+        plan = Sweep.from_dict(spec)
+    where = DaskCluster(cluster.scheduler_address)
+    statuses = [row["status"] for row in run_sweep(plan, tmp_path / "one", where).rows]
+    assert statuses == ["completed"] * 4
+    code.write_text(code.read_text() + "\n")
+    with pytest.raises(ConfigurationError, match="has changed"):
+        run_sweep(plan, tmp_path / "two", where)
 
 
 @pytest.fixture

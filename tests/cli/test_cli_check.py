@@ -1,4 +1,5 @@
 import functools
+import hashlib
 import math
 
 import pytest
@@ -73,25 +74,22 @@ def test_half_a_turn_is_the_robots_to_refuse(check):
     assert "breaks the limit" in err
 
 
-def test_the_code_that_a_scenario_runs_is_named_and_goes_where_the_scenario_goes(check, tmp_path):
+def test_the_code_that_a_scenario_runs_is_named_with_its_digest_and_not_run(check, tmp_path):
     folder = tmp_path / "given"
     folder.mkdir()
     (folder / "mine.py").write_text("raise AssertionError('it was run')\n")
     text = "controller: {kind: python, system: 'mine.py:Mine'}\nduration: 1\nreference: {kind: sine}\n"
     (folder / "mine.yaml").write_text(text)
+    sha = hashlib.sha256((folder / "mine.py").read_bytes()).hexdigest()[:16]
+    line = f"runs code: {folder / 'mine.py'}:Mine, sha256 {sha}"
     status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
-    assert f"runs code: {folder / 'mine.py'}\n" in out
-    _, twice, _ = check("given/mine.yaml", "--set", "disturbances=[{kind: 'given/mine.py:Push'}]")
-    assert twice.count("runs code: ") == 1
-    assert load_scenario("fit.yaml").controller.file == tmp_path / "mine.py"
-    assert (tmp_path / "mine.py").read_bytes() == (folder / "mine.py").read_bytes()
-    (tmp_path / "mine.py").write_text("own = 1\n")
-    status, _, err = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
-    assert (status, (tmp_path / "mine.py").read_text()) == (2, "own = 1\n")
-    assert "without another mine.py" in err
+    assert f"{line}; `run` asks for --trust-code\n" in out
+    assert load_scenario("fit.yaml", trust_code=True).controller.code.files[-1] == folder / "mine.py"
+    # Now it is trusted.
+    assert f"{line}\n" in check("given/mine.yaml")[1]
     _, out, _ = check("given/mine.yaml", "--set", "controller.system=numpy.linalg:Mine")
-    assert "runs code: numpy.linalg (installed with numpy)\n" in out
-    status, out, err = check("given/mine.yaml", "--set", "controller.system=subprocess:Popen")
+    assert "linalg/__init__.py:Mine, sha256 " in out
+    status, out, err = check("given/mine.yaml", "--set", "controller.system=no_such_module:Popen")
     assert (status, out, err.count("\n")) == (2, "", 1)
 
 

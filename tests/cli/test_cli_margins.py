@@ -3,6 +3,10 @@ import json
 
 import pytest
 
+from stewart_drake.files.yaml_files import shipped_folder
+
+PD = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
+
 
 @pytest.fixture
 def margins(call):
@@ -43,7 +47,8 @@ def test_another_robot_has_a_box_of_its_size(margins, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--set", "controller={kind: 'mine.py:Mine'}"), "controller.kind: got 'python'; allowed: lqi, pid or"),
+        (("--set", f"controller={{kind: '{PD}'}}"), "controller.kind: got 'python'; allowed: lqi, pid or"),
+        (("--set", "controller={kind: 'psutil:Popen'}"), "say --trust-code"),
         (("no_such_scenario",), "no_such_scenario"),
         (("--set", "tuner.q_pose=-1"), "tuner.q_pose: got -1"),
         (("--poses", "0"), "--poses"),

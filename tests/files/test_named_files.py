@@ -3,121 +3,84 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.named_files import anchor_files, digest, file_digests, take_code_along
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.files.named_files import anchored, code_named, file_digests
+from stewart_drake.files.whole import digest
+from stewart_drake.scenario import load_scenario
 
 
 def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay():
     data = {
         "tuner": {"weights_file": "net.json"},
         "reference": {"parts": [{"motion": {"motion_file": "a/b.csv"}}, {"motion_file": "/c.csv"}]},
-        "controller": {"kind": "python", "system": "mine.py:Mine"},
-        "distributions": {"tuner.weights_file": {"kind": "choice", "values": ["one.json", "/two.json"]}},
-        "set": {"reference.motion_file": "d.csv", "name": "net.json", "controller.system": "one.py:Mine"},
-        "grid": {"controller.system": {"kind": "grid", "values": ["two.py:Mine", "package.module:Mine"]}},
-        "odd": {"kind": "python", "system": ["three.py:Mine"]},
+        "distributions": {
+            "tuner.weights_file": {"kind": "choice", "values": ["one.json", "/two.json"]},
+            "robot": {"kind": "grid", "values": ["mine.yaml", "paper"]},
+        },
+        "set": {"reference.motion_file": "d.csv", "name": "net.json"},
     }
-    anchor_files(data, Path("/base"))
-    assert data == {
+    assert anchored(data, Path("/base")) == {
         "tuner": {"weights_file": "/base/net.json"},
         "reference": {"parts": [{"motion": {"motion_file": "/base/a/b.csv"}}, {"motion_file": "/c.csv"}]},
-        "controller": {"kind": "python", "system": "/base/mine.py:Mine"},
-        "distributions": {"tuner.weights_file": {"kind": "choice", "values": ["/base/one.json", "/two.json"]}},
-        "set": {"reference.motion_file": "/base/d.csv", "name": "net.json", "controller.system": "/base/one.py:Mine"},
-        "grid": {"controller.system": {"kind": "grid", "values": ["/base/two.py:Mine", "package.module:Mine"]}},
-        "odd": {"kind": "python", "system": ["three.py:Mine"]},
+        "distributions": {
+            "tuner.weights_file": {"kind": "choice", "values": ["/base/one.json", "/two.json"]},
+            "robot": {"kind": "grid", "values": ["/base/mine.yaml", "paper"]},
+        },
+        "set": {"reference.motion_file": "/base/d.csv", "name": "net.json"},
     }
-    assert set(file_digests(data)) == {
-        *("/base/net.json", "/base/a/b.csv", "/c.csv", "/base/mine.py", "/base/one.json", "/two.json", "/base/d.csv"),
-        *("/base/one.py", "/base/two.py"),
+    assert set(file_digests(anchored(data, Path("/base")))) == {
+        *("/base/net.json", "/base/a/b.csv", "/c.csv", "/base/one.json", "/two.json", "/base/d.csv", "/base/mine.yaml"),
     }
 
 
-OUT = ["../mine.py:Mine", "/elsewhere/mine.py:Mine", "a/../../mine.py:Mine", "/base/../mine.py:Mine", "/based/m.py:M"]
-WRAPPED = [
-    lambda system: {"controller": {"kind": "python", "system": system}},
-    lambda system: {"controller.system": system},
-    lambda system: {"distributions": {"controller.system": {"kind": "grid", "values": ["in.py:Mine", system]}}},
-    lambda system: {"distributions": {"controller": {"kind": "choice", "values": [{"system": system}]}}},
-    lambda system: {"controllers": {"mine": {"controller": {"kind": "python", "system": system}}}},
-]
-
-
-PLACES = (
-    *("controller.system", "controller.system", "distributions.controller.system.values.1"),
-    *("distributions.controller.values.0.system", "controllers.mine.controller.system"),
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("mine.py:Mine", "/base/mine.py:Mine"),
+        ("a/../mine.py:Mine", "/base/a/../mine.py:Mine"),
+        ("/elsewhere/mine.py:Mine", "/elsewhere/mine.py:Mine"),
+        ("package.module:Mine", "package.module:Mine"),
+        ("mine.py", "mine.py"),
+    ],
 )
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda code: {"controller": {"kind": "python", "system": code}},
+        lambda code: {"controller": code},
+        lambda code: {"disturbances": [code], "name": "one"},
+        lambda code: {"disturbances[0]": code},
+        lambda code: {"conditions": {"c": {"safety.monitors[0]": code}}},
+        lambda code: {"distributions": {"disturbances": {"kind": "choice", "values": [[code], []]}}},
+        lambda code: {"distributions": {"reference.parts[1]": {"kind": "grid", "values": [{"kind": code}]}}},
+    ],
+)
+def test_code_is_taken_from_the_folder_wherever_it_stands(wrap, given, expected):
+    assert anchored(wrap(given), Path("/base")) == wrap(expected)
 
 
-@pytest.mark.parametrize(("wrap", "place"), list(zip(WRAPPED, PLACES, strict=True)), ids=range(5))
-def test_code_lies_in_the_folder_or_below(wrap, place):
-    for system in OUT:
-        with pytest.raises(ConfigurationError, match="a file in /base or below") as caught:
-            anchor_files(wrap(system), Path("/base"))
-        assert (caught.value.key, caught.value.value) == (place, system)
-    for inside in ("mine.py:Mine", "a/../b/mine.py:Mine", "/base/c/mine.py:Mine"):
-        anchor_files(wrap(inside), Path("/base"))
+def test_code_is_named_with_its_digest_wherever_it_stands(tmp_path):
+    (tmp_path / "mine.py").write_text("one = 1\n")
+    (found,) = code_named({"distributions": {"a": [[f"{tmp_path}/mine.py:G"]]}, "name": "a:b", "c": 1})
+    assert (found.files[-1], found.digest) == (tmp_path / "mine.py", digest(tmp_path / "mine.py"))
+    assert not found.trusted
 
 
-def test_a_section_that_two_keys_share_counts_under_both():
-    shared = {"kind": "choice", "values": ["/elsewhere/mine.py:Mine"]}
-    for keys in (("name", "controller.system"), ("controller.system", "name")):
-        with pytest.raises(ConfigurationError, match="or below"):
-            anchor_files(dict.fromkeys(keys, shared), Path("/base"))
-
-
-def test_overrides_are_checked_against_the_current_folder_and_the_file_against_its_own(tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "there").mkdir()
+def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(tmp_path, monkeypatch):
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text("one = 1\n")
     path = tmp_path / "there" / "scenario.yaml"
     path.write_text("controller: {kind: python, system: mine.py:Mine}\n")
     monkeypatch.chdir(tmp_path / "here")
-    assert load_scenario(path).controller.file == tmp_path / "there" / "mine.py"
-    loaded = load_scenario(path, ["controller.system=own.py:Mine"])
-    assert loaded.controller.file == tmp_path / "here" / "own.py"
-    for system in ("../there/mine.py:Mine", f"{tmp_path}/there/mine.py:Mine"):
-        for override in (f"controller.system={system}", f"controller={{kind: python, system: '{system}'}}"):
-            with pytest.raises(ConfigurationError, match="here or below"):
-                load_scenario(path, [override])
-    path.write_text(f"controller: {{kind: python, system: '{tmp_path}/here/mine.py:Mine'}}\n")
-    with pytest.raises(ConfigurationError, match="there or below"):
-        load_scenario(path)
-    # In Python anybody can run anything anyway.
-    assert Scenario.from_dict({"controller": {"kind": "python", "system": "/elsewhere/mine.py:Mine"}}).controller.file
-
-
-def test_code_taken_along_makes_a_scenario_that_runs_from_another_folder(tmp_path):
-    (tmp_path / "mine.py").write_text("one = 1\n")
-    given = Scenario.from_dict({"controller": {"kind": "python", "system": f"{tmp_path / 'mine.py'}:Mine"}})
-    data, files = take_code_along(given.to_dict())
-    assert data == given.to_dict() | {"controller": given.to_dict()["controller"] | {"system": "mine.py:Mine"}}
-    assert files == {"mine.py": b"one = 1\n"}
-    assert take_code_along(Scenario().to_dict()) == (Scenario().to_dict(), {})
-
-
-def test_two_files_of_one_name_are_both_taken_along(tmp_path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "mine.py").write_text(f"{folder} = 1\n")
-    kinds = [f"{tmp_path}/{folder}/mine.py:Push" for folder in ("a", "b", "a")]
-    data, files = take_code_along({"disturbances": [{"kind": kind} for kind in kinds]}, "code")
-    assert set(files) == {"code/mine.py", "code/mine_2.py"}
-    for kind, taken in zip(kinds, data["disturbances"], strict=True):
-        assert files[taken["kind"].removesuffix(":Push")] == Path(kind.removesuffix(":Push")).read_bytes()
+    assert load_scenario(path, trust_code=True).controller.code.files[-1] == tmp_path / "there" / "mine.py"
+    for override in ("controller.system=mine.py:Mine", "controller={kind: python, system: mine.py:Mine}"):
+        loaded = load_scenario(path, [override], trust_code=True)
+        assert loaded.controller.code.files[-1] == tmp_path / "here" / "mine.py"
 
 
 def test_what_is_no_regular_file_has_no_digest(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     assert [digest(path) for path in (tmp_path / "pipe", tmp_path, "/dev/zero", "a\0b")] == [None] * 4
-
-
-def test_a_module_to_import_is_no_file_and_a_section_may_hold_itself():
-    data = {"controller": {"kind": "python", "system": "package.module:Mine"}}
-    data["again"] = data
-    anchor_files(data, Path("/base"))
-    assert data["controller"]["system"] == "package.module:Mine"
-    assert file_digests(data) == {}
 
 
 def test_digests_tell_contents_apart_and_a_missing_file_has_none(tmp_path):

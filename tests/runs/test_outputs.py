@@ -12,6 +12,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.logs.metrics import run_metrics
@@ -212,12 +213,13 @@ def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_aga
     for path in (code, other):
         path.parent.mkdir()
         path.write_text(f"one = '{path.parent.name}'\n")
-        log = made_log(scenario={"controller": {"kind": "python", "system": f"{path}:Mine"}})
+        with trusting_code():
+            log = made_log(scenario={"controller": {"kind": "python", "system": f"{path}:Mine"}})
         logs.append(dataclasses.replace(log, files=file_digests(log.scenario.to_dict())))
     for _ in range(2):
         write_run(logs[0], folder, pictures=False)
     assert names(folder) == ALWAYS | {"code"}
-    assert load_scenario(folder / "scenario.yaml").controller.system == f"{folder / 'code' / 'mine.py'}:Mine"
+    assert str(load_scenario(folder / "scenario.yaml").controller.system) == f"{folder / 'code' / 'mine.py'}:Mine"
     # Another file of the same name is another scenario.
     with pytest.raises(ConfigurationError, match="--force"):
         write_run(logs[1], folder, pictures=False)
