@@ -1,36 +1,35 @@
 """Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
-A kind is one line here: its section, the LeafSystem that runs it, and what runs it outside of a Diagram (`plant.engine:
-reduced`); for faults and monitors one object. Names are texts, imported when a kind is asked for: to read a scenario
-takes neither Drake nor what the scenario does not name. `Family.add` and `Table.add` take a kind from outside of the
-package. Metrics stand in `logs.metric_table`.
+A kind is one line here: its section, which also makes its part of the loop, see `part.Setup`; for faults one object.
+Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not
+name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
 """
 
 from stewart_drake.families import Family, Table
 
 REFERENCES = Family(
     {
-        "hold": ("references.basic:HoldReference",),
-        "sine": ("references.basic:SineReference",),
-        "sine_bursts": ("references.basic:SineBurstsReference",),
-        "breathing": ("references.surgical:BreathingReference",),
-        "heartbeat": ("references.surgical:HeartbeatReference",),
-        "tremor": ("references.surgical:TremorReference",),
-        "minimum_jerk": ("references.paths:MinimumJerkReference",),
-        "spline": ("references.paths:SplineReference",),
-        "recorded": ("references.recorded:RecordedReference",),
-        "sum": ("references.combined:SumReference",),
-        "adjusted": ("references.combined:AdjustedReference",),
+        "hold": "references.basic:HoldReference",
+        "sine": "references.basic:SineReference",
+        "sine_bursts": "references.basic:SineBurstsReference",
+        "breathing": "references.surgical:BreathingReference",
+        "heartbeat": "references.surgical:HeartbeatReference",
+        "tremor": "references.surgical:TremorReference",
+        "minimum_jerk": "references.paths:MinimumJerkReference",
+        "spline": "references.paths:SplineReference",
+        "recorded": "references.recorded:RecordedReference",
+        "sum": "references.combined:SumReference",
+        "adjusted": "references.combined:AdjustedReference",
     },
     own="references.user_reference:UserReference",
     methods=("evaluate",),
 )
 CONTROLLERS = Family(
     {
-        "lqi": ("control.lqi_options:LqiOptions",),
-        "pid": ("control.joint_pid:PidOptions",),
-        "computed_torque": ("control.computed_torque:ComputedTorqueOptions",),
-        "python": ("control.user_controller:PythonOptions",),
+        "lqi": "control.lqi_options:LqiOptions",
+        "pid": "control.joint_pid:PidOptions",
+        "computed_torque": "control.computed_torque:ComputedTorqueOptions",
+        "python": "control.user_controller:PythonOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",
@@ -38,17 +37,17 @@ CONTROLLERS = Family(
 )
 TUNERS = Family(
     {
-        "fixed": ("control.tuners:FixedTuner",),
-        "paper": ("control.tuners:AnnTuner",),
-        "block": ("control.tuners:BlockTuner",),
-        "policy": ("control.tuners:PolicyTuner",),
-        "schedule": ("control.tuners:ScheduleTuner",),
+        "fixed": "control.tuners:FixedTuner",
+        "paper": "control.tuners:AnnTuner",
+        "block": "control.tuners:BlockTuner",
+        "policy": "control.tuners:PolicyTuner",
+        "schedule": "control.tuners:ScheduleTuner",
     },
     older={"ann": "paper"},
 )
-SENSORS = Family({"ideal": ("hardware.sensors:IdealSensors",), "encoders": ("hardware.sensors:EncoderOptions",)})
+SENSORS = Family({"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"})
 ESTIMATORS = Family(
-    {"difference": ("hardware.estimator:DifferenceOptions",), "observer": ("hardware.observer:ObserverOptions",)},
+    {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", methods=("look",))
@@ -57,11 +56,11 @@ OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
     {
-        "constant": ("hardware.disturbances:ConstantWrench",),
-        "step": ("hardware.disturbances:StepWrench",),
-        "impulse": ("hardware.disturbances:ImpulseWrench",),
-        "sine": ("hardware.disturbances:SineWrench",),
-        "noise": ("hardware.disturbances:NoiseWrench",),
+        "constant": "hardware.disturbances:ConstantWrench",
+        "step": "hardware.disturbances:StepWrench",
+        "impulse": "hardware.disturbances:ImpulseWrench",
+        "sine": "hardware.disturbances:SineWrench",
+        "noise": "hardware.disturbances:NoiseWrench",
     },
     own="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
