@@ -118,7 +118,6 @@ class Setup(NamedTuple):
         weights: Of the tuner at the start.
         levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
         disturbance: [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
-        listens: Whether the tuner says what an observer is to expect.
         guarded: Whether a tick that fails does not end the run.
         split: Whether an LQI takes the compiled split solution whatever its options say.
     """
@@ -140,7 +139,6 @@ class Setup(NamedTuple):
     weights: tuple[float, ...]
     levels: tuple[float, float]
     disturbance: float
-    listens: bool
     guarded: bool
     split: bool
 

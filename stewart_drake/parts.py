@@ -106,7 +106,6 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
         weights=tuner.weights,
         levels=tuner.levels,
         disturbance=scenario.estimator.expected,
-        listens=tuner.listens,
         guarded=scenario.safety is not None and scenario.safety.failures,
         split=split,
     )
@@ -209,6 +208,13 @@ class _Builder:
             self.late.append(part._replace(reads={**part.reads, **reads}))
             if "setting" in part.outputs:
                 self.logged["setting"] = "setting"
+            if "disturbance" in part.outputs:
+                # The tuner says what the observer is to expect.
+                said = {"disturbance": part.signal("disturbance")}
+                self.parts = [
+                    each._replace(reads={**each.reads, **said}) if "disturbance" in each.inputs else each
+                    for each in self.parts
+                ]
 
     def add_way_to_motors(self) -> str:
         """Delay, link, safety layer and motors; the name of the torque at the plant."""

@@ -112,8 +112,7 @@ class ObserverOptions(EstimatorOptions):
             friction=setup.friction,
             size=setup.reading,
         )
-        expected = "expected_disturbance" if setup.listens else np.array([self.disturbance])
-        return (part._replace(reads={"disturbance": expected}),)
+        return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
 
 
 SETUP = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), arrived=(), slip=(), delay=())
