@@ -83,7 +83,10 @@ class Controller:
         self._running.reset()
 
     def signal(self, name: str) -> np.ndarray:
-        """A signal of the last step by its name, such as `torque`, `error`, `measurement` or `weights`; a view."""
+        """A signal of the last step by its name, such as `torque`, `error` or `measurement`; a view.
+
+        What a tuner says, `weights` or `setting`, is what acts from the next step on.
+        """
         return self._running.signal(name)
 
     @property

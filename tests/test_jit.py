@@ -13,7 +13,11 @@ import stewart_drake
 from stewart_drake import jit
 
 SOURCE = Path(stewart_drake.__file__).parent
-COMPILING = sorted(file for file in SOURCE.rglob("*.py") if "stewart_drake.jit import" in file.read_text())
+COMPILING = sorted(
+    file
+    for file in SOURCE.rglob("*.py")
+    if "stewart_drake.jit import" in file.read_text() and file != SOURCE / "jit.py"
+)
 
 
 def laws():
