@@ -191,7 +191,9 @@ class ToyLawOptions(ControllerOptions):
             state["torque"][0] = weight - self.gain * state["error"][0, 5]
 
         initial = new_record(fields(torque=6, error=6, integral=6, health=2))
-        return (Part("controller", {"measurement": 12, "reference": 18}, ("torque", "error", "integral"), initial, tick),)
+        return (
+            Part("controller", {"measurement": 12, "reference": 18}, ("torque", "error", "integral"), initial, tick),
+        )
 
 
 @pytest.fixture

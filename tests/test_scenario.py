@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.controller import Controller
 from stewart_drake.control.network import default_network_path, load_network
+from stewart_drake.controller import Controller
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
 from stewart_drake.mechanics.dynamics import static_torque

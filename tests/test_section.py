@@ -411,6 +411,7 @@ def test_a_family_takes_a_kind_from_outside_of_the_package():
 
 
 def test_numbers_and_truth_values_of_numpy_are_taken():
-    scenario = Scenario(safety=SafetyOptions(failures=np.bool_(True)), command_delay=np.int64(2), duration=np.float32(1.5))
+    safety = SafetyOptions(failures=np.bool_(True))
+    scenario = Scenario(safety=safety, command_delay=np.int64(2), duration=np.float32(1.5))
     assert (scenario.safety.failures, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
     assert type(scenario.safety.failures) is bool

@@ -460,7 +460,7 @@ def test_an_interrupt_that_python_drops_ends_the_command_all_the_same(shell, whe
 
 # --- what a start loads -------------------------------------------------------------------------------------------
 
-HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy.linalg", "distributed")
+HEAVY = ("torch", "pydrake", "matplotlib", "pyarrow", "scipy.optimize", "distributed")
 
 
 @pytest.mark.slow

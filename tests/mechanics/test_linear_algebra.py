@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
 
 seeds = st.integers(0, 2**32 - 1)
