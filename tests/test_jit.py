@@ -47,7 +47,9 @@ def test_without_a_place_for_a_cache_a_law_compiles_all_the_same(monkeypatch):
 
 PACKAGE = {
     "below.py": "from stewart_drake.jit import njit\n@njit\ndef f(x):\n    return {factor} * x\n",
-    "above.py": "from stewart_drake.jit import njit\nfrom stewart_drake.below import f\n@njit\ndef g(x):\n    return f(x)\n",
+    "above.py": (
+        "from stewart_drake.jit import njit\nfrom stewart_drake.below import f\n@njit\ndef g(x):\n    return f(x)\n"
+    ),
 }
 PROGRAM = """
 import sys

@@ -190,7 +190,7 @@ def test_a_density_that_is_not_finite_ends_the_run_with_its_time(network, bad):
 
 @pytest.mark.parametrize("weights", [0, 1, 3])
 def test_a_regulator_of_another_number_of_weights_is_refused(weights):
-    with pytest.raises(ConfigurationError, match="weights.*2 or 4"):
+    with pytest.raises(ConfigurationError, match=r"weights.*2 or 4"):
         systems.LqiController(ROBOT, LqiOptions(), GRAVITY, weights)
 
 
