@@ -85,6 +85,7 @@ def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
         f"log_period={step!r}",
         "duration=0.03",
         "compiled=false",
+        "bounds.error_ratio=null",  # in so short a time nothing is followed
         initial_offset=[0.01, 0.0, -0.01, 0.001, 0.0, 0.002],
     )
     log, ratio = run(scenario), steps_per("", period, step)
