@@ -20,8 +20,8 @@ def interruptible() -> Iterator[None]:
     """Takes SIGTERM and SIGHUP as Ctrl-C, and raises again what Python has dropped of them.
 
     Python drops what is raised in a `__del__` or in a callback from C, but for a call of `sys.unraisablehook`. While
-    numba compiles a quarter of all interrupts arrive there: a signal waits for the next line of Python, and what LLVM
-    calls when it is done is such a callback. Without it numba may fail; that error is the interrupt's too.
+    numba compiles many interrupts arrive there: a signal waits for the next line of Python, and what LLVM calls when it
+    is done is such a callback. Without it numba may fail; that error is the interrupt's too.
 
     Raises:
         KeyboardInterrupt: In place of an error after an interrupt that was dropped.

@@ -22,6 +22,9 @@ INTEGRAL_TIME = 5.0
 SETTLING, SETTLING_SHARE = 3.0, 0.6
 """[s], and share of the run; the shorter of the two is left out at the start. It takes the best of the paper's weights
 3 s to make up for a payload of 0.3 kg that nobody told it of."""
+SHORTEST = 0.5
+"""[s] of a run whose errors are compared with its motion: a loop that follows well settles in 0.1 s, a third of what is
+then left out."""
 WINDOW = 2.0
 """[s] over which an error is averaged, at least: half a slow breath. In less of a sine its peak would count."""
 LEAST_MOTION = 0.003
@@ -190,14 +193,14 @@ class Tally:
 
     @property
     def error_ratio(self) -> float | None:
-        """RMS error of the worst window over the size of the reference's motion; None for a motion that is small.
+        """RMS error of the worst window over the size of the motion; None for a small motion or a run below `SHORTEST`.
 
         Errors are those after `SETTLING`, over windows of `WINDOW` or a little more; the motion is that of the whole
         run, for windows in which the reference rests as for others. Rotations count times the characteristic length.
         """
         wanted, _ = self._motion_sizes()
         worst = self._worst_window()
-        return worst[0] / wanted if wanted and worst else None
+        return worst[0] / wanted if wanted and worst and self.scenario.duration >= SHORTEST else None
 
     def _motion_sizes(self) -> tuple[float, float]:
         """[m] RMS of reference and pose, each about its mean; a reference that moves by less than counts has 0."""

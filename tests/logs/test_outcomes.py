@@ -168,6 +168,12 @@ def test_of_a_short_run_six_tenths_are_for_settling(until, status):
     assert verdict(step=0.01, duration=1.0, time=0.1 * TIMES, **signals).status == status
 
 
+@pytest.mark.parametrize(("duration", "status"), [(0.49, "completed"), (0.5, "lost")])
+def test_a_run_of_less_than_half_a_second_has_no_time_to_settle(duration, status):
+    signals = swinging(-2.0)
+    assert verdict(duration=duration, time=0.1 * duration * TIMES, **signals).status == status
+
+
 def test_angles_count_as_lengths():
     # 0.1 rad at the characteristic length of 0.11 m is 11 mm.
     signals = swinging(1.0)

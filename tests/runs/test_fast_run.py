@@ -90,7 +90,9 @@ CASES = {
 def test_it_is_the_run_on_drakes_plant(given, metres, radians):
     """Bounds are some times what is measured; the platform moves by centimetres."""
     mine, drake = both(given[0], "duration=0.8", *given[1:])
-    assert (mine.status, mine.reason) == (drake.status, drake.reason) == ("completed", None)
+    assert (mine.status, mine.reason) == (drake.status, drake.reason)
+    # In so short a time the tool path's slow loop does not follow.
+    assert mine.status == ("lost" if given == ("tool_path",) else "completed")
     np.testing.assert_array_equal(mine.time, drake.time)
     assert set(drake.signals) - set(mine.signals) == {"plant_state"}
     distance, angle = apart(mine, drake)

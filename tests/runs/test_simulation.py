@@ -307,6 +307,20 @@ def test_an_infeasible_or_singular_reference_is_found_before_the_run_with_time_a
     assert time is None or f", leg {error.leg}" in str(error)
 
 
+class Turned:
+    """A user's motion that says degrees."""
+
+    def evaluate(self, time):
+        pose = np.zeros((*np.shape(time), 6)) + [0.0, 0.0, 45.0, 0.0, 0.0, 0.3]
+        return pose, np.zeros_like(pose), np.zeros_like(pose)
+
+
+@pytest.mark.usefixtures("no_run")
+def test_a_users_motion_beyond_half_a_turn_is_found_before_the_run():
+    with pytest.raises(ConfigurationError, match=r"^reference: got 'yaw 45 rad.*did you mean 0.785\?"):
+        run(scenario(reference=Turned()))
+
+
 @pytest.mark.usefixtures("no_run")
 def test_a_reference_beyond_all_numbers_is_one_line_without_warnings():
     with pytest.raises(ConfigurationError) as caught:
