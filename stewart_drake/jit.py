@@ -55,7 +55,7 @@ if _CONFIG.DISABLE_JIT:
         return array.view(np.recarray)[0]
 else:
 
-    @numba.njit(inline="always")  # type: ignore[no-redef, untyped-decorator]
+    @numba.njit(inline="always")
     def record(array: Any) -> Any:
         """The record of a structured array (1,), with its fields as attributes; a view.
 
@@ -73,14 +73,14 @@ def njit(function: _F) -> _F:
     """
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
     if _FOLDER is None:
-        return numba.njit(**options)(function)  # type: ignore[no-any-return]
+        return numba.njit(**options)(function)
     before = _CONFIG.CACHE_DIR
     try:
         # Where files go is settled as the decorator runs; other people's functions keep their own place.
         _CONFIG.CACHE_DIR = str(_FOLDER)
-        return numba.njit(cache=True, **options)(function)  # type: ignore[no-any-return]
+        return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # the place is gone again
-        return numba.njit(**options)(function)  # type: ignore[no-any-return]
+        return numba.njit(**options)(function)
     finally:
         _CONFIG.CACHE_DIR = before
 

@@ -1,8 +1,8 @@
 """Every kind of controller, tuner, sensor, reference, disturbance, monitor and fault, and where it is implemented.
 
 A kind is one line here: its section, which also makes its part of the loop, see `part.Setup`; for faults one object.
-Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does not
-name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
+Names are texts, imported when a kind is asked for: to read a scenario takes neither Drake nor what the scenario does
+not name. `Family.add` and `Table.add` take a kind from outside of the package. Metrics stand in `logs.metric_table`.
 """
 
 from stewart_drake.families import Family, Table

@@ -11,8 +11,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.primitives import ConstantVectorSource, Demultiplexer, LogVectorOutput, VectorLogSink
 
 from stewart_drake.errors import drake_guard
-from stewart_drake.part import SystemPart
-from stewart_drake.parts import AnyPart, Loop, loop_of
+from stewart_drake.part import AnyPart, SystemPart
+from stewart_drake.parts import Loop, loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario

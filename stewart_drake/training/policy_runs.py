@@ -6,16 +6,17 @@ Weights reach a run in memory. Nothing else of training builds a policy or runs 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from stewart_drake.campaigns.one_run import simulate_unchecked
-from stewart_drake.control.features import FEATURES
+from stewart_drake.control.features import FEATURES, features
 from stewart_drake.control.objective import CostScales
-from stewart_drake.control.policy import Chooser, Layers, Policy
+from stewart_drake.control.policy import Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.settings import SIZE
 from stewart_drake.control.tuners import PolicyTuner
+from stewart_drake.jit import njit, record
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.benchmark import Case, log_cost, measure_parts
 from stewart_drake.training.situations import situation
@@ -115,9 +116,9 @@ class _GivenTuner(PolicyTuner):
         vars(tuner)["given"] = chooser
         return tuner
 
-    def chooser(self) -> Policy:
+    def chooser(self) -> Chooser:  # type: ignore[override]
         """See `SettingTuner.chooser`."""
-        given: Policy = vars(self)["given"]
+        given: Chooser = vars(self)["given"]
         return given
 
 
@@ -126,14 +127,20 @@ class _Listener:
 
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
+        self.numbers, self.law = policy.numbers, self._tick
         self.heard: list[np.ndarray] = []
-        self._choose = policy.choose
 
-    def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:
-        """See `Chooser`."""
-        self.heard.append(found.copy())
-        return self._choose(found, held, period)
+    def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
+        density, error, torque, innovation, reference, state = inputs
+        found = np.empty(len(FEATURES))
+        _hear(setups, density, error, torque, innovation, reference, state.copy(), found)
+        self.heard.append(found)
+        policy_tick(setups, own, *inputs)
 
-    def compiled(self) -> Self:
-        """Nothing to compile."""
-        return self
+
+@njit
+def _hear(
+    setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
+) -> None:
+    """`features` of arrays."""
+    features(record(setups), density, error, torque, innovation, reference, record(states), out)
