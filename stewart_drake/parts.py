@@ -177,7 +177,7 @@ class _Builder:
         self.weighted = "weights" in part.inputs
         self.add(self._guarded(part, "controller_health"))
         self.logged |= {"torque": "torque", "error": "error", "integral": "integral"}
-        if isinstance(part, SystemPart) and "error" not in part.outputs:
+        if "error" not in part.outputs:
             self.add(_error_part(sees["measurement"], sees["reference"]))
         self.sees = sees
 

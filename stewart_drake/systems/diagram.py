@@ -165,8 +165,10 @@ class _Wiring:
         """Connects the inputs of a part."""
         for port in part.inputs:
             source = part.source(port)
-            if port != "time" and isinstance(source, str):
-                self.builder.Connect(self.signals[source], self.systems[part.name].GetInputPort(port))
+            # A `PartSystem` has the time and its arrays without a port.
+            if isinstance(part, SystemPart) or (port != "time" and isinstance(source, str)):
+                signal = self.port(f"{part.name}_{port}", source)
+                self.builder.Connect(signal, self.systems[part.name].GetInputPort(port))
 
     def port(self, name: str, source: str | np.ndarray) -> OutputPort:
         """The port of a signal, or of an array that stays."""
