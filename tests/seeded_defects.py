@@ -3,8 +3,9 @@
     pip install "cosmic-ray>=8.3"        # in whatever environment runs this; --python names that of the tests
     python tests/seeded_defects.py [--python PYTHON] [--count 40] [--seed 19] [--only 3 --only 7] [-- PYTEST OPTIONS]
 
-Each defect is put into a copy of the checkout and the fast tests (those of `make check`) run there to the end. The
-table is tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept.
+Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
+that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
+of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept.
 The first row has no defect: a test that fails there catches nothing.
 """
 
@@ -114,6 +115,14 @@ def tested(copy, python, options):
     return failed, ended
 
 
+def of_room(file):
+    """The tests of the room that a file of the package is in."""
+    room = ROOT / "tests" / Path(file).parts[1]
+    if room.is_dir():
+        return [str(room.relative_to(ROOT))]
+    return [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").glob("test_*.py"))]
+
+
 def measure(row, copy, python, options, already):
     """A row with which tests caught its defect."""
     start = time.monotonic()
@@ -137,7 +146,7 @@ def page(rows):
     lines = [
         "# Seeded defects",
         "",
-        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests catch {len(rows) - missed}.",
+        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests of their rooms catch {len(rows) - missed}.",
         "",
         "| | where | before | after | caught by |",
         "|---|---|---|---|---|",
@@ -157,6 +166,7 @@ def main():
     parser.add_argument("--seed", type=int, default=19)
     parser.add_argument("--only", type=int, action="append", help="defects of these numbers")
     parser.add_argument("--list", action="store_true", help="say what would be changed, and run nothing")
+    parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
@@ -174,7 +184,10 @@ def main():
                 continue
             if changed is not None:
                 (copy / row["file"]).write_text(changed)
-            rows[row["id"]] = measure(row, copy, given.python, given.options, rows.get(0, {}).get("tests", []))
+            where = [] if given.whole or not row["id"] else of_room(row["file"])
+            rows[row["id"]] = measure(
+                row, copy, given.python, [*given.options, *where], rows.get(0, {}).get("tests", [])
+            )
             if changed is not None:
                 # With its own time: Python and numba know a file by that.
                 shutil.copy2(ROOT / row["file"], copy / row["file"])
