@@ -5,8 +5,9 @@
 
 Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
 that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
-of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept.
-The first row has no defect: a test that fails there catches nothing.
+of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and
+tests/seeded_defects.md; rows that are there already are kept. The first row has no defect: a test that fails there
+catches nothing.
 """
 
 import argparse
@@ -146,7 +147,8 @@ def page(rows):
     lines = [
         "# Seeded defects",
         "",
-        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests of their rooms catch {len(rows) - missed}.",
+        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests of their rooms catch "
+        f"{len(rows) - missed}.",
         "",
         "| | where | before | after | caught by |",
         "|---|---|---|---|---|",
