@@ -116,6 +116,12 @@ def tested(copy, python, options):
     return failed, ended
 
 
+def left_behind(folder, names):
+    """What is no part of a copy: `runs` at the top alone, the package has a folder of that name."""
+    top = {"runs"} if Path(folder) == ROOT else set()
+    return {name for name in names if name in {".git", ".venv", "__pycache__", *top} or name.endswith("_cache")}
+
+
 def of_room(file):
     """The tests of the room that a file of the package is in."""
     room = ROOT / "tests" / Path(file).parts[1]
@@ -179,7 +185,7 @@ def main():
     rows = {row["id"]: row for row in map(json.loads, TABLE.read_text().splitlines())} if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "runs", "__pycache__", ".*_cache"))
+        shutil.copytree(ROOT, copy, ignore=left_behind)
         for row, changed in [({"id": 0}, None), *defects]:
             wanted = not row["id"] or not given.only or row["id"] in given.only
             if not wanted or all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
