@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 # A worker a core: more threads in each would only wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo install test check lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
+.PHONY: demo install test check golden lint bench picture robots calibration calibration-example identification margins plan reproduction montecarlo fair fair_verdict tuner_baselines tuner_verdict tuner_front tuner_policy tuner_training tuner_safety format clean
 
 demo: install
 	$(BIN)/stewart-drake run diagrams/scenarios/paper_fig7.yaml --out runs/paper_fig7
@@ -27,6 +27,10 @@ test: install
 # All but those marked slow: no campaign, no long run, no other process.
 check: install
 	$(ONE_THREAD) $(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
+
+# The contract: whether everything computes what is recorded in tests/golden; some minutes. See tests/golden_set.py.
+golden: install
+	$(BIN)/python tests/golden_set.py check
 
 lint: install
 	$(BIN)/ruff check .

@@ -3,9 +3,11 @@
     pip install "cosmic-ray>=8.3"        # in whatever environment runs this; --python names that of the tests
     python tests/seeded_defects.py [--python PYTHON] [--count 40] [--seed 19] [--only 3 --only 7] [-- PYTEST OPTIONS]
 
-Each defect is put into a copy of the checkout and the fast tests (those of `make check`) run there to the end. The
-table is tests/seeded_defects.jsonl, a row a defect, and tests/seeded_defects.md; rows that are there already are kept.
-The first row has no defect: a test that fails there catches nothing.
+Each defect is put into a copy of the checkout, and the fast tests of its room run there: those in the folder of tests
+that has the room's name, for a module outside of rooms those beside the folders. `--whole` runs all fast tests, those
+of `make check`, a minute or two a defect. The table is tests/seeded_defects.jsonl, a row a defect, and
+tests/seeded_defects.md; rows that are there already are kept. The first row has no defect: a test that fails there
+catches nothing.
 """
 
 import argparse
@@ -114,6 +116,20 @@ def tested(copy, python, options):
     return failed, ended
 
 
+def left_behind(folder, names):
+    """What is no part of a copy: `runs` at the top alone, the package has a folder of that name."""
+    top = {"runs"} if Path(folder) == ROOT else set()
+    return {name for name in names if name in {".git", ".venv", "__pycache__", *top} or name.endswith("_cache")}
+
+
+def of_room(file):
+    """The tests of the room that a file of the package is in."""
+    room = ROOT / "tests" / Path(file).parts[1]
+    if room.is_dir():
+        return [str(room.relative_to(ROOT))]
+    return [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").glob("test_*.py"))]
+
+
 def measure(row, copy, python, options, already):
     """A row with which tests caught its defect."""
     start = time.monotonic()
@@ -137,7 +153,8 @@ def page(rows):
     lines = [
         "# Seeded defects",
         "",
-        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests catch {len(rows) - missed}.",
+        f"{len(rows)} defects drawn by `python tests/seeded_defects.py`; the fast tests of their rooms catch "
+        f"{len(rows) - missed}.",
         "",
         "| | where | before | after | caught by |",
         "|---|---|---|---|---|",
@@ -157,6 +174,7 @@ def main():
     parser.add_argument("--seed", type=int, default=19)
     parser.add_argument("--only", type=int, action="append", help="defects of these numbers")
     parser.add_argument("--list", action="store_true", help="say what would be changed, and run nothing")
+    parser.add_argument("--whole", action="store_true", help="all fast tests for each, not those of its room alone")
     parser.add_argument("options", nargs="*", default=TESTS, help="of pytest, after --")
     given = parser.parse_args()
     defects = list(draw(given.count, given.seed))
@@ -167,14 +185,17 @@ def main():
     rows = {row["id"]: row for row in map(json.loads, TABLE.read_text().splitlines())} if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "runs", "__pycache__", ".*_cache"))
+        shutil.copytree(ROOT, copy, ignore=left_behind)
         for row, changed in [({"id": 0}, None), *defects]:
             wanted = not row["id"] or not given.only or row["id"] in given.only
             if not wanted or all(rows.get(row["id"], {}).get(key) == row[key] for key in row):
                 continue
             if changed is not None:
                 (copy / row["file"]).write_text(changed)
-            rows[row["id"]] = measure(row, copy, given.python, given.options, rows.get(0, {}).get("tests", []))
+            where = [] if given.whole or not row["id"] else of_room(row["file"])
+            rows[row["id"]] = measure(
+                row, copy, given.python, [*given.options, *where], rows.get(0, {}).get("tests", [])
+            )
             if changed is not None:
                 # With its own time: Python and numba know a file by that.
                 shutil.copy2(ROOT / row["file"], copy / row["file"])

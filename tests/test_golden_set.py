@@ -1,0 +1,121 @@
+"""The contract itself is a command (`make golden`); here: that it leaves no kind out, and that it notices a change."""
+
+import json
+import shutil
+
+import golden_set
+import numpy as np
+import pytest
+
+SCHEMA = json.loads((golden_set.ROOT / "diagrams" / "scenarios" / "schema.json").read_text())
+POSE, TORQUE, TEXT = "runs/exact/drake/pose", "runs/exact/drake/torque", "runs/exact/drake/metrics/status"
+METRIC, CHAOTIC = "runs/encoders/reduced/metrics/torque_rms", "shipped/paper_fig7_chaotic/metrics/rmse_mm"
+
+
+def kinds(node):
+    """Of a part of a scenario, by the schema that `stewart-drake schema` writes."""
+    if "$ref" in node:
+        node = SCHEMA["$defs"][node["$ref"].rpartition("/")[2]]
+    own = node.get("properties", {}).get("kind", {})
+    found = {own["const"]} if "const" in own else set(own.get("enum", ()))
+    inside = [*node.get("anyOf", ()), *node.get("oneOf", ()), *([node["items"]] if "items" in node else ())]
+    return found.union(*map(kinds, inside))
+
+
+@pytest.mark.parametrize("part", ["controller", "tuner", "sensors", "estimator"])
+def test_every_kind_has_a_run(part):
+    own = golden_set.cases()
+    used = {case.get(part, {}).get("kind") for group in ("runs", "on_drake") for case in own[group].values()}
+    assert len(kinds(SCHEMA["properties"][part])) > 1
+    assert kinds(SCHEMA["properties"][part]) <= used
+
+
+@pytest.mark.parametrize(("part", "group"), [("reference", "references"), ("disturbances", "disturbances")])
+def test_every_motion_and_wrench_is_asked(part, group):
+    assert kinds(SCHEMA["properties"][part]) == {data["kind"] for data in golden_set.cases()[group].values()}
+
+
+def test_every_shipped_scenario_has_a_run():
+    shipped = {path.stem for path in (golden_set.ROOT / "diagrams" / "scenarios").glob("*.yaml")}
+    assert shipped == {case["scenario"] for case in golden_set.cases()["shipped"].values()}
+
+
+def test_recording_has_all_cases():
+    keys = set(golden_set.recorded(golden_set.GOLDEN, report=True))
+    assert not [key for key in keys if key.endswith("/raised")]
+    groups = {"/".join(key.split("/")[:parts]) for key in keys for parts in (1, 2, 3)}
+    assert golden_set.jobs().keys() <= groups
+    assert "report" in groups
+
+
+@pytest.fixture
+def changed(tmp_path, capsys):
+    """Compares the recording with one in which some values are others; returns what is printed."""
+
+    def compare(changes):
+        arrays, numbers = {}, {}
+        for key, value in golden_set.recorded(golden_set.GOLDEN, report=False).items():
+            new = changes.get(key, value)
+            golden_set.flatten(key, new(value) if callable(new) else new, arrays, numbers)
+        shutil.rmtree(tmp_path)
+        golden_set.write(tmp_path, arrays, numbers)
+        status = golden_set.compare(golden_set.GOLDEN, tmp_path)
+        printed = capsys.readouterr().out
+        assert status == (1 if printed else 0)
+        return printed
+
+    return compare
+
+
+def test_the_same_differs_nowhere(changed):
+    assert changed({}) == ""
+
+
+def with_last(value, change):
+    value = value.copy()
+    value[-1, 2] += change
+    return value
+
+
+@pytest.mark.parametrize(
+    ("key", "within", "beyond"),
+    [
+        (POSE, lambda pose: with_last(pose, 0.9e-9), lambda pose: with_last(pose, 1.1e-9)),
+        (
+            TORQUE,
+            lambda torque: with_last(torque, 0.9e-8 * np.abs(torque).max()),
+            lambda torque: with_last(torque, 1.1e-8 * np.abs(torque).max()),
+        ),
+        (METRIC, lambda number: number * (1 - 0.9e-6), lambda number: number * (1 - 1.1e-6)),
+        (CHAOTIC, lambda three: [1.0001 * each for each in three], lambda three: [100.0 * each for each in three]),
+    ],
+)
+def test_a_change_beyond_its_tolerance_is_told(changed, key, within, beyond):
+    assert changed({key: within}) == ""
+    told = changed({key: beyond})
+    assert told.startswith(f"{key}: ")
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("key", "new"),
+    [
+        (TEXT, "lost"),
+        (TEXT, None),
+        (METRIC, None),
+        (METRIC, np.nan),
+        (POSE, lambda pose: pose[:-1]),
+        (POSE, lambda pose: with_last(pose, np.nan)),
+    ],
+)
+def test_a_value_of_another_sort_is_told(changed, key, new):
+    assert changed({key: new}).startswith(f"{key}: ")
+
+
+def test_the_worst_comes_first(changed):
+    told = changed({POSE: lambda pose: with_last(pose, 2e-9), TORQUE: lambda torque: 2.0 * torque})
+    assert [line.partition(":")[0] for line in told.splitlines()] == [TORQUE, POSE]
+
+
+def test_what_is_missing_is_told(changed):
+    assert changed({POSE: {}}).startswith(f"{POSE}: only in ")
