@@ -19,7 +19,7 @@ from stewart_drake.hardware.friction_feedforward import friction_part
 from stewart_drake.hardware.motors import motor_part
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import AnyPart, Part, Setup, SystemPart, guarded
+from stewart_drake.part import AnyPart, Part, Setup, guarded
 from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario

@@ -9,6 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.controller import Controller
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
@@ -562,6 +564,13 @@ def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, val
         load_scenario(path, [text])
     except ConfigurationError as error:
         one_line(error)
+
+
+def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
+    pid = load_scenario("exact_fig7").replace({"controller.kind": "pid"})
+    assert pid.controller == PidOptions(period=0.001)
+    assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
+    assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
 
 
 NOTE = "the key `compiled` has no effect: everything is compiled; remove it"

@@ -155,19 +155,6 @@ def test_a_log_is_written_read_and_replayed_and_runs_repeat_to_the_last_bit(tmp_
     assert (tmp_path / "replay.html").stat().st_size > 1e6
 
 
-def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
-    changes = (*FAST, "controller.solver=split", "duration=0.05", "tuner={kind: fixed}")
-    coarse, fine = (
-        run(load_scenario("paper_fig7", changes)),
-        run(load_scenario("paper_fig7", (*changes, "log_period=0.001"))),
-    )
-    assert (len(coarse.time), len(fine.time)) == (11, 51)
-    for name in coarse.signals:
-        np.testing.assert_array_equal(coarse[name], fine[name][::5], err_msg=name)
-    np.testing.assert_array_equal(fine["torque"][:50].reshape(10, 5, 6).std(axis=1), 0.0)
-    assert (np.diff(fine["pose"][:, 5]) != 0.0).all()
-
-
 def test_more_rows_than_there_was_place_for(monkeypatch):
     monkeypatch.setattr(fast_run, "_ROWS", 7)
     monkeypatch.setattr(simulation, "CHUNK", 0.03)

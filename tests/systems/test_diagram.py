@@ -87,16 +87,6 @@ def test_a_start_context_stands_assembled_at_the_references_start(offset):
         ClosedLoop(scenario(initial_offset=[0, 0, 0, 0, 0, 0.3])).create_start_context()
 
 
-def test_the_controller_computes_with_the_robot_that_it_believes_in():
-    heavy = {"platform_mass": 1.5}
-    torques = {}
-    for name, keys in {"truth": {}, "model": {"model_robot": heavy}, "both": {"robot": heavy}}.items():
-        loop = ClosedLoop(scenario(**keys))
-        torques[name] = loop.GetOutputPort("torque").Eval(loop.create_start_context())
-    np.testing.assert_array_equal(torques["model"], torques["both"])
-    assert np.all(np.abs(torques["model"] - torques["truth"]) > 0.01)
-
-
 @pytest.mark.parametrize("content", [None, b"{}"])
 def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tmp_path, content):
     path = tmp_path / "net.json"
@@ -104,21 +94,6 @@ def test_a_weights_file_that_cannot_be_used_is_found_before_anything_is_built(tm
         path.write_bytes(content)
     with pytest.raises(ConfigurationError, match="weights file"):
         ClosedLoop(scenario(tuner={"kind": "paper", "weights_file": str(path)}))
-
-
-@pytest.mark.parametrize("log_period", [0.001, 0.02])
-def test_rows_of_a_log_belong_to_one_instant_at_any_log_period(log_period):
-    loop = ClosedLoop(scenario(log_period=log_period))
-    simulator = Simulator(loop, loop.create_start_context())
-    simulator.AdvanceTo(0.20001)
-    logs = {name: sink.FindLog(simulator.get_context()) for name, sink in loop.sinks.items()}
-    times = logs["torque"].sample_times()
-    assert len(times) == round(0.2 / log_period) + 1
-    for log in logs.values():
-        np.testing.assert_array_equal(log.sample_times(), times)
-    ticks = slice(None, None, max(1, round(0.005 / log_period)))
-    error = (logs["measurement"].data()[:6] - logs["reference"].data()[:6]).T
-    np.testing.assert_array_equal(logs["error"].data().T[ticks], error[ticks])
 
 
 # --- numbers -------------------------------------------------------------------------------------------------------

@@ -96,13 +96,6 @@ def test_a_dead_motor_is_given_nothing_and_the_log_shows_it():
     assert np.abs(log["torque"][dead, 2]).min() > 0.0
 
 
-def test_ripple_and_steps_reach_the_plant():
-    log = run(scenario(motors={"ripple": 0.02, "ripple_periods": 7, "resolution": 0.01}))
-    steps = np.rint(log["torque"] / 0.01) * 0.01
-    expected = steps + 0.02 * np.sin(7 * log["crank_angle"])
-    np.testing.assert_allclose(log["torque_applied"], expected, atol=1e-12)
-
-
 def test_noise_has_its_size_and_does_not_depend_on_how_often_it_is_looked_at():
     noisy = ENCODERS | {"noise": 1e-4, "noise_seed": 3}
     coarse, fine = (
@@ -114,30 +107,6 @@ def test_noise_has_its_size_and_does_not_depend_on_how_often_it_is_looked_at():
     assert np.abs(again["measured_pose"] - coarse["measured_pose"]).max() > 1e-6
     error = fine["measured_pose"] - fine["pose"]
     assert 1e-6 < np.abs(error[::5]).max() < 1e-3
-
-
-@pytest.mark.slow
-def test_a_run_with_chance_in_it_repeats_to_the_last_bit():
-    case = scenario(
-        sensors=ENCODERS | {"noise": 1e-4},
-        link={"drop_probability": 0.2, "late_probability": 0.3},
-        disturbances=[{"kind": "noise", "rms": [0, 0, 0, 1, 1, 1]}],
-    )
-    one, two = run(case), run(case)
-    np.testing.assert_array_equal(one["plant_state"], two["plant_state"])
-
-
-def test_the_controller_sees_what_the_frozen_sensor_says():
-    log = run(scenario(sensors={"kind": "ideal", "faults": [{"kind": "freeze", "time": 0.05}]}, duration=0.08))
-    np.testing.assert_array_equal(log["measured_pose"][50:], np.tile(log["measured_pose"][49], (31, 1)))
-    np.testing.assert_array_equal(log["measured_pose"][:50], log["pose"][:50])
-
-
-def test_a_dropped_tick_holds_the_last_torque():
-    log = run(scenario(link={"dropped": [40, 41, 60]}, reference={"kind": "sine"}))
-    applied, asked = log["torque_applied"], log["torque"]
-    for row, came_from in ((39, 39), (40, 39), (41, 39), (42, 42), (60, 59), (61, 61)):
-        np.testing.assert_array_equal(applied[row], asked[came_from])
 
 
 def test_a_command_cannot_be_later_than_a_period():

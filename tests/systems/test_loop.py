@@ -6,10 +6,8 @@ from pydrake.systems.analysis import Simulator
 from strategies import ROBOT, ROBOTS
 
 from stewart_drake import Controller, Scenario, load_scenario, run, run_metrics
-from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.logs.log import SIGNALS, load_log
-from stewart_drake.mechanics.dynamics import static_torque, task_inertia
+from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.systems.diagram import ClosedLoop
@@ -184,28 +182,6 @@ def test_another_controller_follows_by_what_it_measures_and_has_no_weights(kind)
     np.testing.assert_allclose(log["error"], log["measured_pose"] - log["reference"], atol=1e-15)
     assert log["integral"].any() == (kind == "computed_torque")
     assert run_metrics(log)["omega_q"] is None
-
-
-@pytest.mark.slow
-def test_an_unknown_payload_leaves_a_pd_loop_off_and_an_integral_does_not():
-    def sag(**controller):
-        chosen = {"kind": "computed_torque", **controller}
-        keys = {"duration": 1.5, "reference": {"kind": "hold"}, "plant": {"payload_mass": 0.3}, "controller": chosen}
-        return run(Scenario.from_dict(keys))["pose"][-1, 5] - 0.3
-
-    # In heave the payload adds weight and inertia: M z'' = -M_believed omega^2 z - 0.3 g.
-    still = -0.3 * 9.81 / (task_inertia(ROBOT, ROBOT.home_pose)[5, 5] * 93.8**2)
-    assert sag(integral_frequency=0.0) == pytest.approx(still, rel=0.02)
-    assert abs(sag()) < 0.01 * abs(still)
-
-
-def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
-    base = load_scenario("exact_fig7")
-    pid = base.replace({"controller.kind": "pid"})
-    assert pid.controller == PidOptions(period=0.001)
-    assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
-    assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
-    assert Scenario.from_dict(pid.to_dict()) == pid
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.runs.outputs import write_run
 from stewart_drake.runs.simulation import check_scenario, run
-from stewart_drake.safety import LEVELS, MONITORS, SAFE_HOLD, SafetyOptions, first_trip
+from stewart_drake.safety import LEVELS, MONITORS, SafetyOptions, first_trip
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems import ReferenceSource, SafetyLayer, TaskSpaceSensor
 
@@ -100,20 +100,6 @@ def test_a_run_that_ends_before_the_layer_has_done_with_it_tells_the_trip_all_th
 
 
 @pytest.mark.slow
-def test_the_safe_hold_slows_the_robot_down():
-    log = run(scenario(link=NAN, duration=1.0))
-    rate = np.linalg.norm(log["pose_rate"][:, 3:], axis=1)
-    safe = log["safety"][:, 0] == SAFE_HOLD
-    assert rate[49] > 0.09
-    assert rate[safe][-1] < 0.02
-    assert log["loop_gap"].max() < 1e-5
-    speed = np.einsum("nij,nj->ni", pose_jacobian(ROBOT, log["pose"]), log["pose_rate"])
-    weight = static_torque(ROBOT, log["pose"])
-    power = np.sum((log["torque_applied"] - weight) * speed, axis=1)[safe]
-    assert power.max() < 1e-3
-
-
-@pytest.mark.slow
 def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause():
     encoders = {
         "kind": "encoders",
@@ -137,13 +123,6 @@ def test_a_motor_that_sticks_is_no_sensor_that_failed():
     log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
     assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
     assert "friction holds what it reads" in log.message
-
-
-def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
-    bad = BASE["controller"] | {"min_transmission": 0.97}
-    log = run(scenario(controller=bad, safety={"failures": False}, duration=0.3), check=False)
-    assert (log.status, log.reason) == ("failed", "crank_dead_centre")
-    assert log.safety is None
 
 
 def test_ctrl_c_keeps_the_log_and_what_the_layer_saw():
