@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.identification.excitation import excite
 from stewart_drake.identification.identification_study import Setting, coverage, run_trial
 from stewart_drake.identification.identify import identify

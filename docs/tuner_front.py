@@ -1,19 +1,42 @@
 """The policy from stiff to quiet against settings that stay: `make tuner_front`.
 
-Writes docs/results/tuner_front.md and docs/images/tuner_front.png.
+python docs/tuner_front.py runs/tuner-front [FILE]     # FILE: a policy [default: the shipped one]
+
+Writes docs/results/tuner_front.md and docs/images/tuner_front.png; what has been run in the folder is not run again.
 """
 
 import sys
 from pathlib import Path
 
+import numpy as np
+from scipy.stats import qmc
+
+from stewart_drake.campaigns.tables import markdown
+from stewart_drake.control.objective import CostScales
 from stewart_drake.plotting import draw
 from stewart_drake.plotting.tuner_plots import plot_front
 from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.training.baselines import Baselines
-from stewart_drake.training.contest import cells_for
-from stewart_drake.training.front import SEEDS, SETTINGS, TASTES, find_front, table
+from stewart_drake.training.benchmark import (
+    Benchmark,
+    always,
+    cases_of,
+    cells_for,
+    log_cost,
+    mean_over_cells,
+    with_setting,
+)
+from stewart_drake.training.situations import HELD_OUT
 
 DOCS = Path(__file__).parent
+TASTES = (-1.0, -0.5, 0.0, 0.5, 1.0)
+SETTINGS = 64
+"""Fixed ones, of a Sobol sequence in the box of the searches; beside them those that the searches found."""
+LOW, HIGH = np.array([-0.3, -0.6, -1.2, -1.9]), np.array([0.4, 0.4, 0.7, 0.6])
+"""That box, see docs/tuner_baselines.py."""
+SEEDS = 3
+LEAST = 1e-6
+"""[mm], [N m] smaller ones count as this."""
 TEXT = """# From stiff to quiet: one policy, one number
 
 `make tuner_front`: the paper's robot in {kinds} kinds of situations, {seeds} of each, of seeds that nothing was trained
@@ -29,24 +52,61 @@ it.
 """
 
 
+def front(folder, policy, settings, seeds=SEEDS):
+    """Means over the kinds of log error [mm] and log change of torque [N m], (candidates, 2), and of log J by taste.
+
+    The candidates are the settings, then the policy at each taste.
+    """
+    # One robot: errors of several could not be told in millimetres together.
+    cases = cases_of(cells_for("paper"), HELD_OUT[:seeds])
+    entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": taste}}) for taste in TASTES)]
+    with (
+        ProgressBar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        Benchmark(folder, "reduced", tell=advance) as benchmark,
+    ):
+        rows = benchmark.run(entered, cases)
+    scales = [CostScales().at(taste) for taste in TASTES]
+    values = [[_log_error(row), _log_change(row), *(log_cost(row, each) for each in scales)] for row in rows]
+    means = mean_over_cells(np.moveaxis(np.reshape(values, (len(entered), len(cases), -1)), -1, 1), cases)
+    return means[:, :2], means[:, 2:]
+
+
+def _log_error(row):
+    return np.log(max(row["rmse_norm_mm"], LEAST))
+
+
+def _log_change(row):
+    return np.log(max(row["torque_change_rms"] * 1e-3 / row["period"], LEAST))
+
+
 def main(folder: Path, weights: str | None = None) -> None:
     """Writes them."""
     found = Baselines.load()
-    given = [found.best, *found.best_of_robot.values(), *found.best_of_kind["paper"].values()]
+    drawn = LOW + (HIGH - LOW) * qmc.Sobol(len(LOW), seed=0).random(SETTINGS)
+    settings = [found.best, *found.best_of_robot.values(), *found.best_of_kind["paper"].values(), *drawn]
     policy = {"kind": "policy", **({} if weights is None else {"weights_file": weights})}
-    kinds = len([robot for _, robot in cells_for() if robot == "paper"])
-    total = (len(given) + SETTINGS + len(TASTES)) * kinds * SEEDS
-    with ProgressBar("front", float(total), quiet=False, unit="runs") as advance:
-        front = find_front(lambda taste: {"tuner": {**policy, "kappa": taste}}, folder, given, tell=advance)
-    drawn = draw(
-        lambda: plot_front(front.cloud, front.tuner, TASTES, front.cloud[front.best]), DOCS / "images/tuner_front.png"
-    )
+    logs, costs = front(folder, policy, settings)
+    shown, count = np.exp(logs), len(settings)
+    best = np.argmin(costs[:count], axis=0)
+    ratios = np.exp(np.diag(costs[count:]) - costs[best, range(len(TASTES))])
+    rows = [
+        [f"{taste:g}", *(f"{value:.4f}" for value in (*shown[count + k], *shown[best[k]])), f"{ratios[k]:.2f}"]
+        for k, taste in enumerate(TASTES)
+    ]
+    header = ("kappa", "error [mm]", "torque [N m]", "best fixed: error", "torque", "J over its")
     text = TEXT.format(
-        kinds=kinds, seeds=SEEDS, settings=len(front.settings), drawn=SETTINGS, table="\n".join(table(front))
+        kinds=len(cells_for("paper")),
+        seeds=SEEDS,
+        settings=count,
+        drawn=SETTINGS,
+        table="\n".join(markdown(header, rows)),
     )
     (DOCS / "results" / "tuner_front.md").write_text(text)
-    if drawn is not None:
-        sys.exit(drawn)
+    warning = draw(
+        lambda: plot_front(shown[:count], shown[count:], TASTES, shown[best]), DOCS / "images/tuner_front.png"
+    )
+    if warning is not None:
+        sys.exit(warning)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from stewart_drake.training.situations import KINDS, ROBOTS
 DOCS = Path(__file__).parent
 TEXT = """# What a tuner is worth
 
-`make tuner_verdict`, Drake's plant: contestants in situations drawn by kind, robot and seed
+`make tuner_verdict`, Drake's plant: candidates in situations drawn by kind, robot and seed
 (`stewart_drake/training/situations.py`): {kinds} kinds, of which {untrained} were never trained or searched on, with
 the paper's robot at 1 kHz and Reachy Mini at 100 Hz, and seeds that nobody had trained or searched on. All have the
 same observer on noisy encoders, a tick of delay and more, and the same feedforward. J = sqrt((RMS error / 0.03 deg)^2 +

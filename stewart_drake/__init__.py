@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
     from stewart_drake.calibration.pose_plan import plan_poses as plan_poses
     from stewart_drake.calibration.result import Calibration as Calibration
-    from stewart_drake.control.control_law import ControlLaw as ControlLaw
     from stewart_drake.control.inputs import Measurement as Measurement
     from stewart_drake.control.inputs import Setpoint as Setpoint
     from stewart_drake.control.lqi_options import LqiOptions as LqiOptions
     from stewart_drake.control.network import load_network as load_network
+    from stewart_drake.controller import Controller as Controller
     from stewart_drake.errors import ConfigurationError as ConfigurationError
     from stewart_drake.errors import StewartDrakeError as StewartDrakeError
     from stewart_drake.files.code_trust import trusting_code as trusting_code
@@ -69,7 +69,7 @@ _HOME = {
     "MeasurementNoise": "calibration.measurements",
     "calibrate": "calibration.fit",
     "plan_poses": "calibration.pose_plan",
-    "ControlLaw": "control.control_law",
+    "Controller": "controller",
     "LqiOptions": "control.lqi_options",
     "Measurement": "control.inputs",
     "Setpoint": "control.inputs",

@@ -27,32 +27,30 @@ class Family:
     """The kinds of one part of a scenario, told apart by the key `kind`; in `Annotated`, the type of such a part.
 
     Args:
-        lines: Kind -> its section and, where it has one, the LeafSystem or function that builds its part of the
-            Diagram: `module:name` in this package, or the thing itself; then, where it has one, what does the same
-            outside of a Diagram.
+        lines: Kind -> its section: `module:name` in this package, or the class itself.
         default: Kind where the key is absent; None where it is required.
         own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
-        method: What an object of the user's own has; None for classes alone.
+        methods: What an object of the user's own has one of; none for classes alone.
         without: Kinds that are not taken here.
         older: Names that kinds had in older files -> their names.
     """
 
     def __init__(
         self,
-        lines: dict[str, tuple[Any, ...]],
+        lines: dict[str, Any],
         default: str | None = None,
         own: str | None = None,
-        method: str | None = None,
+        methods: tuple[str, ...] = (),
         without: tuple[str, ...] = (),
         older: Mapping[str, str] | None = None,
     ) -> None:
         self.default = default
-        self._lines, self._own, self._method, self._without = lines, own, method, without
+        self._lines, self._own, self._methods, self._without = lines, own, methods, without
         self._older = older or {}
 
     def but(self, *kinds: str) -> Family:
         """The same kinds, without some."""
-        return Family(self._lines, self.default, self._own, self._method, (*self._without, *kinds), self._older)
+        return Family(self._lines, self.default, self._own, self._methods, (*self._without, *kinds), self._older)
 
     @property
     def kinds(self) -> list[str]:
@@ -64,14 +62,14 @@ class Family:
         """The kinds, and how a user's own is written."""
         return self.kinds if self._own is None else [*self.kinds, OWN]
 
-    def add(self, section: type[Section], system: Any = None, plain: Any = None) -> None:
-        """Adds a kind: its section, whose `kind` has its name as the default, and what runs it; see `Family`.
+    def add(self, section: type[Section]) -> None:
+        """Adds a kind: its section, whose `kind` has its name as the default.
 
         A section that was added before may be added again, as a cell of a notebook does.
 
         Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already; nothing
-                builds it, where a part of the Diagram is to be built.
+            ConfigurationError: The section has no such default, or a kind of that name is there already; it lacks a
+                method that its base asks for, such as `parts`.
         """
         field = getattr(section, "__pydantic_fields__", {}).get("kind")
         kind = None if field is None else field.default
@@ -84,9 +82,10 @@ class Family:
             raise ConfigurationError(
                 f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
             )
-        if system is None and any(len(line) > 1 for line in self._lines.values()):
-            raise ConfigurationError("system", None, f"what builds the part of the Diagram for {section.__name__}")
-        self._lines[kind] = tuple(each for each in (section, system, plain) if each is not None)
+        missing = sorted(getattr(section, "__abstractmethods__", ()))
+        if missing:
+            raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
+        self._lines[kind] = section
 
     def added_code(self) -> dict[str, str]:
         """See `added_code`."""
@@ -95,15 +94,7 @@ class Family:
     def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""
         known = isinstance(kind, str) and kind in self._lines and kind not in self._without
-        return self._get(kind, 0) if known else None
-
-    def system(self, kind: str) -> Any:
-        """What builds the part of the Diagram for a kind."""
-        return self._get(kind, 1)
-
-    def plain(self, kind: str) -> Any:
-        """What does the same outside of a Diagram; None where there is nothing."""
-        return self._get(kind, 2) if len(self._lines[kind]) > 2 else None
+        return _loaded(self._lines, kind) if known else None
 
     def spelled(self, data: Any) -> Any:
         """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
@@ -125,12 +116,6 @@ class Family:
         found = self._own_section if self._is_own(kind) else self.section(kind)
         return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
 
-    def _get(self, kind: str, column: int) -> Any:
-        line = self._lines[kind]
-        if isinstance(line[column], str):
-            line = self._lines[kind] = (*line[:column], _import(line[column]), *line[column + 1 :])
-        return line[column]
-
     @property
     def _own_section(self) -> Any:
         return None if self._own is None else _import(self._own)
@@ -141,7 +126,7 @@ class Family:
             return False
         if isinstance(kind, str):
             return ":" in kind
-        return isinstance(kind, (type, CodePath)) or hasattr(kind, self._method or "")
+        return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, type) and issubclass(value, Section) and value is not Section:
@@ -195,10 +180,7 @@ class Table:
 
     def __getitem__(self, name: str) -> Any:
         """The object of a name."""
-        found = self._lines[name]
-        if isinstance(found, str):
-            found = self._lines[name] = _import(found)
-        return found
+        return _loaded(self._lines, name)
 
     def add(self, name: str, made: Any) -> None:
         """Adds an object.
@@ -212,7 +194,7 @@ class Table:
 
     def added_code(self) -> dict[str, str]:
         """See `added_code`."""
-        return added_code({name: made if isinstance(made, tuple) else (made,) for name, made in self._lines.items()})
+        return added_code(self._lines)
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, str) and value in self._lines:
@@ -226,14 +208,14 @@ class Table:
         return {"enum": self.names, "type": "string"}
 
 
-def added_code(lines: Mapping[str, tuple[Any, ...]]) -> dict[str, str]:
+def added_code(lines: Mapping[str, Any]) -> dict[str, str]:
     """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
 
     Results are kept under it: a kind with other code is another kind.
     """
     found: dict[str, str] = {}
     for kind, line in lines.items():
-        for part in line:
+        for part in line if isinstance(line, tuple) else (line,):
             module = getattr(part, "__module__", None)
             if module is not None and module.partition(".")[0] != _PACKAGE:
                 found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
@@ -364,6 +346,13 @@ def place_users(section: Any, place: str = "") -> None:
         named = vars(section).items() if isinstance(section, Section) else enumerate(section)
         for name, part in list(named):
             place_users(part, f"{place}.{name}" if place else str(name))
+
+
+def _loaded(lines: dict[str, Any], name: str) -> Any:
+    """What stands in a line, imported where that is `module:name`."""
+    if isinstance(lines[name], str):
+        lines[name] = _import(lines[name])
+    return lines[name]
 
 
 def _import(place: str) -> Any:

@@ -1,4 +1,4 @@
-"""Keys of older scenario files as this version has them; older names of kinds stand in `registry`."""
+"""Keys of older scenario files; older names of kinds stand in `registry`."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from stewart_drake.errors import ConfigurationError, OlderFileWarning
+from stewart_drake.errors import OlderFileWarning
 
 
-def compiled_moved(data: dict[str, Any]) -> dict[str, Any]:
-    """`controller.compiled` of older files as the scenario's own key."""
+def without_compiled(data: dict[str, Any]) -> dict[str, Any]:
+    """A scenario without the key `compiled`, which has no effect any more, of its own or of its controller."""
     controller = data.get("controller")
     if isinstance(controller, Mapping) and "compiled" in controller:
         warn_of_compiled()
-        older = controller["compiled"]
-        if data.get("compiled", older) != older:
-            allowed = f"{data['compiled']}, as the scenario's own key `compiled` says, or no such key"
-            raise ConfigurationError("controller.compiled", older, allowed)
-        data = {**data, "compiled": older}
-        data["controller"] = {key: value for key, value in controller.items() if key != "compiled"}
+        data = {**data, "controller": {key: value for key, value in controller.items() if key != "compiled"}}
+    if "compiled" in data:
+        warn_of_compiled()
+        data = {key: value for key, value in data.items() if key != "compiled"}
     return data
 
 
 def warn_of_compiled() -> None:
-    """Says that the key `controller.compiled` has moved."""
-    moved = "controller.compiled is the scenario's own key `compiled` now"
-    warnings.warn(moved, OlderFileWarning, stacklevel=4)
+    """Says that the key has no effect."""
+    message = "the key `compiled` has no effect: everything is compiled; remove it"
+    warnings.warn(message, OlderFileWarning, stacklevel=4)

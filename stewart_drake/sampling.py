@@ -1,14 +1,13 @@
-"""Sample times on which events of different rates coincide bit for bit, and what is done at them."""
+"""Sample times on which events of different rates coincide bit for bit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError, RunFailure, failure_code
+from stewart_drake.errors import ConfigurationError
 
 _PER_SECOND = 192_000_000
 """Units in a second: microseconds, their thirds and their sixty-fourths (so 1/4096 s too) are whole numbers of it."""
@@ -69,56 +68,6 @@ def steps_per(key: str, period: float, time_step: float) -> int:
     if count < 1 or abs(ratio - count) > _TOLERANCE * count:
         raise ConfigurationError(key, period, f"a whole multiple of the plant's time step {time_step:g} s")
     return count
-
-
-class Sampled(NamedTuple):
-    """A part of the loop that ticks, as a pure function; inside a Diagram `systems.ticked` runs it, outside `Running`.
-
-    Attributes:
-        initial: (n,) memory before the first tick; a memory begins with what the part says.
-        tick: Inputs and then the memory (n,) of the tick before -> memory (n,) of this one.
-    """
-
-    initial: np.ndarray
-    tick: Callable[..., np.ndarray]
-
-
-WELL = (0.0, -1.0)
-"""What a tick says of itself in which nothing failed: no cause, no leg."""
-
-
-def ill(error: RunFailure, guarded: bool, time: float) -> tuple[float, float]:
-    """What a tick that failed says of itself: the cause, as `errors.FAILURES` counts it, and the leg or -1.
-
-    Raises:
-        RunFailure: The error, with its time [s], where the tick is not guarded.
-    """
-    if not guarded:
-        error.time = time
-        raise error
-    return float(failure_code(error.reason)), -1.0 if error.leg is None else float(error.leg)
-
-
-class Running:
-    """A part in one run outside of a Diagram.
-
-    Attributes:
-        memory: Of its last tick.
-        health: What was wrong in it, see `ill`.
-    """
-
-    def __init__(self, part: Sampled, guarded: bool = False) -> None:
-        self.memory, self.health = part.initial, WELL
-        self._tick, self._guarded = part.tick, guarded
-
-    def __call__(self, time: float, *inputs: Any) -> np.ndarray:
-        """Ticks; a guarded tick that fails keeps the memory of the one before."""
-        try:
-            self.memory = self._tick(*inputs, self.memory)
-            self.health = WELL
-        except RunFailure as error:
-            self.health = ill(error, self._guarded, time)
-        return self.memory
 
 
 class InBlocks:

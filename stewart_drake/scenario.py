@@ -11,11 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from stewart_drake.control.control_law import ControlLaw
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner, TunerSite
+from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, given_again, place_users
 from stewart_drake.files.code_trust import trusting_code
@@ -23,13 +22,13 @@ from stewart_drake.files.named_files import ROBOT_KEYS, anchored
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation
 from stewart_drake.hardware.motors import MotorOptions
-from stewart_drake.hardware.observer import SMALLEST_NOISE, DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.sensor_faults import IdealSensors, SensorOptions
+from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.older import compiled_moved, warn_of_compiled
+from stewart_drake.older import warn_of_compiled, without_compiled
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -46,7 +45,6 @@ from stewart_drake.section import (
     NAME,
     NAME_WORDS,
     Count,
-    Flag,
     NotNegative,
     Positive,
     Section,
@@ -104,10 +102,6 @@ class Scenario(Section):
     """What makes of it the pose and rate that the controller sees."""
     friction_compensation: FrictionCompensation | None = None
     """Friction of the motors that every command makes up for; null for none."""
-    compiled: Flag = False
-    """Whether numba compiles the ticks of the controllers (of the LQI with `controller.solver: split`), of estimators,
-    tuner and safety layer, which are then seventy times faster, and the plant's friction. Other parts are not affected.
-    The first run on a machine compiles for half a minute."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
     """Control periods from a tick to its torque at the motors; until the first arrives they hold the start pose."""
     link: LinkOptions = by_default(LinkOptions())
@@ -217,34 +211,10 @@ class Scenario(Section):
         """The network that this scenario names, or None where the weights are fixed; see `Tuner.network`."""
         return self.tuner.network()
 
-    def control_law(self) -> ControlLaw:
-        """The controller of this scenario as a pure function, see `ControlLaw`.
-
-        Raises:
-            ConfigurationError: It is no LQI; as `load_tuner_network`.
-        """
-        return ControlLaw(
-            self.believed_robot,
-            self.lqi,
-            self.gravity,
-            self.load_tuner_network(),
-            self.tuner.density,
-            self.tuner.window,
-            self.tuner.weights,
-            self.compiled,
-        )
-
-    def tuner_site(self) -> TunerSite:
-        """What its tuner is built for."""
-        period, robot, noise = self.controller.period, self.believed_robot, self.sensors.reading_noise
-        return TunerSite(
-            period,
-            max(noise, SMALLEST_NOISE),
-            period * (1 + self.estimator.ahead(self.command_delay)),
-            robot.characteristic_length,
-            self.estimator.expected,
-            self.compiled,
-        )
+    @property
+    def ahead(self) -> int:
+        """[ticks] by which the controller sees state and reference ahead of time; 0 without an observer."""
+        return self.estimator.ahead(self.command_delay) if self.estimator.expected else 0
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""
@@ -315,7 +285,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:
     """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
-    data = compiled_moved(data)
+    data = without_compiled(data)
     return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 
@@ -385,9 +355,9 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key == "controller.compiled":
+    if key in ("compiled", "controller.compiled"):
         warn_of_compiled()
-        key = "compiled"
+        return
     *parents, last = key.split(".")
     if not parents:
         data.update(_own(_spelled({key: value})))

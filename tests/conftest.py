@@ -26,6 +26,10 @@ settings.register_profile("ci", deadline=None, derandomize=True)
 # For daily work, `make check`: a quarter of the examples; `make test` has all of them.
 settings.register_profile("check", deadline=None, max_examples=25)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    # The laws as plain Python are hundreds of times slower.
+    settings.register_profile("uncompiled", deadline=None, max_examples=4)
+    settings.load_profile("uncompiled")
 
 
 ROOT = Path(__file__).parent.parent

@@ -13,7 +13,7 @@ from stewart_drake.paper.reproduce import SECTIONS, reproduce
 from stewart_drake.paper.study import Study
 from stewart_drake.scenario import load_scenario
 
-FASTER = {"controller.solver": "split", "compiled": True}
+FASTER = {"controller.solver": "split"}
 """The same gains and ticks, and a run takes less than half the time; other tests hold them equal."""
 
 

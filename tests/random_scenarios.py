@@ -15,7 +15,6 @@ def random_scenario(seed):
         {
             "name": f"random {seed}",
             "duration": duration,
-            "compiled": True,
             "plant": {
                 "engine": "reduced",
                 "motor_friction": 0.0 if rng.random() < 0.3 else between(rng, 0.005, 3.0),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import task_inertia
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix

@@ -17,19 +17,19 @@ from stewart_drake.cli.app import cli
 from stewart_drake.control.controller_options import ControllerOptions
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.hardware.faults import FaultKind
-from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions
+from stewart_drake.hardware.faults import EncoderFault, FaultKind
+from stewart_drake.hardware.sensors import SensorOptions
+from stewart_drake.jit import fields, new_record
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metric_table import Metric, MetricError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.part import Part
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.section import NotNegative, Positive
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
-from stewart_drake.systems.ticked import TickedSystem
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
@@ -163,20 +163,12 @@ class ToySensorOptions(SensorOptions):
     off: NotNegative = 0.001
     """[m]"""
 
+    def parts(self, setup):  # noqa: ARG002
+        def tick(pose, state):
+            state["reading"][0] = pose
+            state["reading"][0, 5] += self.off
 
-class ToySensor(TaskSpaceSensor):
-    def __init__(self, plant, off):
-        super().__init__(plant)
-        self.off = off
-
-    def _calc(self, context, output):
-        super()._calc(context, output)
-        output.get_mutable_value()[5] += self.off
-
-
-def add_toy_sensor(wiring, options):
-    sensor = wiring.add("toy", ToySensor(wiring.plant, options.off), plant_state=wiring.plant.state_output_port)
-    return wiring.with_faults(sensor.measurement, options.faults)
+        return (Part("toy", {"plant_pose": 12}, ("reading",), new_record(fields(reading=12)), tick),)
 
 
 class ToyLawOptions(ControllerOptions):
@@ -191,26 +183,24 @@ class ToyLawOptions(ControllerOptions):
     def label(self):
         return "a toy law"
 
+    def parts(self, setup):
+        weight = static_torque(setup.robot, setup.robot.home_pose, setup.gravity)
 
-class ToyLaw(TickedSystem):
-    def __init__(self, options, site):
-        super().__init__(options.period, np.zeros(6), site.guarded)
-        self.weight, self.gain = static_torque(site.robot, site.robot.home_pose, site.gravity), options.gain
-        self.DeclareVectorInputPort("measurement", 12)
-        self.DeclareVectorInputPort("reference", 18)
-        self._declare_result()
-        self.torque = self._declare_output("torque", 0, 6)
+        def tick(measurement, reference, state):
+            state["error"][0] = measurement[:6] - reference[:6]
+            state["torque"][0] = weight - self.gain * state["error"][0, 5]
 
-    def tick(self, context, previous):  # noqa: ARG002
-        away = self.GetInputPort("measurement").Eval(context)[5] - self.GetInputPort("reference").Eval(context)[5]
-        return self.weight - self.gain * away
+        initial = new_record(fields(torque=6, error=6, integral=6, health=2))
+        return (
+            Part("controller", {"measurement": 12, "reference": 18}, ("torque", "error", "integral"), initial, tick),
+        )
 
 
 @pytest.fixture
 def added():
     lines = {family: dict(family._lines) for family in (SENSORS, CONTROLLERS)}
-    SENSORS.add(ToySensorOptions, add_toy_sensor)
-    CONTROLLERS.add(ToyLawOptions, ToyLaw)
+    SENSORS.add(ToySensorOptions)
+    CONTROLLERS.add(ToyLawOptions)
     yield
     for family, before in lines.items():
         family._lines.clear()
@@ -254,9 +244,9 @@ def test_results_are_kept_under_the_code_of_added_kinds(added_fault, monkeypatch
             return identity({}, [Scenario(**SHORT)])["kinds"]
 
     before = identity({}, [Scenario(**SHORT)])["kinds"]
-    assert named(SENSORS, "toy", (ToySensorOptions, add_toy_sensor)) == before
+    assert named(SENSORS, "toy", ToySensorOptions) == before
     others = [
-        named(SENSORS, "toy", (ToySensorOptions, lambda wiring, options: add_toy_sensor(wiring, options))),
+        named(SENSORS, "toy", type("Other", (ToyLawOptions,), {"__module__": __name__})),
         named(ENCODER_FAULTS, "doubled", FaultKind(lambda fault, now: np.multiply.at(now.says, fault.channels, 3.0))),
     ]
     assert len({before, *others}) == 3
@@ -388,13 +378,6 @@ def test_a_metric_may_return_what_numpy_has():
     assert (metrics["mine"], type(metrics["count"])) == ([0.0, 1.0], int)
 
 
-def test_a_kind_that_nothing_builds_is_refused_when_it_is_added():
-    for family in (SENSORS, CONTROLLERS):
-        with pytest.raises(ConfigurationError, match=r"^system: got None; allowed: what builds .*ToySensorOptions"):
-            family.add(ToySensorOptions)
-        assert "toy" not in family.kinds
-
-
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
     for many in (run_key, lambda own: Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)):
@@ -476,11 +459,26 @@ class AnotherLqi(ControllerOptions):
     period: Positive = 0.001
 
 
+class NoParts(ControllerOptions):
+    """Says nothing of its part of the loop."""
+
+    kind: Literal["no_parts"] = "no_parts"
+    period: Positive = 0.001
+
+
 @pytest.mark.usefixtures("added")
-@pytest.mark.parametrize(("section", "words"), [(AnotherLqi, "no kind has"), (ControllerOptions, "as its default")])
-def test_a_kind_needs_a_name_of_its_own(section, words):
-    with pytest.raises(ConfigurationError, match=rf"^{section.__name__}\.kind: .*{words}") as caught:
-        CONTROLLERS.add(section, ToyLaw)
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (AnotherLqi, r"AnotherLqi\.kind: .*no kind has"),
+        (ControllerOptions, r"ControllerOptions\.kind: .*as its default"),
+        (NoParts, "NoParts: .*a section with parts"),
+    ],
+)
+def test_a_kind_needs_a_name_of_its_own_and_what_its_base_asks_for(section, words):
+    with pytest.raises(ConfigurationError, match=f"^{words}") as caught:
+        CONTROLLERS.add(section)
     assert "\n" not in str(caught.value)
     assert CONTROLLERS.section("lqi") is LqiOptions
-    CONTROLLERS.add(ToyLawOptions, ToyLaw)  # as a cell of a notebook does
+    assert "no_parts" not in CONTROLLERS.kinds
+    CONTROLLERS.add(ToyLawOptions)  # as a cell of a notebook does

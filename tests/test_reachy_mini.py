@@ -7,37 +7,26 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from reachy_mini_rust_kinematics import ReachyMiniRustKinematics
 
-from stewart_drake.control.lqi import flat_tick as controller_tick
-from stewart_drake.control.lqi import initial_memory
+from stewart_drake.control.lqi import lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, RunFailure
-from stewart_drake.mechanics.arrays import arrays_of
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
     inverse_kinematics,
+    newton,
     pose_jacobian,
     reach_margin,
     roll_pitch_yaw,
     rotation_angle,
     rotation_matrix,
 )
-from stewart_drake.mechanics.kinematics_core import rod_errors
+from stewart_drake.part import WELL
 from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.safety import (
-    HOLD,
-    MONITORS,
-    SafetyInputs,
-    SafetyMemory,
-    SafetyOptions,
-)
-from stewart_drake.safety import flat_tick as safety_tick_of
-from stewart_drake.safety import (
-    initial_memory as initial_safety,
-)
+from stewart_drake.safety import HOLD, MONITORS, SafetyOptions, safety_part
 
 ROBOT = load_robot("reachy_mini")
 HOME = ROBOT.home_pose
@@ -95,18 +84,17 @@ def test_forward_kinematics_is_the_makers_to_what_theirs_leaves():
     near = poses + np.random.default_rng(2).uniform(-1e-3, 1e-3, poses.shape)
     ours = forward_kinematics(ROBOT, angles, near)
     np.testing.assert_allclose(ours, poses, rtol=0.0, atol=1e-10)
-    own = arrays_of(ROBOT, poses)
-    assert np.abs(rod_errors(own, angles, ours)[1]).max() < 1e-12
+    assert newton(ROBOT, angles, ours, 0.0, 0)[1].max() < 1e-12
     apart = []
     for start, theta, pose in zip(transforms(near), angles, ours, strict=True):
         solver.reset_forward_kinematics(start)
         for _ in range(30):
             found = np.array(solver.forward_kinematics(theta.tolist()))
         theirs = np.concatenate([roll_pitch_yaw(found[:3, :3]), found[:3, 3]])
-        left = rod_errors(own, theta, theirs)
-        assert np.abs(left[1]).max() < 1e-6
+        (stepped,), _, _ = newton(ROBOT, theta[None], theirs[None], 0.0, 1)
+        assert newton(ROBOT, theta[None], theirs[None], 0.0, 0)[1][0] < 1e-6
         # What is between us is what their rods have left, and nothing else.
-        np.testing.assert_allclose(theirs - np.linalg.solve(*left), pose, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(stepped, pose, rtol=0.0, atol=1e-9)
         apart.append(np.abs(theirs - pose).max())
     assert np.median(apart) < 1e-6
 
@@ -136,33 +124,33 @@ def test_after_any_command_the_next_good_one_works_and_each_bad_one_is_refused_b
         weight_length=ROBOT.characteristic_length, saturation="clamp",
     )  # fmt: skip
     weights = np.array([4e5, 30.0, 4e7, 1.0])
-    controller = controller_tick(ROBOT, options, STANDARD_GRAVITY, compiled=True)
-    watch = SafetyOptions()
-    safety = safety_tick_of(ROBOT, watch, STANDARD_GRAVITY, options.period, compiled=True)
-    still, held = np.zeros(6), static_torque(ROBOT, HOME, STANDARD_GRAVITY)
-    fresh, untouched = initial_memory().flat(), initial_safety(held).flat()
-    measured, memory, guarded = np.concatenate([HOME, still]), fresh, untouched
+    still, held, watch = np.zeros(6), static_torque(ROBOT, HOME, STANDARD_GRAVITY), SafetyOptions()
+    controller = lqi_part(options, ROBOT, STANDARD_GRAVITY, 4)
+    layer = safety_part(ROBOT, watch, STANDARD_GRAVITY, options.period, held)
+    measured, memory, guarded = np.concatenate([HOME, still]), controller.initial.copy(), layer.initial.copy()
     for pose, kind in zip(poses, kinds, strict=True):
-        said = None
+        said, before = None, memory.copy()
         try:
-            memory = controller(measured, np.concatenate([pose, still, still]), weights, memory)
-            command, failure = memory[:6], (0.0, -1.0)
+            controller.tick(measured, np.concatenate([pose, still, still]), weights, memory)
+            command, failure = memory["torque"][0], np.array(WELL)
         except RunFailure as error:
-            said, command, failure = error.reason, held, (1.0, -1.0)
-        reference = pose if np.isfinite(pose).all() else HOME
-        guarded = safety(SafetyInputs(command, HOME, still, reference, controller=failure), guarded)
-        after = SafetyMemory.from_flat(guarded)
-        said = said or (None if after.level == 0.0 else MONITORS[int(after.monitor)])
+            memory = before
+            said, command, failure = error.reason, held, np.array([1.0, -1.0])
+        reference = np.concatenate([pose if np.isfinite(pose).all() else HOME, still, still])
+        given = {"command": command, "measurement": measured, "reference": reference, "controller_health": failure}
+        layer.tick(*(given[port] if port in given else layer.source(port) for port in layer.inputs), guarded)
+        level, monitor, _ = guarded["safety"][0]
+        said = said or (None if level == 0.0 else MONITORS[int(monitor)])
         assert np.abs(command).max() <= ROBOT.effort_limit
-        assert np.abs(after.torque).max() <= ROBOT.effort_limit
+        assert np.abs(guarded["torque"]).max() <= ROBOT.effort_limit
         if said is None:
             # Whole turns lead to the same pose; what is so near is no bad command.
             assert np.abs(pose[3:] - HOME[3:]).max() < watch.following_error[1]
             assert rotation_angle(rotation_matrix(pose[:3])) <= watch.following_error[0]
         assert said in REFUSED_AS[kind]
-        if after.level > HOLD:
+        if level > HOLD:
             # A stop is for good; who starts again starts here.
-            guarded, memory = untouched, fresh
+            memory[:], guarded[:] = controller.initial, layer.initial
 
 
 def test_each_bad_command_is_named_by_the_limits_too():

@@ -8,19 +8,18 @@ import pytest
 from conftest import field_of
 from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
-from stewart_drake.control.lqi import flat_tick as lqi_flat_tick
-from stewart_drake.control.lqi import initial_memory as lqi_memory
+from stewart_drake.control.lqi import lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import measure_poses
+from stewart_drake.planning.measures import measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
-from stewart_drake.safety import SafetyInputs, SafetyMemory, SafetyOptions, flat_tick, initial_memory
+from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.scenario import Scenario
 
 ROBOT = RobotParameters()
@@ -277,20 +276,19 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     measures = measure_poses(WEAK, WEAK.home_pose[None])
     assert measures.holding_torque[0] == pytest.approx(5.0 * np.max(np.abs(held) / WEAK.effort_limits), rel=1e-9)
     assert measures.force[0] < measure_poses(ROBOT, ROBOT.home_pose[None]).force[0]
-    memory = initial_memory(held)
-    inputs = SafetyInputs(ask, WEAK.home_pose, np.zeros(6), WEAK.home_pose)
-    for compiled in (False, True):
-        tick = flat_tick(WEAK, SafetyOptions(torque_rate=None), 9.81, 0.001, compiled)
-        after = SafetyMemory.from_flat(tick(inputs, memory.flat()))
-        assert after.torque.tolist() == WEAK.effort_limits.tolist()
+    layer = safety_part(WEAK, SafetyOptions(torque_rate=None), 9.81, 0.001, held)
+    state, at_home = layer.initial.copy(), np.concatenate([WEAK.home_pose, np.zeros(12)])
+    given = {"command": ask, "measurement": at_home[:12], "reference": at_home}
+    layer.tick(*(given[port] if port in given else layer.source(port) for port in layer.inputs), state)
+    assert state["torque"][0].tolist() == WEAK.effort_limits.tolist()
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_the_regulator_cuts_each_motor_at_its_own_limit(compiled):
+def test_the_regulator_cuts_each_motor_at_its_own_limit():
     options = LqiOptions(model="exact", solver="split", saturation="clamp")
-    tick = lqi_flat_tick(WEAK, options, 9.81, compiled)
+    part = lqi_part(options, WEAK, 9.81, 4)
     far = np.concatenate([WEAK.home_pose + [0.3, -0.2, 0.3, 0.02, 0.02, 0.02], np.zeros(6)])
-    wanted = np.concatenate([WEAK.home_pose, np.zeros(12)])
-    torque = np.abs(tick(far, wanted, np.array([1e6, 1.0, 1.0, 1e-3]), lqi_memory().flat())[:6])
+    wanted, state = np.concatenate([WEAK.home_pose, np.zeros(12)]), part.initial.copy()
+    part.tick(far, wanted, np.array([1e6, 1.0, 1.0, 1e-3]), state)
+    torque = np.abs(state["torque"][0])
     assert (torque <= WEAK.effort_limits).all()
     assert (torque == WEAK.effort_limits).sum() >= 4

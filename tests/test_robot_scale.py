@@ -1,14 +1,13 @@
 import numpy as np
 import pytest
 
-from stewart_drake import ControlLaw
 from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi import lqi_gain
+from stewart_drake.control.lqi import lqi_gain, lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import POSITION
 from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
@@ -92,6 +91,5 @@ def test_default_block_weights_make_every_robots_loop_as_fast(name):
 
 
 def test_no_length_outside_of_a_scenario_is_refused():
-    law = ControlLaw(HEXAPOD, LqiOptions(weight_length=None))
     with pytest.raises(ConfigurationError, match=r"controller\.weight_length"):
-        law.options.length  # noqa: B018
+        lqi_part(LqiOptions(weight_length=None), HEXAPOD, 9.81, 4)

@@ -9,9 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from stewart_drake.control.control_law import ControlLaw
-from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.joint_pid import PidOptions
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
+from stewart_drake.controller import Controller
 from stewart_drake.errors import ConfigurationError, OlderFileWarning
 from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
 from stewart_drake.mechanics.dynamics import static_torque
@@ -419,21 +420,18 @@ def test_a_weights_file_of_the_command_line_is_relative_to_where_the_command_is_
 # --- what a scenario makes ----------------------------------------------------------------------------------------
 
 
-def test_the_control_law_is_that_of_the_scenario():
+def test_the_controller_is_that_of_the_scenario():
     scenario = Scenario.from_dict(
         {
             "gravity": 3.0,
             "model_robot": {"platform_mass": 2.0},
-            "controller": {"solver": "split", "feedforward": "gravity"},
+            "reference": {"kind": "hold"},
+            "controller": {"feedforward": "gravity"},
             "tuner": {"kind": "fixed", "omega_q": 5.0, "window": 7},
         }
     )
-    law = scenario.control_law()
-    assert isinstance(law, ControlLaw)
-    assert law.robot.platform_mass == 2.0
-    assert (law.gravity, law.network, law.window, law.initial_weights) == (3.0, None, 7, (5.0, 1.0))
-    at_home = Measurement(scenario.robot.home_pose, np.zeros(6))
-    torque, _ = law(at_home, Setpoint(scenario.robot.home_pose, np.zeros(6), np.zeros(6)), law.initial_state())
+    controller, torque = Controller(scenario), np.empty(6)
+    controller.step(np.concatenate([scenario.robot.home_pose, np.zeros(6)]), 0.0, torque)
     # What holds the robot against gravity is reckoned with the robot that the controller believes in.
     np.testing.assert_allclose(torque, static_torque(scenario.model_robot, scenario.robot.home_pose, 3.0), rtol=1e-9)
     assert abs(torque - static_torque(scenario.robot, scenario.robot.home_pose, 3.0)).min() > 0.01
@@ -568,21 +566,37 @@ def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, val
         one_line(error)
 
 
-@pytest.mark.parametrize("key", ["compiled", "controller.compiled"])
-@pytest.mark.parametrize("older", [True, False])
-def test_an_override_counts_over_the_older_key_of_a_file_by_either_name(tmp_path, key, older):
+def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
+    pid = load_scenario("exact_fig7").replace({"controller.kind": "pid"})
+    assert pid.controller == PidOptions(period=0.001)
+    assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
+    assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
+
+
+NOTE = "the key `compiled` has no effect: everything is compiled; remove it"
+
+
+@pytest.mark.parametrize("older", ["compiled: true", "controller: {compiled: false}"])
+def test_the_key_compiled_of_older_files_has_no_effect_and_one_line_says_so(tmp_path, older):
     path = tmp_path / "older.yaml"
-    path.write_text(f"duration: 0.1\ncontroller: {{solver: split, compiled: {str(older).lower()}}}\n")
-    with pytest.warns(OlderFileWarning, match="the scenario's own key `compiled`"):
-        made = load_scenario(path, [f"{key}={str(not older).lower()}"])
-    assert made.compiled is not older
+    path.write_text(f"name: scenario\nduration: 0.1\n{older}\n")
+    with pytest.warns(OlderFileWarning, match=NOTE) as caught:
+        assert load_scenario(path) == Scenario(duration=0.1)
+    assert len(caught) == 1
+    path.write_text("name: scenario\nduration: 0.1\n")
+    for key in ("compiled", "controller.compiled"):
+        with pytest.warns(OlderFileWarning, match=NOTE):
+            assert load_scenario(path, [f"{key}=true"]) == Scenario(duration=0.1)
+        with pytest.warns(OlderFileWarning, match=NOTE):
+            assert Scenario(duration=0.1).replace({key: True}) == Scenario(duration=0.1)
 
 
-def test_a_controller_of_an_older_comparison_brings_its_compiled_along():
+def test_a_controller_of_an_older_comparison_may_bring_its_compiled_along():
     controller = {"kind": "lqi", "solver": "split", "compiled": True}
-    with pytest.warns(OlderFileWarning, match="the scenario's own key `compiled`"):
+    with pytest.warns(OlderFileWarning, match=NOTE):
         made = Scenario(duration=0.1).replace({"controller": controller})
-    assert (made.compiled, made.controller.solver) == (True, "split")
+    assert made.controller.solver == "split"
+    assert "compiled" not in made.to_yaml()
 
 
 def test_a_change_leaves_what_it_was_given_as_it_was():

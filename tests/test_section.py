@@ -16,6 +16,7 @@ from stewart_drake.hardware.disturbances import UserDisturbance
 from stewart_drake.references.user_reference import UserReference
 from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot.friction_options import FrictionOptions
+from stewart_drake.safety import SafetyOptions
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import (
     MAX_SEED,
@@ -396,7 +397,7 @@ def test_a_family_takes_a_kind_from_outside_of_the_package():
         size: Positive = 1.0
         """[m]"""
 
-    family.add(Mine, print)
+    family.add(Mine)
 
     class Holder(Section):
         """Holder."""
@@ -405,12 +406,12 @@ def test_a_family_takes_a_kind_from_outside_of_the_package():
         """One of the family."""
 
     assert Holder(part={"kind": "mine", "size": 2}).part == Mine(size=2.0)
-    assert family.system("mine") is print
     with pytest.raises(ConfigurationError, match=r"^part\.kind: .*did you mean mine"):
         Holder(part={"kind": "mne"})
 
 
 def test_numbers_and_truth_values_of_numpy_are_taken():
-    scenario = Scenario(compiled=np.bool_(True), command_delay=np.int64(2), duration=np.float32(1.5))
-    assert (scenario.compiled, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
-    assert type(scenario.compiled) is bool
+    safety = SafetyOptions(failures=np.bool_(True))
+    scenario = Scenario(safety=safety, command_delay=np.int64(2), duration=np.float32(1.5))
+    assert (scenario.safety.failures, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
+    assert type(scenario.safety.failures) is bool

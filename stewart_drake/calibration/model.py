@@ -24,9 +24,8 @@ from stewart_drake.calibration.parameters import (
     logarithm,
     skew,
 )
-from stewart_drake.mechanics import kinematics_core as core
-from stewart_drake.mechanics.arrays import numpy_robot
-from stewart_drake.mechanics.kinematics import cross, roll_pitch_yaw, rotation_matrix
+from stewart_drake.mechanics.kinematics import cross, newton, roll_pitch_yaw, rotation_matrix
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -117,24 +116,13 @@ class Model:
             start: Poses near to them.
         """
         own = changed(self.guess, change)
-        robot = numpy_robot(self.guess)._replace(
-            shafts=own.shafts.T,
-            joints=own.joints.T,
-            zeros=own.zeros.T,
-            quarters=own.quarters.T,
-            cranks=own.cranks,
-            rods=own.rods,
-        )
+        robot = robot_record(self.guess).copy()
+        robot["shaft"], robot["joint"] = own.shafts, own.joints
+        robot["crank_x"], robot["crank_y"] = own.zeros, own.quarters
+        robot["crank_length"], robot["rod_length"] = own.cranks, own.rods
         pose = np.concatenate([roll_pitch_yaw(start.turn), start.shift], axis=-1)
-        theta = angles - own.homing
-        off = np.full(len(pose), np.inf)
-        with np.errstate(all="ignore"):
-            for _ in range(_NEWTON_STEPS):
-                rows, error = core.rod_errors(robot, theta, pose)
-                off = np.nan_to_num(np.abs(error).max(axis=-1), nan=np.inf)
-                if (off <= CLOSED).all():
-                    break
-                pose = np.nan_to_num(core.newton_step(rows, error, pose), posinf=0.0, neginf=0.0)
+        pose, off, _ = newton(robot, angles - own.homing, pose, CLOSED, _NEWTON_STEPS)
+        pose, off = np.nan_to_num(pose, posinf=0.0, neginf=0.0), np.nan_to_num(off, nan=np.inf)
         return Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), off
 
     def closures(self, change: np.ndarray, at: Frame, angles: np.ndarray) -> Closures:

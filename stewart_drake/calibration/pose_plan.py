@@ -22,8 +22,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
 from stewart_drake.planning.limits import Limits, limit_bounds
-from stewart_drake.planning.workspace import measure_poses
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.robot import RobotParameters
 
 CANDIDATES = 1500

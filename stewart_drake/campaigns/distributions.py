@@ -145,12 +145,12 @@ class Grid(Choice):
 Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
 DISTRIBUTIONS = Family(
     {
-        "uniform": (Uniform,),
-        "loguniform": (LogUniform,),
-        "normal": (Normal,),
-        "integers": (Integers,),
-        "choice": (Choice,),
-        "grid": (Grid,),
+        "uniform": Uniform,
+        "loguniform": LogUniform,
+        "normal": Normal,
+        "integers": Integers,
+        "choice": Choice,
+        "grid": Grid,
     }
 )
 

@@ -81,7 +81,7 @@ class LocalProcesses(Workplace):
         workers: Processes; None for one per core, at most 8.
     """
 
-    worn = WORN
+    worn: int | None = WORN
 
     def __init__(self, workers: int | None = None) -> None:
         self.workers = PROCESSES if workers is None else workers

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from stewart_drake.campaigns.sized import sized
 from stewart_drake.files.yaml_files import parse_yaml
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario

@@ -11,8 +11,8 @@ from stewart_drake.campaigns.tables import markdown
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
+from stewart_drake.planning.workspace import Kind, spanning_grid, survey
 from stewart_drake.planning.workspace_boundary import boundary
-from stewart_drake.planning.workspace_region import Kind, spanning_grid, survey
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -21,6 +21,8 @@ SCENARIO = "sway"
 """Whose motion each follows."""
 SAMPLES = 40_000
 """Poses in each of the two workspaces."""
+DIRECTIONS = 3000
+"""Straight ways from home, of which the shortest is what is free in every direction."""
 HEADER = (
     "robot",
     "platform joints at [mm]",
@@ -79,7 +81,7 @@ def _poses(robot: RobotParameters) -> tuple[str, ...]:
     for kind in kinds:
         found = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
         sizes[kind] = found.size(found.connected)
-        ways[kind] = float(boundary(robot, limits, kind, home, subdivisions=3, refinements=1).radius.min())
+        ways[kind] = float(boundary(robot, limits, kind, home, DIRECTIONS).radius.min())
         if kind == "position" and found.connected.any():
             worst = float(found.measures.conditioning[found.connected].min())
     rest = float(np.abs(static_torque(robot, home)).max())

@@ -26,11 +26,11 @@ from stewart_drake.cli.workspace_command import workspace
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.runs.terminal import (
     ProgressBar,
-    announce_compilation,
     drop_output,
     print_run,
     print_table,
     quiet_libraries,
+    shown_compiling,
 )
 
 if TYPE_CHECKING:
@@ -102,7 +102,8 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
     if loaded.duration > _LONG and not quiet:
         click.echo("checking the motion", err=True)
-    check_scenario(loaded)
+    with shown_compiling(quiet):
+        check_scenario(loaded)
     viewer = None
     if meshcat:
         from pydrake.geometry import Meshcat
@@ -113,9 +114,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
     with results:
-        if not quiet:
-            announce_compilation(loaded)
-        with ProgressBar(loaded.name, loaded.duration, quiet) as advance:
+        with shown_compiling(quiet), ProgressBar(loaded.name, loaded.duration, quiet) as advance:
             log = simulate(loaded, progress=advance, check=False, rows=rows, engine=engine)
         try:
             metrics = results.finish(log, graph)

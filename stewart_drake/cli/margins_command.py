@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from stewart_drake.cli.common_options import out_folder, overrides, quiet_flag, trust_flag
-from stewart_drake.runs.terminal import announce_compilation, print_columns, print_table
+from stewart_drake.runs.terminal import print_columns, print_table, shown_compiling
 
 
 @click.command()
@@ -41,9 +41,8 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
     from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 
-    if not quiet:
-        announce_compilation(loaded)
-    loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
+    with shown_compiling(quiet):
+        loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
     folder = prepare_folder(out, SPACE)
 
     import pyarrow.parquet as pq

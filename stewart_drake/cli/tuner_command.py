@@ -60,13 +60,13 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     """
     from stewart_drake.control.policy import load_policy
     from stewart_drake.training.baselines import Baselines
-    from stewart_drake.training.contest import cells_for
-    from stewart_drake.training.verdict import contestants, judge, write_picture
+    from stewart_drake.training.benchmark import cells_for
+    from stewart_drake.training.verdict import candidates, judge, write_picture
 
     load_policy(file)
-    found = Baselines.load()
+    baselines = Baselines.load()
     policy = {"kind": "policy", **({} if file is None else {"weights_file": str(file)})}
-    entered = contestants(found, {"policy": {"tuner": policy}, "schedule": {"tuner": found.schedule}})
+    entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
     runs = _Runs("tuner verdict", len(entered) * len(cells_for()) * seeds)
     with under_way(runs, **options) as (folder, where, progress):
         verdict = judge(entered, folder, seeds, engine, where, progress, restart)

@@ -55,7 +55,7 @@ def workspace(
 
     import numpy as np
 
-    from stewart_drake.planning.workspace_region import check_center
+    from stewart_drake.planning.workspace import check_center
     from stewart_drake.runs.simulation import check_scenario
 
     center = base.robot.home_pose if pose is None else np.array(pose)

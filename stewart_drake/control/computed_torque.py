@@ -1,21 +1,19 @@
-"""Computed torque in task space as a pure function: inverse dynamics of the exact model around a linear loop."""
+"""Computed torque in task space: inverse dynamics of the exact model around a linear loop."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.compiled.constants import COMPUTED_TORQUE_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
-from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
-from stewart_drake.control.parts import ControllerSite, law_part
+from stewart_drake.control.inputs import TORQUE, failure, measured_legs
 from stewart_drake.control.robot_gains import FREQUENCY
-from stewart_drake.errors import NotFiniteError
-from stewart_drake.mechanics.dynamics import inverse_dynamics
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics_laws import motion_torque
+from stewart_drake.mechanics.kinematics_laws import LEGS, NOT_FINITE, OK, PARALLEL, robot_record
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -38,87 +36,93 @@ class ComputedTorqueOptions(OwnControllerOptions):
     """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still
     meanwhile."""
 
-    @property
-    def compiles(self) -> bool:
-        """See `ControllerOptions`."""
-        return True
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The controller in a loop, see `part.Setup`."""
+        return (computed_torque_part(self, setup.robot, setup.gravity),)
 
 
-class ComputedTorqueMemory(NamedTuple):
-    """What a tick says, and what the next one needs of it.
-
-    Attributes:
-        torque: (6,) [N m].
-        error: (6,) [rad, m] measured pose minus setpoint.
-        integral: (6,) [rad s, m s] z for the next tick.
-    """
-
-    torque: np.ndarray
-    error: np.ndarray
-    integral: np.ndarray
+COMPUTED_TORQUE_STATE = fields(torque=6, error=6, integral=6, health=2)
+"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]."""
+_SETUP = fields(
+    period=(), gravity=(), min_transmission=(), min_conditioning=(), natural_frequency=(), damping=(),
+    integral_frequency=(), limit=6,
+)  # fmt: skip
 
 
+@njit
 def computed_torque_tick(
-    robot: RobotParameters,
-    options: ComputedTorqueOptions,
-    gravity: float,
-    measurement: Measurement,
-    setpoint: Setpoint,
-    memory: ComputedTorqueMemory,
-) -> ComputedTorqueMemory:
+    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, states: Any
+) -> Any:
     """Inverse dynamics at the measured pose and rate for q''_d - 2 damping omega e' - omega^2 (e + omega_i z).
 
     The integral grows by period * e after it has been used.
 
     Args:
-        robot: Geometry and masses as the controller believes them.
-        options: See `ComputedTorqueOptions`.
-        gravity: [m/s^2].
-        measurement: Pose and rate now.
-        setpoint: Reference now.
-        memory: Of the tick before; zeros at first.
+        robots: `ROBOT` as the controller believes it to be.
+        setups: Numbers of `ComputedTorqueOptions`; the limit is infinite for none.
+        measurement: (12,) pose and rate now.
+        reference: (18,) now.
+        leg_records: `LEGS`, overwritten.
+        states: `COMPUTED_TORQUE_STATE` of the tick before; that of this one where the status is OK.
 
-    Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `inputs.checked_legs`.
+    Returns:
+        Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    if not np.isfinite(measurement.pose_rate).all():
-        raise NotFiniteError("measured pose rate", measurement.pose_rate)
-    checked_legs(robot, options, measurement.pose)
-    error, rate_error = measurement.pose - setpoint.pose, measurement.pose_rate - setpoint.pose_rate
-    omega = options.natural_frequency
-    acceleration = (
-        setpoint.pose_acceleration
-        - 2.0 * options.damping * omega * rate_error
-        - omega**2 * (error + options.integral_frequency * memory.integral)
-    )
-    wanted = inverse_dynamics(robot, measurement.pose, measurement.pose_rate, acceleration, gravity)
-    if not np.isfinite(wanted).all():
-        raise NotFiniteError("torque", wanted)
-    torque, growth = wanted, options.period * error
-    if options.saturation == "clamp":
-        torque = np.clip(wanted, -robot.effort_limits, robot.effort_limits)
-        if np.any(torque != wanted):
-            growth = np.zeros(6)
-    return ComputedTorqueMemory(torque, error, memory.integral + growth)
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
+    if status != OK:
+        return status, leg, margin
+    omega, acceleration = setup.natural_frequency, np.empty(6)
+    for k in range(6):
+        state.error[k] = measurement[k] - reference[k]
+        stiff = omega * omega * (state.error[k] + setup.integral_frequency * state.integral[k])
+        damped = 2.0 * setup.damping * omega * (measurement[6 + k] - reference[6 + k])
+        acceleration[k] = reference[12 + k] - damped - stiff
+    if not motion_torque(robot, legs, measurement, acceleration, setup.gravity, state.torque):
+        return PARALLEL, -1, 0.0
+    cut = False
+    for i in range(6):
+        wanted, limit = state.torque[i], setup.limit[i]
+        if not np.isfinite(wanted):
+            return NOT_FINITE, TORQUE, wanted
+        if abs(wanted) > limit:
+            cut = True
+            state.torque[i] = limit if wanted > 0.0 else -limit
+    if not cut:
+        for k in range(6):
+            state.integral[k] += setup.period * state.error[k]
+    return OK, -1, 0.0
 
 
-def computed_torque_part(options: ComputedTorqueOptions, site: ControllerSite) -> Sampled:
-    """`computed_torque_tick` as a part of a loop."""
-    if not site.compiled:
-        return law_part(computed_torque_tick, ComputedTorqueMemory, options, site)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import mechanism, tracking
+def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters, gravity: float) -> Part:
+    """Computed torque as a part of a loop.
 
-    numbers = filled(
-        COMPUTED_TORQUE_NUMBERS,
+    Args:
+        options: See `ComputedTorqueOptions`.
+        robot: Geometry and masses as the controller believes them.
+        gravity: [m/s^2].
+
+    Returns:
+        Its tick raises NotFiniteError for the measurement or the torque that comes of it; UnreachablePoseError and
+        SingularPoseError for the measured pose.
+    """
+    robots, legs = robot_record(robot), np.empty(1, LEGS)
+    setup = new_record(
+        _SETUP,
         period=options.period,
-        gravity=site.gravity,
+        gravity=gravity,
         min_transmission=options.min_transmission,
         min_conditioning=options.min_conditioning,
-        frequency=options.natural_frequency,
+        natural_frequency=options.natural_frequency,
         damping=options.damping,
         integral_frequency=options.integral_frequency,
-        limit=site.robot.effort_limits if options.saturation == "clamp" else np.full(6, np.inf),
+        limit=robot.effort_limits if options.saturation == "clamp" else np.inf,
     )
-    fast = partial(tracking.computed_torque_tick, mechanism.pack(site.robot), numbers)
-    return law_part(computed_torque_tick, ComputedTorqueMemory, options, site, fast)
+
+    def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
+        ended = computed_torque_tick(robots, setup, measurement, reference, legs, state)
+        if ended[0] != OK:
+            raise failure(options, ended, measurement, reference)
+
+    outputs = ("torque", "error", "integral")
+    return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(COMPUTED_TORQUE_STATE), tick)

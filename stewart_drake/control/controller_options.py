@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from stewart_drake.control.inputs import SingularityLimits
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.part import AnyPart, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.section import Fraction, Positive, Section
 
@@ -18,7 +19,7 @@ class _UsualLimits(NamedTuple):
     min_conditioning: float = 0.005
 
 
-class ControllerOptions(Section, key="controller"):
+class ControllerOptions(Section, ABC, key="controller"):
     """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
 
     own_keys = frozenset({"feedforward", "saturation"})
@@ -46,11 +47,6 @@ class ControllerOptions(Section, key="controller"):
         return _UsualLimits()
 
     @property
-    def results(self) -> Sequence[int]:
-        """Sizes of torque, error and integral, with which its LeafSystem's result begins; empty for other ports."""
-        return ()
-
-    @property
     def weighted(self) -> bool:
         """Whether one that comes with the package takes the weights of a tuner."""
         return False
@@ -65,14 +61,13 @@ class ControllerOptions(Section, key="controller"):
         """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
         return None
 
+    @abstractmethod
+    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+        """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
+
     def limit(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] of the motors' torques."""
         return robot.effort_limits
-
-    @property
-    def compiles(self) -> bool:
-        """Whether numba can compile its tick; where not, `Scenario.compiled` says nothing about it."""
-        return False
 
 
 class OwnControllerOptions(ControllerOptions):
@@ -87,10 +82,5 @@ class OwnControllerOptions(ControllerOptions):
 
     @property
     def near_singularity(self) -> SingularityLimits:
-        """See `ControllerOptions`."""
+        """How near to a singularity it goes."""
         return self
-
-    @property
-    def results(self) -> Sequence[int]:
-        """See `ControllerOptions`."""
-        return (6, 6, 6)

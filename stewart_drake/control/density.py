@@ -2,90 +2,92 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from stewart_drake.compiled.constants import MEAN_FLOOR
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.sampling import Sampled
+from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.part import Part
 
 DensityKind = Literal["magnitude", "signed"]
 
-_SIGNALS = 12
+MEAN_FLOOR = 1e-9
+"""Window means below this, in the signal's unit, count as zero; the density is 1 there."""
 
 
-def density(samples: np.ndarray, kind: DensityKind = "magnitude", scale: float | np.ndarray = 1.0) -> np.ndarray:
+@njit
+def density_of(samples: Any, signed: bool, out: Any) -> None:
     """Density of the last sample of a window, (35), (36).
 
     `signed` is the print: x over the window's mean. Deviation: the print is singular where the signed sum crosses zero;
-    the result is held within +-n there. `magnitude` is |x| over the window's mean |x|, which lies in [0, n] by itself.
+    the result is held within +-n there. Else |x| over the window's mean |x|, which lies in [0, n] by itself.
 
     Args:
         samples: (n, k) the window, oldest first, n <= m + 1 (fewer while it fills).
-        kind: `magnitude` or `signed`.
-        scale: (k,) or scalar, size of each signal in its own unit, for the floor.
+        signed: Kind of density.
+        out: (k,) out [-].
+    """
+    count = samples.shape[0]
+    for k in range(samples.shape[1]):
+        total, last = 0.0, samples[count - 1, k]
+        for row in range(count):
+            total += samples[row, k] if signed else abs(samples[row, k])
+        mean, value = total / count, last if signed else abs(last)
+        out[k] = 1.0 if abs(mean) < MEAN_FLOOR else min(max(value / mean, -count), count)
 
-    Returns:
-        (k,) [-].
+
+@njit
+def density_tick(window: Any, filled: Any, error: Any, torque: Any, signed: bool, out: Any) -> None:
+    """`density_of` errors (6,) and torques (6,) that slide into a window.
+
+    Args:
+        window: (m + 1, 12), oldest first; the last `filled` rows mean something. Shifted.
+        filled: (1,) counted on.
+        error: (6,) [rad, m].
+        torque: (6,) [N m].
+        signed: Kind of density.
+        out: (12,) out [-], of the errors, then of the torques.
+    """
+    rows = window.shape[0]
+    for row in range(rows - 1):
+        window[row] = window[row + 1]
+    window[rows - 1, :6], window[rows - 1, 6:] = error, torque
+    filled[0] = min(filled[0] + 1.0, float(rows))
+    density_of(window[rows - int(filled[0]) :], signed, out)
+
+
+def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
+    """`density_of` a window (n, k), oldest first.
 
     Raises:
         ConfigurationError: Another `kind`.
     """
-    if kind == "magnitude":
-        values = np.abs(samples)
-    elif kind == "signed":
-        values = samples
-    else:
-        raise ConfigurationError("density", kind, "magnitude or signed")
-    count = len(values)
-    mean = np.add.reduce(values, axis=0) / count
-    flat = np.abs(mean) < MEAN_FLOOR * scale
-    ratio = values[-1] / np.where(flat, 1.0, mean)
-    return np.where(flat, 1.0, np.minimum(np.maximum(ratio, -count), count))
+    values = np.ascontiguousarray(samples, dtype=float)
+    out = np.empty(values.shape[1])
+    density_of(values, _signed(kind), out)
+    return out
 
 
-def push(window: np.ndarray, count: int, sample: np.ndarray) -> tuple[np.ndarray, int]:
-    """Window with `sample` appended and, once it is full, the oldest dropped.
-
-    Args:
-        window: (m + 1, k); the last `count` rows are filled.
-        count: Rows filled.
-        sample: (k,).
-
-    Returns:
-        The new window (m + 1, k) and its count.
-    """
-    shifted = np.empty_like(window)
-    shifted[:-1] = window[1:]
-    shifted[-1] = sample
-    return shifted, min(count + 1, len(window))
-
-
-def density_part(window: int, kind: DensityKind, compiled: bool) -> Sampled:
-    """Densities (12,) of errors (6,) and torques (6,) over a window of m ticks, tick by tick; compiled or not.
+def density_part(window: int, kind: DensityKind) -> Part:
+    """Densities of errors and torques over a window of m ticks as a part of a loop.
 
     Raises:
-        ConfigurationError: A window below one tick.
+        ConfigurationError: A window below one tick; another `kind`.
     """
     if window < 1:
         raise ConfigurationError("window", window, "at least 1 tick")
-    # Density, then rows filled, then the window.
-    initial = np.concatenate([np.ones(_SIGNALS), [0.0], np.zeros((window + 1) * _SIGNALS)])
-    if not compiled:
+    signed = _signed(kind)
+    initial = new_record(fields(density=12, filled=(), window=(window + 1, 12)), density=1.0)
 
-        def tick(error: np.ndarray, torque: np.ndarray, memory: np.ndarray) -> np.ndarray:
-            old = memory[_SIGNALS + 1 :].reshape(-1, _SIGNALS)
-            rows, filled = push(old, int(memory[_SIGNALS]), np.concatenate([error, torque]))
-            return np.concatenate([density(rows[-filled:], kind), [filled], rows.ravel()])
+    def tick(error: np.ndarray, torque: np.ndarray, state: np.ndarray) -> None:
+        # Field by field: a record with the window in it would have to be compiled for each length.
+        density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
 
-        return Sampled(initial, tick)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled.tuner import density_tick
+    return Part("density", {"error": 6, "torque": 6}, ("density",), initial, tick)
 
-    def fast(error: np.ndarray, torque: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        result = np.empty_like(memory)
-        density_tick(memory, error, torque, kind == "signed", result)
-        return result
 
-    return Sampled(initial, fast)
+def _signed(kind: DensityKind) -> bool:
+    if kind not in ("magnitude", "signed"):
+        raise ConfigurationError("density", kind, "magnitude or signed")
+    return kind == "signed"

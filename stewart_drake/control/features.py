@@ -1,4 +1,4 @@
-"""What a tuner hears of its loop, in numbers that compare between robots: arrays of numpy or torch, any leading axes.
+"""What a tuner hears of its loop, in numbers that compare between robots.
 
 The densities (35), (36) are the paper's. A density has no scale, so sizes stand beside it: errors and torque changes in
 the units of the cost, innovations of the observer in those of the noise of a reading.
@@ -6,16 +6,13 @@ the units of the cost, innovations of the observer in those of the noise of a re
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.compiled.constants import RECENT, TUNER_SITE, filled
 from stewart_drake.control.objective import CostScales
-from stewart_drake.mechanics.arrays import Array, namespace
+from stewart_drake.jit import fields, njit
 
 FEATURES = (
     "surprise",
@@ -32,17 +29,34 @@ FEATURES = (
     "latency",
     "kappa",
 )
-"""Names of what `features` gives, all but the last decimal logarithms."""
+"""Names of features, as policy files have them; all but the last are decimal logarithms. A surprise is the mean square
+of the normalised innovations."""
 TIMES = (0.010, 0.100, 0.020, 0.200, 0.020)
 """[s] over which surprise, surprise_slow, error, error_slow and torque_change are averaged."""
 DRIFT_TIME = 0.020
 """[s] over which innovations are averaged with their signs: what pushes the robot has one."""
-FLOORS = (1e-2, 1e-3, 1e-6)
-"""Added before the logarithm of a square: of surprises, of the drift, of errors and torque changes."""
+INNOVATION_FLOOR, DRIFT_FLOOR, COST_FLOOR = 1e-2, 1e-3, 1e-6
+"""Added before the logarithm of a square: of innovations, of the drift, of errors and torque changes."""
+LARGEST = 1e9
+"""What is heard is below it, in any unit; squares of it stay finite."""
+
+SETUP = fields(
+    period=(), noise=(), latency=(), length=(), kappa=(), rotation=(), position=(), torque_change=(),
+    centre=4, step=4, weights=4, disturbance=(),
+)  # fmt: skip
+"""What a tuner of settings is made for. period [s]. noise of a reading [rad]. latency from a reading to the torque that
+it causes [s]. length: characteristic length of the robot [m]. rotation, position, torque_change: what counts as one in
+the cost [rad], [m] and, from tick to tick, [N m]. centre, step: of a setting. weights, disturbance: of the base."""
+TUNER_STATE = fields(
+    weights=4, disturbance=1, setting=5, levels=5, drift=6, torque=6, ticks=(), held=()
+)  # fmt: skip
+"""weights, disturbance [rad/s^2 per sqrt(s)]. setting: four, and from 0 to 1 how far what is heard lies outside of the
+training. levels: mean squares over `TIMES`. drift: mean normalised innovations. torque: of the tick before [N m]. ticks
+heard. held: [s] that a schedule goes on."""
 
 
-class Site(NamedTuple):
-    """What a tuner is built for; numbers, or arrays of the leading axes.
+class TunerContext(NamedTuple):
+    """What a tuner of settings is built for.
 
     Attributes:
         period: [s] of a tick.
@@ -53,172 +67,80 @@ class Site(NamedTuple):
         scales: What counts as one in the cost.
     """
 
-    period: Array
-    noise: Array
-    latency: Array
-    length: Array
-    kappa: Array = 0.0
+    period: float
+    noise: float
+    latency: float
+    length: float
+    kappa: float = 0.0
     scales: CostScales = CostScales()
 
+    def numbers(self) -> dict[str, float]:
+        """Those of `SETUP`."""
+        return {
+            **{name: getattr(self, name) for name in ("period", "noise", "latency", "length", "kappa")},
+            "rotation": math.radians(self.scales.rotation),
+            "position": 1e-3 * self.scales.position,
+            # The scale is for a millisecond.
+            "torque_change": 1e3 * self.period * self.scales.torque_change,
+        }
 
-class Heard(NamedTuple):
-    """What a tuner hears at a tick, each on the last axis.
 
-    Attributes:
-        density: (..., 12) [-] of errors and torques, see `density.density`.
-        error: (..., 6) [rad, m] that the controller saw.
-        torque: (..., 6) [N m] that it asks for.
-        innovation: (..., 6) [rad] of the observer.
-        reference: (..., 18) that the controller follows: pose, its rate and its acceleration.
+@njit
+def plausible(density: Any, error: Any, torque: Any, innovation: Any, reference: Any) -> bool:
+    """Whether all that is heard is finite and below `LARGEST`."""
+    for values in (density, error, torque, innovation, reference):
+        for value in values:
+            if not abs(value) < LARGEST:
+                return False
+    return True
+
+
+@njit
+def features(
+    setup: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, state: Any, out: Any
+) -> None:
+    """Features (13,) [-] at a tick, see `FEATURES`.
+
+    Args:
+        setup: `SETUP` record.
+        density: (12,) [-] of errors and torques.
+        error: (6,) [rad, m] that the controller saw.
+        torque: (6,) [N m] that it asks for.
+        innovation: (6,) [rad] of the observer.
+        reference: (18,) that the controller follows.
+        state: `TUNER_STATE` record, counted on.
+        out: (13,) out.
     """
-
-    density: Array
-    error: Array
-    torque: Array
-    innovation: Array
-    reference: Array
-
-
-class Recent(NamedTuple):
-    """What the features need of the ticks before.
-
-    Attributes:
-        levels: (..., 5) [-] mean squares, over `TIMES`.
-        drift: (..., 6) [-] mean innovations over the noise.
-        torque: (..., 6) [N m] of the tick before.
-        ticks: (..., 1) done.
-    """
-
-    levels: Array
-    drift: Array
-    torque: Array
-    ticks: Array
-
-    def flat(self) -> np.ndarray:
-        """Of one loop, in one vector (18,), in the order of the attributes."""
-        return np.concatenate(self)
-
-    @classmethod
-    def from_flat(cls, values: np.ndarray) -> Recent:
-        """Inverse of `flat`."""
-        return cls(*(values[start:end] for start, end in itertools.pairwise(RECENT)))
-
-
-def nothing_yet(like: Array) -> Recent:
-    """Before the first tick; `like` is any array (..., 6)."""
-    xp = namespace(like)
-    none = 0.0 * like
-    one = none[..., :1]
-    levels = xp.concat([one + 1.0, one + 1.0, one, one, one], axis=-1)
-    return Recent(levels, none, none, one)
-
-
-def features(site: Site, heard: Heard, before: Recent) -> tuple[Array, Recent]:
-    """Features (..., 13) [-] at a tick, see `FEATURES`, and what the next one needs."""
-    xp = namespace(heard.error)
-    noisy = heard.innovation / _last(site.noise)
-    surprise = xp.mean(noisy * noisy, axis=-1)
-    scales = site.scales
-    rotation, position = (
-        _square(part) / scale**2
-        for part, scale in (
-            (heard.error[..., :3], math.radians(scales.rotation)),
-            (heard.error[..., 3:], 1e-3 * scales.position),
-        )
-    )
-    change = (heard.torque - before.torque) * _last(1e-3 / site.period)
-    restless = xp.mean(change * change, axis=-1) / scales.torque_change**2
-    restless = xp.where(before.ticks[..., 0] > 0.0, restless, 0.0 * restless)
-    error = rotation + position
-    now = xp.stack([surprise, surprise, error, error, restless], axis=-1)
-    levels = xp.stack(
-        [_eased(site, time, before.levels[..., k], now[..., k]) for k, time in enumerate(TIMES)],
-        axis=-1,
-    )
-    share = _last(_share(site, DRIFT_TIME))
-    drift = before.drift + share * (noisy - before.drift)
-    rate, gain = (heard.reference[..., start : start + 6] for start in (6, 12))
-    length = _last(site.length)
-    speed, acceleration = (
-        xp.sqrt(_square(length * each[..., :3]) + _square(each[..., 3:]) + 1e-12) for each in (rate, gain)
-    )
-    of_surprise, of_drift, of_cost = FLOORS
-    dense = [xp.mean(heard.density[..., part], axis=-1) for part in (slice(6), slice(6, 12))]
-    same = 0.0 * speed
-    found = [
-        levels[..., 0] + of_surprise,
-        levels[..., 1] + of_surprise,
-        xp.mean(drift * drift, axis=-1) + of_drift,
-        *(levels[..., k] + of_cost for k in (2, 3, 4)),
-        *(xp.abs(each) + 0.1 for each in dense),
-        speed + 1e-3,
-        acceleration + 1e-2,
-        site.noise / 1e-5 + same,
-        site.latency / 1e-3 + same,
-    ]
-    logs = [xp.log10(each) for each in found]
-    recent = Recent(levels, drift, heard.torque, before.ticks + 1.0)
-    return xp.stack([*logs, site.kappa + same], axis=-1), recent
-
-
-def _eased(site: Site, time: float, before: Array, now: Array) -> Array:
-    """A mean over a time [s], an exponential one."""
-    return before + _share(site, time) * (now - before)
-
-
-def _share(site: Site, time: float) -> Array:
-    """Of a new value in a mean over a time [s]."""
-    return site.period / (site.period + time)
-
-
-def _square(vectors: Array) -> Array:
-    """Squared lengths."""
-    return (vectors * vectors).sum(-1)
-
-
-def _last(value: Array) -> Array:
-    """A number of the leading axes, to go with vectors."""
-    return value if isinstance(value, float) else value[..., None]
-
-
-def flat_features(site: Site, compiled: bool) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """`features` of one loop on flat vectors, compiled or not: what `Heard` has and `Recent.flat` in, both out."""
-    if not compiled:
-
-        def hear(*given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            found, recent = features(site, Heard(*given[:-1]), Recent.from_flat(given[-1]))
-            return found, recent.flat()
-
-        return hear
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled.policy import features as fast
-
-    packed = filled(
-        TUNER_SITE,
-        period=site.period,
-        noise=site.noise,
-        latency=site.latency,
-        length=site.length,
-        kappa=site.kappa,
-        rotation=math.radians(site.scales.rotation),
-        position=1e-3 * site.scales.position,
-        change=1e-3 / (site.period * site.scales.torque_change),
-        of_surprise=FLOORS[0],
-        of_drift=FLOORS[1],
-        of_cost=FLOORS[2],
-    )
-    times = np.array([*TIMES, DRIFT_TIME])
-
-    def quick(
-        density: np.ndarray,
-        error: np.ndarray,
-        torque: np.ndarray,
-        innovation: np.ndarray,
-        reference: np.ndarray,
-        before: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        found, recent = np.empty(len(FEATURES)), np.empty(RECENT.size)
-        fast(packed, times, density, error, torque, innovation, reference, before, found, recent)
-        return found, recent
-
-    return quick
+    period = setup.period
+    innovations, drift, changes, rotation, position = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(6):
+        normalised = innovation[i] / setup.noise
+        innovations += normalised * normalised / 6.0
+        state.drift[i] += period / (period + DRIFT_TIME) * (normalised - state.drift[i])
+        drift += state.drift[i] ** 2 / 6.0
+        if state.ticks > 0.0:
+            changes += ((torque[i] - state.torque[i]) / setup.torque_change) ** 2 / 6.0
+        state.torque[i] = torque[i]
+    state.ticks += 1.0
+    for k in range(3):
+        rotation += (error[k] / setup.rotation) ** 2
+        position += (error[3 + k] / setup.position) ** 2
+    now = (innovations, innovations, rotation + position, rotation + position, changes)
+    for k in range(5):
+        state.levels[k] += period / (period + TIMES[k]) * (now[k] - state.levels[k])
+    out[0], out[1] = state.levels[0] + INNOVATION_FLOOR, state.levels[1] + INNOVATION_FLOOR
+    out[2] = drift + DRIFT_FLOOR
+    for k in range(3):
+        out[3 + k] = state.levels[2 + k] + COST_FLOOR
+    for part in range(2):
+        mean, square = 0.0, 1e-12
+        for k in range(6):
+            mean += density[6 * part + k] / 6.0
+        for k in range(3):
+            square += (setup.length * reference[6 + 6 * part + k]) ** 2 + reference[9 + 6 * part + k] ** 2
+        out[6 + part] = abs(mean) + 0.1
+        out[8 + part] = np.sqrt(square) + (1e-3 if part == 0 else 1e-2)
+    out[10], out[11] = setup.noise / 1e-5, setup.latency / 1e-3
+    for k in range(12):
+        out[k] = np.log10(out[k])
+    out[12] = setup.kappa

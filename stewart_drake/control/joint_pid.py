@@ -1,24 +1,30 @@
-"""Joint-space PID on the crank angles as a pure function, the controller that most such robots have."""
+"""Joint-space PID on the crank angles, the controller that most such robots have."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.compiled.constants import PID_NUMBERS, filled
 from stewart_drake.control.controller_options import OwnControllerOptions
-from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs
+from stewart_drake.control.inputs import AT_REFERENCE, TORQUE, failure, measured_legs
 from stewart_drake.control.lqi_options import Saturation
-from stewart_drake.control.parts import ControllerSite, law_part
 from stewart_drake.control.robot_gains import DERIVATIVE, INTEGRAL, PROPORTIONAL
-from stewart_drake.errors import NotFiniteError
-from stewart_drake.mechanics.dynamics import static_torque_of_legs
-from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics_laws import static_torque
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    NOT_FINITE,
+    OK,
+    PARALLEL,
+    UNREACHABLE,
+    crank_rates,
+    legs_at,
+    robot_record,
+    twist_of,
+)
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import Sampled
 from stewart_drake.section import NotNegative, Positive
 
 
@@ -50,16 +56,6 @@ class PidOptions(OwnControllerOptions):
     """[s] of back_calculation."""
 
     @property
-    def results(self) -> Sequence[int]:
-        """See `ControllerOptions`."""
-        return (6,)
-
-    @property
-    def compiles(self) -> bool:
-        """See `ControllerOptions`."""
-        return True
-
-    @property
     def back_share(self) -> float:
         """[-] of what was cut off that back_calculation gives back in a tick."""
         return min(1.0, self.period / self.reset_time)
@@ -70,88 +66,101 @@ class PidOptions(OwnControllerOptions):
         limits: np.ndarray = np.minimum(own, robot.effort_limits)
         return limits
 
-
-class PidMemory(NamedTuple):
-    """What a tick says, and what the next one needs of it.
-
-    Attributes:
-        torque: (6,) [N m].
-        integral: (6,) [rad s] of the crank angles' errors, for the next tick.
-    """
-
-    torque: np.ndarray
-    integral: np.ndarray
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The controller in a loop, see `part.Setup`."""
+        return (pid_part(self, setup.robot, setup.gravity),)
 
 
-def pid_tick(
-    robot: RobotParameters,
-    options: PidOptions,
-    gravity: float,
-    measurement: Measurement,
-    setpoint: Setpoint,
-    memory: PidMemory,
-) -> PidMemory:
+PID_STATE = fields(torque=6, error=6, integral=6, health=2, crank_integral=6)
+"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: zeros; the PID has its own, of the errors of
+the crank angles [rad s], for the next tick."""
+_SETUP = fields(
+    period=(), gravity=(), min_transmission=(), min_conditioning=(), kp=(), ki=(), kd=(), limit=6, clamp=(),
+    given_back=(),
+)  # fmt: skip
+
+
+@njit
+def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, states: Any) -> Any:
     """T = T_gravity - kp e - kd e' - ki z with e = theta(pose) - theta(reference), wrapped to half a turn.
 
     Crank angles by inverse kinematics, their rates by the Jacobian, of the measurement and of the reference alike. The
     integral grows by period * e after it has been used.
 
     Args:
-        robot: Geometry and masses as the controller believes them.
-        options: See `PidOptions`.
-        gravity: [m/s^2] for the feedforward.
-        measurement: Pose and rate now.
-        setpoint: Reference now.
-        memory: Of the tick before; zeros at first.
+        robots: `ROBOT` as the controller believes it to be.
+        setups: Numbers of `PidOptions`. gravity: 0 for no feedforward. limit: infinite for none. clamp: whether the
+            integral of a motor at its limit stands still. given_back: by what it is led back for a torque that was cut.
+        measurement: (12,) pose and rate now.
+        reference: (18,) now.
+        leg_records: `LEGS` (2,), overwritten.
+        states: `PID_STATE` of the tick before; that of this one where the status is OK.
 
-    Raises:
-        NotFiniteError, UnreachablePoseError, SingularPoseError: As `inputs.checked_legs`; UnreachablePoseError
-            also where the reference is out of reach.
+    Returns:
+        Status; leg or -1, or which signal is NOT_FINITE; margin.
     """
-    if not np.isfinite(measurement.pose_rate).all():
-        raise NotFiniteError("measured pose rate", measurement.pose_rate)
-    legs, wanted_legs = checked_legs(robot, options, measurement.pose), leg_geometry(robot, setpoint.pose)
-    error = legs.crank_angles - wanted_legs.crank_angles
-    error = np.arctan2(np.sin(error), np.cos(error))
-    rate = crank_rates(robot, legs, measurement.pose, measurement.pose_rate)
-    rate_error = rate - crank_rates(robot, wanted_legs, setpoint.pose, setpoint.pose_rate)
-    integral = memory.integral
-    wanted = -(options.kp * error + options.kd * rate_error + options.ki * integral)
-    if options.feedforward == "gravity" and gravity != 0.0:
-        wanted = wanted + static_torque_of_legs(robot, legs, gravity)
-    if not np.isfinite(wanted).all():
-        raise NotFiniteError("torque", wanted)
-    torque, growth = wanted, options.period * error
-    if options.saturation != "none":
-        limit = options.limit(robot)
-        torque = np.clip(wanted, -limit, limit)
-        cut = wanted - torque
-        if options.saturation == "clamp":
-            growth = np.where(cut == 0.0, growth, 0.0)
-        elif options.ki > 0.0:
-            growth = growth + options.back_share * cut / options.ki
-    return PidMemory(torque, integral + growth)
+    robot, setup, state = record(robots), record(setups), record(states)
+    legs, target = record(leg_records[:1]), record(leg_records[1:])
+    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
+    if status != OK:
+        return status, leg, margin
+    bad = legs_at(robot, reference[:6], target)
+    if bad >= 0:
+        return AT_REFERENCE + UNREACHABLE, bad, target.reach[bad]
+    weight, twist, rates, target_rates = np.zeros(6), np.empty(6), np.empty(6), np.empty(6)
+    if setup.gravity != 0.0 and not static_torque(robot, legs, setup.gravity, weight):
+        return PARALLEL, -1, margin
+    twist_of(measurement[:6], measurement[6:], twist)
+    crank_rates(legs, twist, rates)
+    twist_of(reference[:6], reference[6:12], twist)
+    crank_rates(target, twist, target_rates)
+    for i in range(6):
+        sine = legs.sine[i] * target.cosine[i] - legs.cosine[i] * target.sine[i]
+        error = np.arctan2(sine, legs.cosine[i] * target.cosine[i] + legs.sine[i] * target.sine[i])
+        feedback = setup.kp * error + setup.kd * (rates[i] - target_rates[i]) + setup.ki * state.crank_integral[i]
+        wanted, limit = weight[i] - feedback, setup.limit[i]
+        if not np.isfinite(wanted):
+            return NOT_FINITE, TORQUE, wanted
+        state.torque[i] = min(max(wanted, -limit), limit)
+        cut = wanted - state.torque[i]
+        if setup.clamp == 0.0 or cut == 0.0:
+            state.crank_integral[i] += setup.period * error + setup.given_back * cut
+        state.error[i] = measurement[i] - reference[i]
+    return OK, -1, 0.0
 
 
-def pid_part(options: PidOptions, site: ControllerSite) -> Sampled:
-    """`pid_tick` as a part of a loop."""
-    if not site.compiled:
-        return law_part(pid_tick, PidMemory, options, site)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import mechanism, tracking
+def pid_part(options: PidOptions, robot: RobotParameters, gravity: float) -> Part:
+    """The PID as a part of a loop.
 
-    back = options.saturation == "back_calculation" and options.ki > 0.0
-    numbers = filled(
-        PID_NUMBERS,
+    Args:
+        options: See `PidOptions`.
+        robot: Geometry and masses as the controller believes them.
+        gravity: [m/s^2] for the feedforward.
+
+    Returns:
+        Its tick raises NotFiniteError for the measurement or the torque that comes of it; UnreachablePoseError and
+        SingularPoseError for the measured pose, the first for the reference's too.
+    """
+    robots, legs = robot_record(robot), np.empty(2, LEGS)
+    gives_back = options.saturation == "back_calculation" and options.ki > 0.0
+    setup = new_record(
+        _SETUP,
         period=options.period,
-        gravity=site.gravity if options.feedforward == "gravity" else 0.0,
+        gravity=gravity if options.feedforward == "gravity" else 0.0,
         min_transmission=options.min_transmission,
         min_conditioning=options.min_conditioning,
         kp=options.kp,
         ki=options.ki,
         kd=options.kd,
-        limit=np.full(6, np.inf) if options.saturation == "none" else options.limit(site.robot),
-        given_back=-1.0 if options.saturation == "clamp" else back and options.back_share / options.ki,
+        limit=np.inf if options.saturation == "none" else options.limit(robot),
+        clamp=options.saturation == "clamp",
+        given_back=options.back_share / options.ki if gives_back else 0.0,
     )
-    fast = partial(tracking.pid_tick, mechanism.pack(site.robot), numbers)
-    return law_part(pid_tick, PidMemory, options, site, fast)
+
+    def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
+        ended = pid_tick(robots, setup, measurement, reference, legs, state)
+        if ended[0] != OK:
+            raise failure(options, ended, measurement, reference)
+
+    outputs = ("torque", "error", "integral")
+    return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(PID_STATE), tick)

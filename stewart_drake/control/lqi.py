@@ -1,18 +1,22 @@
-"""One tick of the LQI as a pure function, (19)-(34), by the paper's model or by the exact one."""
+"""One tick of the LQI, (19)-(34), by the paper's model or by the exact one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import NamedTuple, get_args
+from collections.abc import Sequence
+from typing import Any, get_args
 
 import numpy as np
 
-from stewart_drake.compiled.constants import LQI_CHOICES, LQI_MEMORY, LQI_NUMBERS, filled
-from stewart_drake.control.inputs import Measurement, Setpoint, checked_legs, out_of_reach
+from stewart_drake.control.inputs import (
+    AT_REFERENCE,
+    REFERENCE,
+    TORQUE,
+    all_finite,
+    failure,
+    measured_legs,
+)
 from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
-from stewart_drake.control.parts import ControllerSite
-from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
+from stewart_drake.control.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain, split_solution
 from stewart_drake.control.state_space import (
     AXES,
     INTEGRAL,
@@ -21,69 +25,43 @@ from stewart_drake.control.state_space import (
     STATES,
     discretize,
     input_matrix,
-    mass_diagonal,
     state_matrix,
 )
-from stewart_drake.errors import (
-    NotFiniteError,
-    RiccatiError,
-    RunFailure,
-    SingularPoseError,
-    UnreachablePoseError,
+from stewart_drake.errors import RiccatiError, RunFailure
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    NO_GAIN,
+    NOT_FINITE,
+    OK,
+    PARALLEL,
+    UNREACHABLE,
+    legs_at,
+    robot_record,
 )
-from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque_of_legs
-from stewart_drake.mechanics.force_map import force_map_of_legs
+from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import Sampled
 
+LQI_STATE = fields(
+    torque=6, error=6, integral=6, health=2, gain=(6, 18), feedforward=6, weights=4, held=()
+)  # fmt: skip
+"""torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]. gain: K.
+feedforward: part of the torque [N m]. weights: q_e, q_v, q_z, r of this tick, zeros before the first. held: ticks in a
+row that were bridged."""
 
-class LqiMemory(NamedTuple):
-    """What a tick says, and what the next one needs of it.
-
-    Attributes:
-        torque: (6,) [N m].
-        error: (6,) [rad, m] measured pose minus setpoint.
-        integral: (6,) [rad s, m s] z for the next tick.
-        gain: (6, 18) K.
-        feedforward: (6,) [N m] part of the torque.
-        weights: (4,) q_e, q_v, q_z, r of this tick; zeros before the first.
-        held: Ticks in a row that were bridged.
-    """
-
-    torque: np.ndarray
-    error: np.ndarray
-    integral: np.ndarray
-    gain: np.ndarray
-    feedforward: np.ndarray
-    weights: np.ndarray
-    held: float
-
-    def flat(self) -> np.ndarray:
-        """All in one vector (137,), in the order of the attributes."""
-        return np.concatenate([*self[:3], self.gain.ravel(), *self[4:6], [self.held]])
-
-    @classmethod
-    def from_flat(cls, values: np.ndarray) -> LqiMemory:
-        """Inverse of `flat`."""
-        at = LQI_MEMORY
-        return cls(
-            values[: at.error],
-            values[at.error : at.integral],
-            values[at.integral : at.gain],
-            values[at.gain : at.feedforward].reshape(6, 18),
-            values[at.feedforward : at.weights],
-            values[at.weights : at.held],
-            values[at.held],
-        )
-
-
-MEMORY_SIZE: int = LQI_MEMORY.size
-FlatTick = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-def initial_memory() -> LqiMemory:
-    """Memory before the first tick."""
-    return LqiMemory.from_flat(np.zeros(MEMORY_SIZE))
+LQI_SETUP = fields(
+    period=(), gravity=(), length=(), min_transmission=(), min_conditioning=(), integral_limit=6, back_share=(),
+    exact_model=(), printed_map=(), feedforward=(), at_reference=(), exact_hold=(), saturation=(), bumpless=(),
+    hold_ticks=(),
+)  # fmt: skip
+"""Numbers of `LqiOptions`; choices are 0 or 1, or count as below. integral_limit: infinite for none. back_share: of
+what was cut off that z gives back in a tick."""
+NONE, GRAVITY, PLATFORM, FULL = range(4)
+"""Kinds of feedforward."""
+CLAMP, BACK_CALCULATION = 1, 2
+"""Kinds of saturation but none."""
 
 
 def block_weights(weights: np.ndarray) -> np.ndarray:
@@ -100,13 +78,16 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
     return weights
 
 
-def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray) -> np.ndarray:
+def lqi_gain(
+    acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
+) -> np.ndarray:
     """K of (31) for M^-1 tau at the present pose, u = -K [e; z] in the paper's state order.
 
     Args:
         acceleration_map: (6, 6) M^-1 tau.
         options: Period, discretisation, solver and `weight_length`.
         weights: (2,) omega_Q, omega_R of (27), or (4,) q_e, q_v, q_z, r; all > 0.
+        solver: Another than the options'.
 
     Returns:
         (6, 18).
@@ -115,7 +96,7 @@ def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndar
         RiccatiError: No stabilising solution.
     """
     q_e, q_v, q_z, r = (float(w) for w in block_weights(weights))
-    if options.solver == "split":
+    if (solver or options.solver) == "split":
         blocks = (q_e, q_v, q_z, r)
         return split_gain(acceleration_map, options.period, blocks, options.discretization, options.length)
     a, b = discretize(state_matrix(), input_matrix(acceleration_map), options.period, options.discretization)
@@ -126,181 +107,297 @@ def lqi_gain(acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndar
     return riccati_gain(a, b, big_r, solve_drake(a, b, np.diag(q), big_r))
 
 
+# --- the law ---------------------------------------------------------------------------------------------------------
+
+
+@njit
+def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> None:
+    """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of (15) as printed."""
+    for i in range(6):
+        force = legs.transmission[i] / robot.crank_length[i] if printed else 1.0 / legs.lever[i]
+        for k in range(3):
+            out[k, i] = legs.line[i, k] * force / robot.platform_inertia[k]
+            out[3 + k, i] = legs.line[i, 3 + k] * force / robot.platform_mass
+
+
+@njit
+def _model(
+    robot: Any, setup: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any
+) -> Any:
+    """What a gain is for: fills legs, weights (4,) and M^-1 tau (6, 6); status, leg, margin."""
+    if all_finite(measurement[6:]) and not all_finite(reference):
+        return NOT_FINITE, REFERENCE, 0.0
+    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
+    if status != OK:
+        return status, leg, margin
+    for k in range(4):
+        blocks[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        if not 0.0 < blocks[k] < np.inf:
+            return NO_GAIN, -1, 0.0
+    if setup.exact_model == 0.0:
+        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, own)
+    elif not pose_acceleration_map(robot, legs, measurement[:6], own):
+        return PARALLEL, -1, margin
+    return OK, -1, margin
+
+
+@njit
+def _weights_change(setup: Any, blocks: Any, state: Any) -> bool:
+    """Whether weights differ from those of the tick before in a way that z has to follow."""
+    if setup.bumpless == 0.0 or state.weights[0] == 0.0:
+        return False
+    return bool(np.any(state.weights != blocks))
+
+
+@njit
+def _integral_for(gain: Any, torque: Any) -> bool:
+    """Turns a torque (6, 1) into the z for which K_z z is that torque, in place; False where K_z is singular."""
+    return solve(gain[:, 12:].copy(), torque) != 0.0
+
+
+@njit
+def _feedback(gain: Any, measurement: Any, reference: Any, integral: Any, motor: int) -> float:
+    """A row of K [e; e'; z]."""
+    value = 0.0
+    for k in range(6):
+        value += gain[motor, 2 * k] * (measurement[k] - reference[k])
+        value += gain[motor, 2 * k + 1] * (measurement[6 + k] - reference[6 + k])
+        value += gain[motor, 12 + k] * integral[k]
+    return value
+
+
+@njit
+def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, force: Any) -> Any:
+    """Torque (6,) beside the feedback; destroys `legs` where it is taken at the reference. Status, leg, margin."""
+    force[:] = 0.0
+    if setup.feedforward == FULL and setup.at_reference == 1.0:
+        bad = legs_at(robot, reference[:6], legs)
+        if bad >= 0:
+            return AT_REFERENCE + UNREACHABLE, bad, legs.reach[bad]
+        if not motion_torque(robot, legs, reference[:12], reference[12:], setup.gravity, force):
+            return AT_REFERENCE + PARALLEL, -1, 0.0
+        return OK, -1, 0.0
+    done = True
+    if setup.feedforward == FULL:
+        done = motion_torque(robot, legs, measurement, reference[12:], setup.gravity, force)
+    elif setup.feedforward != NONE and setup.gravity != 0.0:
+        done = static_torque(robot, legs, setup.gravity, force)
+    if done and setup.feedforward == PLATFORM:
+        # M q''_d of (9) through the force map.
+        paper_map, torque = np.empty((6, 6)), np.empty((6, 1))
+        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, paper_map)
+        torque[:, 0] = reference[12:]
+        done = solve(paper_map, torque) != 0.0
+        force += torque[:, 0]
+    return OK if done else PARALLEL, -1, 0.0
+
+
+@njit
+def _command(
+    robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, blocks: Any, gain: Any, before: Any, state: Any
+) -> Any:
+    """The rest of a tick, once its gain (6, 18) is known: (34), feedforward, limits, (23).
+
+    `before` is the gain for the weights of the tick before, where `_weights_change`. Changes the state where all is
+    well. Status, leg, margin.
+    """
+    integral, column = state.integral.copy(), np.zeros((6, 1))
+    if _weights_change(setup, blocks, state):
+        for i in range(6):
+            for k in range(6):
+                column[i, 0] += before[i, 12 + k] * integral[k]
+        if not _integral_for(gain, column):
+            return NO_GAIN, -1, 0.0
+        integral[:] = column[:, 0]
+    force, torque, cut = np.empty(6), np.empty(6), np.zeros((6, 1))
+    status, leg, margin = _feedforward(robot, setup, measurement, reference, legs, force)
+    if status != OK:
+        return status, leg, margin
+    saturated = False
+    for i in range(6):
+        wanted, limit = force[i] - _feedback(gain, measurement, reference, integral, i), robot.effort_limit[i]
+        if not np.isfinite(wanted):
+            return NOT_FINITE, TORQUE, wanted
+        torque[i] = wanted
+        if setup.saturation != NONE and abs(wanted) > limit:
+            saturated = True
+            torque[i] = limit if wanted > 0.0 else -limit
+            cut[i, 0] = wanted - torque[i]
+    if saturated and setup.saturation == BACK_CALCULATION:
+        if not _integral_for(gain, cut):
+            return NO_GAIN, -1, 0.0
+        integral += setup.back_share * cut[:, 0]
+    for k in range(6):
+        state.error[k] = measurement[k] - reference[k]
+        if not (saturated and setup.saturation == CLAMP):
+            integral[k] += setup.period * state.error[k]
+        bound = setup.integral_limit[k]
+        state.integral[k] = min(max(integral[k], -bound), bound)
+    state.torque[:], state.gain[:], state.feedforward[:], state.weights[:] = torque, gain, force, blocks
+    state.held = 0.0
+    return OK, -1, 0.0
+
+
+@njit
+def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: Any) -> bool:
+    """Whether a tick that failed goes on with the last good gain and feedforward, z standing still.
+
+    A measurement or reference that is not finite is bridged by the last torque. Not before a good tick, and not where
+    more than `hold_ticks` failed in a row.
+    """
+    if state.weights[0] == 0.0 or state.held >= setup.hold_ticks:
+        return False
+    state.held += 1.0
+    torque = np.empty(6)
+    for i in range(6):
+        torque[i] = state.feedforward[i] - _feedback(state.gain, measurement, reference, state.integral, i)
+    if all_finite(measurement) and all_finite(torque):
+        for k in range(6):
+            limit = np.inf if setup.saturation == NONE else robot.effort_limit[k]
+            state.torque[k] = min(max(torque[k], -limit), limit)
+            state.error[k] = measurement[k] - reference[k]
+    return True
+
+
+@njit
 def lqi_tick(
-    robot: RobotParameters,
-    options: LqiOptions,
-    gravity: float,
-    measurement: Measurement,
-    setpoint: Setpoint,
-    weights: np.ndarray,
-    memory: LqiMemory,
-    compiled: bool = False,
-) -> LqiMemory:
+    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, states: Any
+) -> Any:
     """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
 
     Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
 
     Args:
-        robot: Geometry and masses as the controller believes them.
+        robots: `ROBOT` as the controller believes it to be.
+        setups: `LQI_SETUP`.
+        measurement: (12,) pose and rate now.
+        reference: (18,) now.
+        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
+        leg_records: `LEGS`, overwritten.
+        states: `LQI_STATE` of the tick before; that of this one where the status is OK.
+
+    Returns:
+        Status; leg or -1, or which signal is NOT_FINITE; margin.
+    """
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    blocks, own, gain, before = np.empty(4), np.empty((6, 6)), np.empty((6, 18)), np.empty((6, 18))
+    status, leg, margin = _model(robot, setup, measurement, reference, weights, legs, blocks, own)
+    if status == OK:
+        exact_hold = setup.exact_hold == 1.0
+        done = split_solution(own, setup.length, setup.period, blocks, exact_hold, gain)
+        if done and _weights_change(setup, blocks, state):
+            done = split_solution(own, setup.length, setup.period, state.weights, exact_hold, before)
+        if done:
+            status, leg, margin = _command(robot, setup, measurement, reference, legs, blocks, gain, before, state)
+        else:
+            status = NO_GAIN
+    if status != OK and _bridged(robot, setup, measurement, reference, state):
+        return OK, -1, 0.0
+    return status, leg, margin
+
+
+# --- the same around a gain of Drake's -------------------------------------------------------------------------------
+
+
+@njit
+def _model_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any
+) -> Any:
+    return _model(record(robots), record(setups), measurement, reference, weights, record(legs), blocks, own)
+
+
+@njit
+def _change_tick(setups: Any, blocks: Any, states: Any) -> bool:
+    return _weights_change(record(setups), blocks, record(states))
+
+
+@njit
+def _command_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, legs: Any, blocks: Any, gain: Any, before: Any,
+    states: Any,
+) -> Any:  # fmt: skip
+    robot, setup, state = record(robots), record(setups), record(states)
+    return _command(robot, setup, measurement, reference, record(legs), blocks, gain, before, state)
+
+
+@njit
+def _bridge_tick(robots: Any, setups: Any, measurement: Any, reference: Any, states: Any) -> bool:
+    return _bridged(record(robots), record(setups), measurement, reference, record(states))
+
+
+# --- the part --------------------------------------------------------------------------------------------------------
+
+
+def lqi_part(
+    options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
+) -> Part:
+    """The LQI as a part of a loop.
+
+    Args:
         options: See `LqiOptions`.
+        robot: Geometry and masses as the controller believes them.
         gravity: [m/s^2] for the feedforward; 0 switches the gravity torque off.
-        measurement: Pose and rate now.
-        setpoint: Reference now.
-        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r; all > 0.
-        memory: Of the tick before, see `initial_memory`.
-        compiled: By numba where it can be, with `solver: split`.
+        weights: Size of the port, 2 or 4.
+        solver: Another than the options': `split` is one compiled call and needs no Drake.
 
-    Raises:
-        NotFiniteError: Measurement, setpoint or the torque that comes of them.
-        UnreachablePoseError, SingularPoseError: See `checked_legs`; also where `feedforward_at` is the reference and
-            that is out of reach or exactly singular.
-        RiccatiError: See `lqi_gain`.
+    Returns:
+        Its tick raises where no good tick came before or more than `hold_ticks` failed in a row: NotFiniteError for
+        measurement, reference or the torque that comes of them; UnreachablePoseError and SingularPoseError for the
+        measured pose, or the reference's where `feedforward_at` is that; RiccatiError for a gain that does not exist.
     """
-    if compiled and options.compiles:
-        tick = _compiled_tick(robot, options, gravity)
-        weights = np.asarray(weights, dtype=float)
-        return LqiMemory.from_flat(tick(np.concatenate(measurement), np.concatenate(setpoint), weights, memory.flat()))
-    if not np.isfinite(measurement.pose_rate).all():
-        raise NotFiniteError("measured pose rate", measurement.pose_rate)
-    if not all(np.isfinite(part).all() for part in setpoint):
-        raise NotFiniteError("reference", np.concatenate(setpoint))
-    legs = checked_legs(robot, options, measurement.pose)
-    weights = block_weights(weights)
-    force_map = force_map_of_legs(robot, legs, options.force_map)
-    mass = mass_diagonal(robot)
-    if options.model == "exact":
-        acceleration_map = pose_acceleration_map(robot, measurement.pose)
-    else:
-        acceleration_map = force_map / mass[:, None]
-    gain = lqi_gain(acceleration_map, options, weights)
-    integral = memory.integral
-    if options.bumpless and memory.weights[0] > 0.0 and np.any(memory.weights != weights):
-        before = lqi_gain(acceleration_map, options, memory.weights)
-        integral = _integral_for(gain, before[:, INTEGRAL] @ integral)
+    robots, setup, legs = robot_record(robot), lqi_setup(options, gravity), np.empty(1, LEGS)
 
-    feedforward = np.zeros(AXES)
-    if options.feedforward == "full":
-        at = setpoint if options.feedforward_at == "reference" else measurement
-        try:
-            feedforward = inverse_dynamics(robot, at.pose, at.pose_rate, setpoint.pose_acceleration, gravity)
-        except np.linalg.LinAlgError:
-            raise SingularPoseError("parallel", at.pose, 0.0, options.min_conditioning) from None
-    elif options.feedforward != "none" and gravity != 0.0:
-        feedforward = static_torque_of_legs(robot, legs, gravity)
-    if options.feedforward == "platform":
-        feedforward = feedforward + np.linalg.solve(force_map, mass * setpoint.pose_acceleration)
-
-    error = measurement.pose - setpoint.pose
-    wanted = feedforward - gain @ _state(error, measurement.pose_rate - setpoint.pose_rate, integral)
-    if not np.isfinite(wanted).all():
-        raise NotFiniteError("torque", wanted)
-    torque, grown = wanted, integral + options.period * error
-    if options.saturation != "none":
-        torque = np.clip(wanted, -robot.effort_limits, robot.effort_limits)
-        cut = wanted - torque
-        if options.saturation == "back_calculation" and cut.any():
-            grown = grown + min(1.0, options.period / options.reset_time) * _integral_for(gain, cut)
-        elif cut.any():
-            grown = integral
-    integral = grown
-    if options.integral_limit is not None:
-        bound = np.repeat(options.integral_limit, 3)
-        integral = np.clip(integral, -bound, bound)
-    return LqiMemory(torque, error, integral, gain, feedforward, weights, 0.0)
-
-
-def held_tick(
-    robot: RobotParameters,
-    options: LqiOptions,
-    gravity: float,
-    measurement: Measurement,
-    setpoint: Setpoint,
-    weights: np.ndarray,
-    memory: LqiMemory,
-    compiled: bool = False,
-) -> LqiMemory:
-    """`lqi_tick`, where up to `hold_ticks` failures in a row are bridged by the last good gain and feedforward.
-
-    A measurement or setpoint that is not finite is bridged by the last torque. z stands still meanwhile.
-
-    Raises:
-        RunFailure: As `lqi_tick`, where no good tick came before or they failed too often in a row.
-    """
-    try:
-        return lqi_tick(robot, options, gravity, measurement, setpoint, weights, memory, compiled)
-    except RunFailure:
-        if memory.weights[0] == 0.0 or memory.held >= options.hold_ticks:
-            raise
-    held = memory._replace(held=memory.held + 1.0)
-    if not (np.isfinite(measurement.pose).all() and np.isfinite(measurement.pose_rate).all()):
-        return held
-    error = measurement.pose - setpoint.pose
-    state = _state(error, measurement.pose_rate - setpoint.pose_rate, memory.integral)
-    torque = memory.feedforward - memory.gain @ state
-    if not np.isfinite(torque).all():
-        return held
-    if options.saturation != "none":
-        torque = np.clip(torque, -robot.effort_limits, robot.effort_limits)
-    return held._replace(torque=torque, error=error)
-
-
-def flat_tick(robot: RobotParameters, options: LqiOptions, gravity: float, compiled: bool = False) -> FlatTick:
-    """`held_tick` on flat vectors: (measurement (12,), setpoint (18,), weights, memory (137,)) -> memory (137,)."""
-    fast = _compiled_tick(robot, options, gravity) if compiled and options.compiles else None
-
-    def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        if fast is not None:
+    def error_of(ended: tuple[int, int, float], *inputs: np.ndarray) -> RunFailure:
+        if ended[0] == NO_GAIN:
             try:
-                return fast(measured, wanted, weights, memory)
-            except RunFailure:
-                if options.hold_ticks == 0:
-                    raise
-        measurement, setpoint = Measurement(measured[:6], measured[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:])
-        before = LqiMemory.from_flat(memory)
-        return held_tick(robot, options, gravity, measurement, setpoint, weights, before, compiled).flat()
+                block_weights(inputs[2])
+            except RiccatiError as error:
+                return error
+        return failure(options, ended, *inputs[:2])
 
-    return tick
+    def split_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
+        ended = lqi_tick(robots, setup, measurement, reference, weights, legs, state)
+        if ended[0] != OK:
+            raise error_of(ended, measurement, reference, weights)
+
+    blocks, own = np.empty(4), np.empty((6, 6))
+
+    def drake_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
+        inputs = measurement, reference, weights
+        try:
+            ended = _model_tick(robots, setup, *inputs, legs, blocks, own)
+            if ended[0] == OK:
+                gain = before = lqi_gain(own, options, blocks, "drake")
+                if _change_tick(setup, blocks, state):
+                    before = lqi_gain(own, options, state["weights"][0], "drake")
+                ended = _command_tick(robots, setup, *inputs[:2], legs, blocks, gain, before, state)
+            if ended[0] != OK:
+                raise error_of(ended, *inputs)
+        except RunFailure:
+            if not _bridge_tick(robots, setup, *inputs[:2], state):
+                raise
+
+    return Part(
+        "controller",
+        {"measurement": 12, "reference": 18, "weights": weights},
+        ("torque", "error", "integral"),
+        new_record(LQI_STATE),
+        split_tick if (solver or options.solver) == "split" else drake_tick,
+    )
 
 
-def lqi_part(options: LqiOptions, site: ControllerSite) -> Sampled:
-    """`flat_tick` as a part of a loop."""
-    return Sampled(np.zeros(MEMORY_SIZE), flat_tick(site.robot, options, site.gravity, site.compiled))
-
-
-def _state(error: np.ndarray, rate_error: np.ndarray, integral: np.ndarray) -> np.ndarray:
-    state = np.empty(STATES)
-    state[POSITION], state[RATE], state[INTEGRAL] = error, rate_error, integral
-    return state
-
-
-def _integral_for(gain: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """The z (6,) for which K_z z is `torque` (6,)."""
-    try:
-        return np.linalg.solve(gain[:, INTEGRAL], torque)
-    except np.linalg.LinAlgError:
-        raise RiccatiError("the gain of the integral is singular") from None
-
-
-@lru_cache(maxsize=16)
-def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) -> FlatTick:
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import control, mechanism
-
-    packed = mechanism.pack(robot)
+def lqi_setup(options: LqiOptions, gravity: float) -> np.ndarray:
+    """`LQI_SETUP` of options."""
     limits: Sequence[float] = (np.inf, np.inf) if options.integral_limit is None else options.integral_limit
-    numbers = filled(
-        LQI_NUMBERS,
+    return new_record(
+        LQI_SETUP,
         period=options.period,
         gravity=gravity,
         length=options.length,
         min_transmission=options.min_transmission,
         min_conditioning=options.min_conditioning,
-        integral_angle=limits[0],
-        integral_position=limits[1],
-        reset_time=options.reset_time,
-    )
-    choices = filled(
-        LQI_CHOICES,
+        integral_limit=np.repeat(limits, 3),
+        back_share=min(1.0, options.period / options.reset_time),
         exact_model=options.model == "exact",
         printed_map=options.force_map == "printed",
         feedforward=get_args(Feedforward).index(options.feedforward),
@@ -308,45 +405,5 @@ def _compiled_tick(robot: RobotParameters, options: LqiOptions, gravity: float) 
         exact_hold=options.discretization == "exact",
         saturation=get_args(Saturation).index(options.saturation),
         bumpless=options.bumpless,
-    ).astype(np.int64)
-
-    def tick(measured: np.ndarray, wanted: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        result = np.empty(MEMORY_SIZE)
-        status, leg, value = control.lqi_tick(packed, numbers, choices, measured, wanted, weights, memory, result)
-        if status != mechanism.OK:
-            raise _failure(options, status, leg, value, measured, wanted, weights)
-        return result
-
-    return tick
-
-
-def _failure(
-    options: LqiOptions,
-    status: int,
-    leg: int,
-    value: float,
-    measured: np.ndarray,
-    wanted: np.ndarray,
-    weights: np.ndarray,
-) -> RunFailure:
-    """What the reference would have raised."""
-    from stewart_drake.compiled import mechanism
-
-    at_reference = status >= mechanism.AT_REFERENCE
-    status -= mechanism.AT_REFERENCE * at_reference
-    pose = np.array(wanted[:6] if at_reference else measured[:6])
-    if status == mechanism.NOT_FINITE:
-        names = ("measured pose", "measured pose rate", "reference", "torque")
-        return NotFiniteError(names[leg], (pose, measured[6:], wanted, value)[leg])
-    if status == mechanism.UNREACHABLE:
-        error = UnreachablePoseError(pose, leg, value)
-        return error if at_reference else out_of_reach(error, options)
-    if status == mechanism.SERIAL:
-        return SingularPoseError("serial", pose, value, options.min_transmission, leg)
-    if status == mechanism.PARALLEL:
-        return SingularPoseError("parallel", pose, value, options.min_conditioning)
-    try:
-        block_weights(weights)
-    except RiccatiError as error:
-        return error
-    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")
+        hold_ticks=options.hold_ticks,
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -11,6 +11,7 @@ from stewart_drake.control.riccati import RiccatiSolver
 from stewart_drake.control.state_space import Discretization
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.force_map import ForceMapKind
+from stewart_drake.part import Part
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
 from stewart_drake.section import Flag, Natural, Positive, PositivePair
@@ -72,16 +73,18 @@ class LqiOptions(OwnControllerOptions):
 
     @property
     def label(self) -> str:
-        """See `ControllerOptions`."""
+        """In a few words, for titles."""
         model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
         return f"{model}, feedforward {self.feedforward}"
 
     @property
     def weighted(self) -> bool:
-        """See `ControllerOptions`."""
+        """Whether it takes the weights of a tuner."""
         return True
 
-    @property
-    def compiles(self) -> bool:
-        """See `ControllerOptions`."""
-        return self.solver == "split"
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The controller in a loop, see `part.Setup`."""
+        from stewart_drake.control.lqi import lqi_part
+
+        solver: RiccatiSolver | None = "split" if setup.split else None
+        return (lqi_part(self, setup.robot, setup.gravity, len(setup.weights), solver),)

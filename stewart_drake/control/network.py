@@ -1,13 +1,13 @@
 """The tuner's neural network, Fig. 5: 12 densities in, one hidden layer of 10, omega_Q and omega_R out.
 
-Inference is numpy alone, so that a controller needs no torch. Weights live in a JSON file: readable, diffable, no
+Inference needs no torch. Weights live in a JSON file: readable, diffable, no
 pickle.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -15,9 +15,11 @@ from typing import Any, cast
 import numpy as np
 
 from stewart_drake.control.density import DensityKind
+from stewart_drake.control.inputs import all_finite
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
-from stewart_drake.sampling import Sampled
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.part import Part
 from stewart_drake.section import Real, Window, check_value
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
@@ -41,6 +43,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "omega_min": (OUTPUTS,),
     "omega_max": (OUTPUTS,),
 }
+_NETWORK, _NETWORK_STATE = fields(**_SHAPES), fields(weights=OUTPUTS)
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class TunerNetwork:
             raise ConfigurationError("omega_min", self.omega_min.tolist(), "at most omega_max")
 
     def log_weights(self, densities: np.ndarray) -> np.ndarray:
-        """Raw network output.
+        """Raw network output, for whole data sets.
 
         Args:
             densities: (..., 12) [-], six of the errors, six of the torques.
@@ -117,28 +120,15 @@ class TunerNetwork:
         Returns:
             (..., 2), positive; NaN where a density is NaN.
         """
-        # Limited before and as a logarithm: on wild inputs the layers or 10**x would overflow first.
-        limited = np.clip(densities, -_LARGEST_DENSITY, _LARGEST_DENSITY)
-        log = np.clip(self.log_weights(limited), np.log10(self.omega_min), np.log10(self.omega_max))
-        return np.clip(10.0**log, self.omega_min, self.omega_max)
+        rows = np.ascontiguousarray(densities, dtype=float)
+        answers, own = np.empty((*rows.shape[:-1], OUTPUTS)), self.numbers()
+        for row, out in zip(rows.reshape(-1, INPUTS), answers.reshape(-1, OUTPUTS), strict=True):
+            network_weights(own, row, out)
+        return answers
 
-    def compiled_weights(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`weights` of one vector (12,), compiled by numba; NaN where a density is not finite."""
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.tuner import weights
-
-        layers = np.zeros((HIDDEN + OUTPUTS, INPUTS + 1))
-        layers[:HIDDEN, :INPUTS] = self.hidden_weights / self.input_scale
-        layers[:HIDDEN, INPUTS] = self.hidden_bias - layers[:HIDDEN, :INPUTS] @ self.input_mean
-        layers[HIDDEN:, :HIDDEN] = self.output_weights
-        layers[HIDDEN:, HIDDEN:] = np.stack([self.output_bias, self.omega_min, self.omega_max], axis=1)
-
-        def answer(densities: np.ndarray) -> np.ndarray:
-            result = np.empty(OUTPUTS)
-            weights(densities, layers, _LARGEST_DENSITY, result)
-            return result
-
-        return answer
+    def numbers(self) -> np.ndarray:
+        """Record of the law."""
+        return new_record(_NETWORK, **{name: getattr(self, name) for name in _SHAPES})
 
     def to_bytes(self) -> bytes:
         """The network as JSON with a checksum; the same network gives the same bytes.
@@ -158,28 +148,71 @@ class TunerNetwork:
         write_atomically(Path(path), self.to_bytes())
 
 
-def network_part(network: TunerNetwork, initial: Sequence[float], compiled: bool) -> Sampled:
-    """omega_Q and omega_R from densities (12,), tick by tick: what a tick finds acts from the next one on.
+@njit
+def network_weights(networks: Any, densities: Any, out: Any) -> None:
+    """omega_Q and omega_R of the network, held within the range of its training data.
+
+    Args:
+        networks: `TunerNetwork.numbers`.
+        densities: (12,) [-].
+        out: (2,) out; NaN where a density is NaN.
+    """
+    network, hidden = record(networks), network_hidden(record(networks), densities)
+    for m in range(OUTPUTS):
+        log = network.output_bias[m]
+        for i in range(HIDDEN):
+            log += network.output_weights[m, i] * hidden[i]
+        # Limited as a logarithm first: on wild inputs 10**x would overflow.
+        low, high = network.omega_min[m], network.omega_max[m]
+        out[m] = log
+        if np.isfinite(log):
+            out[m] = min(max(10.0 ** min(max(log, np.log10(low)), np.log10(high)), low), high)
+
+
+@njit
+def network_hidden(network: Any, densities: Any) -> Any:
+    """Hidden units (10,) for densities (12,)."""
+    hidden = network.hidden_bias.copy()
+    for k in range(INPUTS):
+        # Limited: the layers would overflow. NaN stays.
+        density = densities[k]
+        if abs(density) > _LARGEST_DENSITY:
+            density = _LARGEST_DENSITY if density > 0.0 else -_LARGEST_DENSITY
+        scaled = (density - network.input_mean[k]) / network.input_scale[k]
+        for i in range(HIDDEN):
+            hidden[i] += network.hidden_weights[i, k] * scaled
+    return np.tanh(hidden)
+
+
+def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
+    """The network as a part of a loop: what a tick finds acts from the next one on.
 
     Args:
         network: Trained.
         initial: omega_Q, omega_R at first, clipped to the range that it was trained on.
-        compiled: See `Scenario.compiled`.
+
+    Returns:
+        Its tick raises NotFiniteError where a density is not finite.
 
     Raises:
         ConfigurationError: `initial` is not two finite numbers.
     """
     check_value("initial", list(initial), tuple[Real, Real])
-    answer = network.compiled_weights() if compiled else network.weights
+    own = network.numbers()
+    first = new_record(_NETWORK_STATE, weights=np.clip(initial, network.omega_min, network.omega_max))
 
-    def tick(densities: np.ndarray, memory: np.ndarray) -> np.ndarray:  # noqa: ARG001 - it remembers nothing
-        weights: np.ndarray = answer(densities)
-        # The compiled network sees for itself whether all are finite.
-        if not weights[0] > 0.0 or not (compiled or np.isfinite(densities).all()):
-            raise NotFiniteError("density", densities)
-        return weights
+    def tick(density: np.ndarray, state: np.ndarray) -> None:
+        if not network_tick(own, density, state):
+            raise NotFiniteError("density", density)
 
-    return Sampled(np.clip(initial, network.omega_min, network.omega_max), tick)
+    return Part("tuner", {"density": INPUTS}, ("weights",), first, tick, late=True)
+
+
+@njit
+def network_tick(networks: Any, densities: Any, states: Any) -> bool:
+    """`network_weights` into a state; False where a density is not finite."""
+    network_weights(networks, densities, record(states).weights)
+    return all_finite(densities)
 
 
 def load_network(path: str | Path | None = None) -> TunerNetwork:

@@ -13,14 +13,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from stewart_drake.compiled.constants import TUNER_MEMORY
-from stewart_drake.control.features import FEATURES, Site, flat_features, nothing_yet
+from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, TunerContext, features, plausible
 from stewart_drake.control.network import numbers, read_sealed, sealed
 from stewart_drake.control.settings import SIZE, STEP, disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
-from stewart_drake.mechanics.arrays import Array, namespace
-from stewart_drake.sampling import Sampled
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.part import Part
 
 FORMAT = "stewart-drake policy"
 VERSION = 1
@@ -28,14 +27,12 @@ FADE = 0.5
 """[-] what a feature may lie outside of the training data, in their standard deviations, until the answer has faded."""
 LARGEST = 30.0
 """[-] features are held within it."""
-_ABSURD = 1e9
-"""What is heard is below it, in any unit; squares of it stay finite."""
-_M = TUNER_MEMORY
 _COUNT = len(FEATURES)
+_SCHEDULE = fields(calm=SIZE, alert=SIZE, threshold=(), hold=())
 
 
 class Layers(NamedTuple):
-    """A policy in arrays of numpy or torch; h hidden units. Each loop may have weights of its own, (..., h, 13).
+    """A policy in arrays; h hidden units.
 
     Attributes:
         mean: (13,) subtracted from the features.
@@ -49,47 +46,134 @@ class Layers(NamedTuple):
         high: (13,) largest.
     """
 
-    mean: Array
-    scale: Array
-    hidden: Array
-    hidden_bias: Array
-    output: Array
-    output_bias: Array
-    centre: Array
-    below: Array
-    above: Array
-    low: Array
-    high: Array
+    mean: np.ndarray
+    scale: np.ndarray
+    hidden: np.ndarray
+    hidden_bias: np.ndarray
+    output: np.ndarray
+    output_bias: np.ndarray
+    centre: np.ndarray
+    below: np.ndarray
+    above: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
-def answer(layers: Layers, found: Array, leak: float = 0.0) -> tuple[Array, Array]:
-    """Setting (..., 4) that a policy wants, and what of its own it is (...): 1 within the training data, 0 far outside.
+# --- the laws --------------------------------------------------------------------------------------------------------
+
+
+@njit
+def answer(policy: Any, heard: Any, wanted: Any) -> float:
+    """What a policy wants.
 
     Args:
-        layers: See there.
-        found: (..., 13) features; one that is not finite counts as far outside.
-        leak: [-] for training in torch: slope that a gradient finds at the ends of the box, where there is none, in
-            units of that in the middle.
+        policy: Record of `Layers`.
+        heard: (13,) features; one that is not finite counts as far outside of the training data.
+        wanted: (4,) setting, out.
+
+    Returns:
+        What of the answer is the policy's own: 1 within the training data, 0 far outside.
     """
-    xp = namespace(found)
-    known = xp.isfinite(found)
-    given = xp.where(known, xp.clip(found, -LARGEST, LARGEST), layers.mean)
-    off = xp.maximum(layers.low - given, given - layers.high) / layers.scale
-    off = xp.where(known, off, 2.0 * FADE)
-    own = xp.clip(1.0 - xp.max(off, axis=-1) / FADE, 0.0, 1.0)
-    scaled = (given - layers.mean) / layers.scale
-    hidden = xp.tanh((layers.hidden @ scaled[..., None])[..., 0] + layers.hidden_bias)
-    pressed = (layers.output @ hidden[..., None])[..., 0] + layers.output_bias
-    turned = xp.tanh(pressed)
-    if leak:
-        turned = turned + leak * (pressed - pressed.detach())
-    reach = xp.where(turned > 0.0, layers.above, layers.below)
-    return layers.centre + reach * turned * own[..., None], own
+    scaled, off = np.zeros(_COUNT), 0.0
+    for k in range(_COUNT):
+        if not np.isfinite(heard[k]):
+            off = 2.0 * FADE
+            continue
+        value = min(max(heard[k], -LARGEST), LARGEST)
+        beyond = max(policy.low[k] - value, value - policy.high[k])
+        off = max(off, beyond / policy.feature_scale[k])
+        scaled[k] = (value - policy.feature_mean[k]) / policy.feature_scale[k]
+    own = min(max(1.0 - off / FADE, 0.0), 1.0)
+    units = np.empty(policy.hidden_bias.size)
+    for i in range(units.size):
+        total = policy.hidden_bias[i]
+        for k in range(_COUNT):
+            total += policy.hidden[i, k] * scaled[k]
+        units[i] = np.tanh(total)
+    for m in range(SIZE):
+        total = policy.output_bias[m]
+        for i in range(units.size):
+            total += policy.output[m, i] * units[i]
+        reach = policy.below[m] if total < 0.0 else policy.above[m]
+        wanted[m] = policy.centre[m] + reach * np.tanh(total) * own
+    return own
 
 
-def limited(wanted: Array, before: Array, step: Array) -> Array:
-    """Settings (..., 4) on their way from `before` to `wanted`, no more than `step` (4,) further."""
-    return before + namespace(wanted).clip(wanted - before, -step, step)
+@njit
+def settle(setup: Any, wanted: Any, own: float, state: Any) -> None:
+    """Moves the setting towards the one that is wanted, no more than a step, and says what it does."""
+    for k in range(SIZE):
+        change = wanted[k] - state.setting[k]
+        state.setting[k] += min(max(change, -setup.step[k]), setup.step[k])
+    state.setting[SIZE] = 1.0 - own
+    state.weights[:] = weights_of(setup.weights, state.setting)
+    state.disturbance[0] = disturbance_of(setup.disturbance, state.setting)
+
+
+@njit
+def policy_tick(
+    setups: Any, policies: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any
+) -> None:
+    """A tick of a policy; where what it hears is not finite, or absurd, the setting goes to the centre.
+
+    Args:
+        setups: `SETUP`.
+        policies: Record of `Layers` (1,).
+        density: (12,) [-].
+        error: (6,) [rad, m].
+        torque: (6,) [N m].
+        innovation: (6,) [rad].
+        reference: (18,).
+        states: `TUNER_STATE` of the tick before; that of this one.
+    """
+    setup, state, heard, wanted, own = record(setups), record(states), np.empty(_COUNT), np.empty(SIZE), 0.0
+    wanted[:] = setup.centre
+    if plausible(density, error, torque, innovation, reference):
+        features(setup, density, error, torque, innovation, reference, state, heard)
+        own = answer(record(policies), heard, wanted)
+    settle(setup, wanted, own, state)
+
+
+@njit
+def schedule_tick(
+    setups: Any, schedules: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any
+) -> None:
+    """A tick of a schedule, otherwise as `policy_tick`: alert while innovations are large, and for a while after."""
+    setup, schedule, state, heard = record(setups), record(schedules), record(states), np.empty(_COUNT)
+    if not plausible(density, error, torque, innovation, reference):
+        state.held = 0.0
+        settle(setup, setup.centre, 0.0, state)
+        return
+    features(setup, density, error, torque, innovation, reference, state, heard)
+    loud = 10.0 ** heard[0] > schedule.threshold**2
+    state.held = schedule.hold if loud else max(state.held - setup.period, 0.0)
+    settle(setup, schedule.alert if loud or state.held > 0.0 else schedule.calm, 1.0, state)
+
+
+# --- what wants a setting --------------------------------------------------------------------------------------------
+
+
+class Chooser(Protocol):
+    """What wants a setting."""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(4,) setting at the start."""
+
+    @property
+    def lowest(self) -> np.ndarray:
+        """(4,) lower end of the box."""
+
+    @property
+    def width(self) -> np.ndarray:
+        """(4,) of the box."""
+
+    @property
+    def law(self) -> Callable[..., None]:
+        """Its tick, as `policy_tick`."""
+
+    def numbers(self) -> np.ndarray:
+        """Its own record (1,), the second argument of the tick."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +181,7 @@ class Policy:
     """A trained policy.
 
     Attributes:
-        layers: In numpy.
+        layers: Its numbers.
         provenance: Where it comes from: data, seeds, cost, date, figures, limits.
 
     Raises:
@@ -135,14 +219,17 @@ class Policy:
         """(4,) of the box."""
         return np.asarray(self.layers.below) + np.asarray(self.layers.above)
 
-    def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:  # noqa: ARG002
-        """See `Chooser`."""
-        wanted, own = answer(self.layers, found)
-        return wanted, float(own), held
+    @property
+    def law(self) -> Callable[..., None]:
+        """Its tick."""
+        return policy_tick
 
-    def compiled(self) -> Chooser:
-        """See `Chooser`."""
-        return _Compiled(self)
+    def numbers(self) -> np.ndarray:
+        """Record of its layers."""
+        values = self.layers._asdict()
+        # A record of numpy has a method `mean` already.
+        values |= {"feature_mean": values.pop("mean"), "feature_scale": values.pop("scale")}
+        return new_record(fields(**{name: np.shape(value) for name, value in values.items()}), **values)
 
     def to_bytes(self) -> bytes:
         """The policy as JSON with a checksum; the same policy gives the same bytes."""
@@ -209,7 +296,7 @@ class Schedule:
     Attributes:
         calm: (4,) setting.
         alert: (4,) setting.
-        threshold: [-] of the surprise, RMS of innovations over the noise of a reading.
+        threshold: [-] of the RMS of innovations over the noise of a reading.
         hold: [s] that the second one stays.
     """
 
@@ -233,114 +320,44 @@ class Schedule:
         """(4,) of the smallest box that has both."""
         return np.abs(self.alert - self.calm)
 
-    def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:
-        """See `Chooser`."""
-        surprised = 10.0 ** found[0] > self.threshold**2
-        held = self.hold if surprised else max(held - period, 0.0)
-        return self.alert if surprised or held > 0.0 else self.calm, 1.0, held
-
-    def compiled(self) -> Chooser:
-        """See `Chooser`."""
-        return self
-
-
-class Chooser(Protocol):
-    """What wants a setting."""
-
     @property
-    def centre(self) -> np.ndarray:
-        """(4,) setting at the start."""
+    def law(self) -> Callable[..., None]:
+        """Its tick."""
+        return schedule_tick
 
-    @property
-    def lowest(self) -> np.ndarray:
-        """(4,) lower end of the box."""
-
-    @property
-    def width(self) -> np.ndarray:
-        """(4,) of the box."""
-
-    def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:
-        """The setting (4,) for features (13,), what of it is its own, and a number that it remembers."""
-
-    def compiled(self) -> Chooser:
-        """The same, by numba where that pays."""
+    def numbers(self) -> np.ndarray:
+        """Record of its attributes."""
+        return new_record(_SCHEDULE, calm=self.calm, alert=self.alert, threshold=self.threshold, hold=self.hold)
 
 
-class _Compiled:
-    """A policy by numba."""
-
-    def __init__(self, policy: Policy) -> None:
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.policy import answer as fast
-
-        own = policy.layers
-        hidden = np.concatenate([own.hidden, own.hidden_bias[:, None]], axis=1)
-        output = np.concatenate([own.output, own.output_bias[:, None]], axis=1)
-        stats, box = np.stack([own.mean, own.scale, own.low, own.high]), np.stack([own.centre, own.below, own.above])
-        self._fast, self._fixed = fast, (stats, hidden, output, box, LARGEST, FADE)
-        self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
-
-    def choose(self, found: np.ndarray, held: float, period: float) -> tuple[np.ndarray, float, float]:  # noqa: ARG002
-        """See `Chooser`."""
-        wanted = np.empty(SIZE)
-        return wanted, self._fast(*self._fixed, found, wanted), held
-
-    def compiled(self) -> Chooser:
-        """See `Chooser`."""
-        return self
-
-
-def setting_part(
-    chooser: Chooser, site: Site, weights: np.ndarray, disturbance: float, compiled: bool = False
-) -> Sampled:
+def setting_part(chooser: Chooser, context: TunerContext, weights: np.ndarray, disturbance: float) -> Part:
     """A tuner of settings as a part of a loop: what a tick finds acts from the next one on.
 
     Args:
         chooser: What wants a setting.
-        site: What it is built for.
+        context: What it is built for.
         weights: (4,) those of the base.
         disturbance: [rad/s^2 per sqrt(s)] that of the base.
-        compiled: See `Scenario.compiled`.
-
-    Returns:
-        Its tick takes densities (12,), error (6,), torque (6,), innovation (6,), reference (18,) and memory. Where one
-        of them is not finite, or absurd, the setting goes to the centre.
     """
-    step = STEP * chooser.width
-    hear, say = flat_features(site, compiled), _saying(weights, disturbance, step, compiled)
-    chooser = chooser.compiled() if compiled else chooser
+    law, own, centre = chooser.law, chooser.numbers(), chooser.centre
+    setup = new_record(
+        SETUP,
+        **context.numbers(),
+        centre=centre,
+        step=STEP * chooser.width,
+        weights=weights,
+        disturbance=disturbance,
+    )
+    initial = new_record(
+        TUNER_STATE,
+        weights=weights_of(np.asarray(weights, dtype=float), centre),
+        disturbance=disturbance_of(disturbance, centre),
+        setting=[*centre, 0.0],
+        levels=[1.0, 1.0, 0.0, 0.0, 0.0],
+    )
 
-    def tick(*given: np.ndarray) -> np.ndarray:
-        memory, result = given[-1], np.empty(_M.size)
-        recent, own, held, wanted = memory[_M.recent : _M.held], 0.0, 0.0, chooser.centre
-        if np.abs(np.concatenate(given[:-1])).max() < _ABSURD:
-            found, recent = hear(*given[:-1], recent)
-            wanted, own, held = chooser.choose(found, float(memory[_M.held]), site.period)
-        say(wanted, memory, result)
-        result[_M.outside], result[_M.recent : _M.held], result[_M.held] = 1.0 - own, recent, held
-        return result
+    def tick(*inputs: np.ndarray) -> None:
+        law(setup, own, *inputs)
 
-    first = np.zeros(_M.size)
-    first[_M.setting : _M.outside], first[_M.recent : _M.held] = chooser.centre, nothing_yet(np.zeros(6)).flat()
-    say(chooser.centre, first.copy(), first)
-    return Sampled(first, tick)
-
-
-def _saying(
-    weights: np.ndarray, disturbance: float, step: np.ndarray, compiled: bool
-) -> Callable[[np.ndarray, np.ndarray, np.ndarray], None]:
-    """From the setting that is wanted and the memory before to weights, disturbance and setting in the one after."""
-    if compiled:
-        from stewart_drake.compiled.policy import settle
-
-        return lambda wanted, before, result: settle(wanted, step, weights, disturbance, before, result)
-
-    def say(wanted: np.ndarray, before: np.ndarray, result: np.ndarray) -> None:
-        setting = limited(wanted, before[_M.setting : _M.outside], step)
-        result[: _M.disturbance], result[_M.disturbance] = (
-            weights_of(weights, setting),
-            disturbance_of(disturbance, setting),
-        )
-        result[_M.setting : _M.outside] = setting
-
-    return say
+    inputs = {"density": 12, "error": 6, "torque": 6, "innovation": 6, "reference": 18}
+    return Part("tuner", inputs, ("weights", "disturbance", "setting"), initial, tick, late=True)

@@ -1,19 +1,23 @@
-"""LQI gains: the discrete algebraic Riccati equation of (26), (31), (32), by Drake or split into six small problems."""
+"""LQI gains: the discrete algebraic Riccati equation of (26), (31), (32), split into six problems, or by Drake."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, Discretization
+from stewart_drake.control.state_space import Discretization
 from stewart_drake.errors import ConfigurationError, RiccatiError, drake_guard
-from stewart_drake.spectral import chain_cubic, chain_read, spectral_factor
+from stewart_drake.jit import njit
+from stewart_drake.mechanics.linear_algebra import singular_vectors
+from stewart_drake.mechanics.spectral import spectral_factor
 
 RiccatiSolver = Literal["drake", "split"]
+
+SMALLEST_SINGULAR_VALUE = 1e-13
+"""Of M^-1 tau, as a share of the largest; below it the map counts as singular."""
 
 
 def riccati_gain(a: np.ndarray, b: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -71,6 +75,84 @@ def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> n
     return p
 
 
+@njit
+def chain_gain(s: float, period: float, weights: Any, exact_hold: bool, gain: Any) -> bool:
+    """Optimal gain of a chain of integrators z' = e, e' = v, v' = s u, sampled with period T.
+
+    The return difference on the unit circle is a cubic, see `mechanics.spectral`; the gain is read off the closed
+    loop's polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems).
+    No digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
+
+    Args:
+        s: > 0, per unit of u.
+        period: T [s].
+        weights: (4,) q_e, q_v, q_z, r, each > 0.
+        exact_hold: Zero-order hold; else Euler.
+        gain: (3,) out: k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z).
+
+    Returns:
+        False where the numbers leave floating point.
+    """
+    t, g = period, s * s / weights[3]
+    pose, rate, integral = g * (weights[0] * t**4), g * (weights[1] * t**2), g * (weights[2] * t**6)
+    if exact_hold:
+        lead = 1.0 / (1.0 + 0.25 * rate + integral / 576.0)
+        b2, b1 = rate + 0.25 * pose + (7.0 / 144.0) * integral, pose + (5.0 / 12.0) * integral
+    else:
+        lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
+        b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
+    c2, c1, c0, low = spectral_factor(b2 * lead, b1 * lead, integral * lead)
+    if exact_hold:
+        k_e, k_v = c1 + 0.5 * c0, c2 + 0.5 * c1 + c0 / 3.0
+    else:
+        k_e, k_v = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0
+    gain[0], gain[1], gain[2] = k_e * low / (s * t * t), k_v * low / (s * t), c0 * low / (s * t**3)
+    return np.isfinite(gain[0]) and np.isfinite(gain[1]) and np.isfinite(gain[2])
+
+
+@njit
+def split_solution(
+    acceleration_map: Any, length: float, period: float, weights: Any, exact_hold: bool, gain: Any
+) -> bool:
+    """LQI gain from six 3-state problems in the singular vectors of M^-1 tau.
+
+    With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
+    six problems differ in s_i alone.
+
+    Args:
+        acceleration_map: (6, 6) M^-1 tau.
+        length: [m] by which rotations are multiplied in Q; 1 is the paper, which weighs radians like metres.
+        period: [s].
+        weights: (4,) q_e, q_v, q_z, r, each > 0.
+        exact_hold: Zero-order hold; else Euler.
+        gain: (6, 18) out, K in the paper's state order, u = -K x.
+
+    Returns:
+        False where the map is singular or the gain leaves floating point.
+    """
+    columns, s, v, chains = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 3))
+    for i in range(6):
+        for k in range(6):
+            columns[i, k] = acceleration_map[k, i] * (length if k < 3 else 1.0)
+    singular_vectors(columns, s, v, 1e-14)
+    if not s.min() > SMALLEST_SINGULAR_VALUE * s.max():
+        return False
+    for i in range(6):
+        if not chain_gain(s[i], period, weights, exact_hold, chains[i]):
+            return False
+    # Row i of columns now holds s_i u_i in the scaled pose, row i of v what the motors do for it.
+    gain[:] = 0.0
+    for j in range(6):
+        for k in range(6):
+            scale = length if k < 3 else 1.0
+            for i in range(6):
+                both = scale * (v[i, j] * columns[i, k] / s[i])
+                gain[j, 2 * k] += both * chains[i, 0]
+                gain[j, 2 * k + 1] += both * chains[i, 1]
+                gain[j, 12 + k] += both * chains[i, 2]
+    return True
+
+
 def split_gain(
     acceleration_map: np.ndarray,
     period: float,
@@ -78,17 +160,14 @@ def split_gain(
     method: Discretization = "exact",
     length: float = 1.0,
 ) -> np.ndarray:
-    """LQI gain from six 3-state problems in the singular vectors of M^-1 tau; needs no Drake.
-
-    With Q = diag(q_e I, q_v I, q_z I), R = r I and M^-1 tau = U S V', the coordinates U'e, U'e', U'z, V'u decouple; the
-    six problems differ in s_i alone.
+    """`split_solution` with its input checked.
 
     Args:
         acceleration_map: (6, 6) M^-1 tau.
         period: [s] control period.
         weights: q_e, q_v, q_z, r, each > 0.
         method: As in `state_space.discretize`.
-        length: [m] rotations in Q are multiplied by this; 1 is the paper, which weighs radians like metres.
+        length: [m] rotations in Q are multiplied by this.
 
     Returns:
         K (6, 18) in the paper's state order, u = -K x.
@@ -97,52 +176,17 @@ def split_gain(
         RiccatiError: The map is singular, not finite or not (6, 6), a weight, the period or the length is not positive
             and finite, or the gains leave floating point.
     """
-    if acceleration_map.shape != (6, 6):
-        raise RiccatiError(f"M^-1 tau has the shape {acceleration_map.shape}; expected (6, 6)")
-    if not np.isfinite(acceleration_map).all() or min(weights) <= 0.0 or not np.isfinite(weights).all():
+    own, blocks, gain = np.ascontiguousarray(acceleration_map, dtype=float), np.array(weights, float), np.empty((6, 18))
+    if own.shape != (6, 6):
+        raise RiccatiError(f"M^-1 tau has the shape {own.shape}; expected (6, 6)")
+    if not np.isfinite(own).all() or not (np.isfinite(blocks) & (blocks > 0.0)).all():
         raise RiccatiError(f"no gain for weights {weights}: they and M^-1 tau must be finite, the weights positive")
     if not (0.0 < period < math.inf and 0.0 < length < math.inf):
         raise RiccatiError(f"no gain for a period of {period} s and a length of {length} m: both must be positive")
-    scale = np.array([length] * 3 + [1.0] * 3)
-    u, s, vt = np.linalg.svd(scale[:, None] * acceleration_map)
-    if s[-1] <= SMALLEST_SINGULAR_VALUE * s[0]:
-        raise RiccatiError(f"M^-1 tau is singular: singular values from {s[0]:.3g} down to {s[-1]:.3g}")
-    chains = chain_gains(s, period, weights, method)
-    if not np.isfinite(chains).all():
-        raise RiccatiError(f"no finite gain for weights {weights} and singular values {s[0]:.3g} to {s[-1]:.3g}")
-    gain = np.empty((6, STATES))
-    for column, states in enumerate((POSITION, RATE, INTEGRAL)):
-        gain[:, states] = (vt.T * chains[:, column]) @ (u.T * scale)
-    return gain
-
-
-def chain_gains(s: np.ndarray, period: float, weights: Sequence[float], method: Discretization = "exact") -> np.ndarray:
-    """Optimal gains of chains of integrators z' = e, e' = v, v' = s u, sampled with period T.
-
-    The return difference on the unit circle is a cubic, see `spectral`; the gains are read off the closed loop's
-    polynomial in d = z - 1 (as for a single input in K. J. Astrom, B. Wittenmark, Computer-Controlled Systems). No
-    digits are lost to fast sampling, where all poles crowd at z = 1, nor to weights far apart.
-
-    Args:
-        s: (n,) > 0.
-        period: [s].
-        weights: q_e, q_v, q_z, r, each > 0.
-        method: As in `state_space.discretize`.
-
-    Returns:
-        (n, 3) k_e, k_v, k_z of u = -(k_e e + k_v v + k_z z); NaN where the numbers leave floating point.
-    """
-    t, (q_e, q_v, q_z, r) = period, (float(w) for w in weights)
-    s = np.asarray(s, dtype=float)
     with np.errstate(all="ignore"):
-        g = s * s / r
-        rate, pose, integral = g * (q_v * t**2), g * (q_e * t**4), g * (q_z * t**6)
-        if method == "exact":
-            k_e, k_v, k_z = chain_read(spectral_factor(*chain_cubic(rate, pose, integral)))
-        else:
-            lead = 1.0 / (1.0 + 0.25 * rate + 0.0625 * pose + integral / 64.0)
-            b2, b1 = rate + 0.5 * pose + 0.1875 * integral, pose + 0.75 * integral
-            factor = spectral_factor(b2 * lead, b1 * lead, integral * lead)
-            c2, c1, c0 = (each * factor.low for each in factor)
-            k_e, k_v, k_z = c1 + 1.5 * c0, c2 + c1 + 0.75 * c0, c0
-        return np.stack([k_e / (s * t * t), k_v / (s * t), k_z / (s * t**3)], axis=-1)
+        done = split_solution(own, length, period, blocks, method == "exact", gain)
+    if not done:
+        s = np.linalg.svd(np.array([length] * 3 + [1.0] * 3)[:, None] * own, compute_uv=False)
+        what = "M^-1 tau is singular" if s[-1] <= SMALLEST_SINGULAR_VALUE * s[0] else f"no finite gain for {weights}"
+        raise RiccatiError(f"{what}: singular values from {s[0]:.3g} down to {s[-1]:.3g}")
+    return gain

@@ -13,38 +13,32 @@ so that any combination within a box is a sensible loop, which four weights on t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
-from stewart_drake.mechanics.arrays import Array, namespace
+import numpy as np
 
+from stewart_drake.jit import njit
 
-class Setting(NamedTuple):
-    """Decades above the base, [-]; arrays of one shape, or numbers."""
-
-    speed: Array
-    damping: Array
-    integral: Array
-    disturbance: Array
-
-
-NAMES = Setting._fields
+NAMES = ("speed", "damping", "integral", "disturbance")
 SIZE = len(NAMES)
 STEP = 0.03
 """[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump, and
 its loop can grow by that: docs/results/tuner_safety.md."""
 
 
-def weights_of(base: Array, setting: Array) -> Array:
-    """Block weights (..., 4) q_pose, q_rate, q_integral, r of settings (..., 4), from those of the base (4,).
+@njit
+def weights_of(base: Any, setting: Any) -> Any:
+    """Block weights (4,) q_pose, q_rate, q_integral, r of a setting (4,), from those of the base (4,)."""
+    speed, damping, integral = setting[0], setting[1], setting[2]
+    weights = np.empty(4)
+    weights[0] = base[0] * 10.0 ** (4.0 * speed)
+    weights[1] = base[1] * 10.0 ** (2.0 * speed + damping)
+    weights[2] = base[2] * 10.0 ** (6.0 * speed + integral)
+    weights[3] = base[3]
+    return weights
 
-    Arrays of numpy or torch; gradients pass.
-    """
-    xp = namespace(setting)
-    speed, damping, integral = (setting[..., k] for k in range(3))
-    decades = xp.stack([4.0 * speed, 2.0 * speed + damping, 6.0 * speed + integral, 0.0 * speed], axis=-1)
-    return base * 10.0**decades
 
-
-def disturbance_of(base: float, setting: Array) -> Array:
-    """Disturbance (...) [rad/s^2 per sqrt(s)] of settings (..., 4), from that of the base."""
-    return base * 10.0 ** setting[..., 3]
+@njit
+def disturbance_of(base: float, setting: Any) -> float:
+    """Disturbance [rad/s^2 per sqrt(s)] of a setting (4,), from that of the base."""
+    return base * 10.0 ** setting[3]

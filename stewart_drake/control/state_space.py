@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.arrays import Array, as_array, namespace, numbers_like
 from stewart_drake.mechanics.force_map import ForceMapKind, force_map
 from stewart_drake.robot import RobotParameters
 
@@ -39,7 +38,7 @@ def mass_diagonal(robot: RobotParameters) -> np.ndarray:
     return np.array([*robot.platform_inertia, *(robot.platform_mass,) * 3])
 
 
-def acceleration_map(robot: RobotParameters, pose: Array, kind: ForceMapKind = "statics") -> np.ndarray:
+def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
     """M^-1 tau of (10): second derivative of the pose per unit of motor torque, in the paper's model.
 
     Args:
@@ -53,8 +52,7 @@ def acceleration_map(robot: RobotParameters, pose: Array, kind: ForceMapKind = "
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    wrenches = force_map(robot, pose, kind)
-    return wrenches / numbers_like(mass_diagonal(robot)[:, None], wrenches)
+    return force_map(robot, pose, kind) / mass_diagonal(robot)[:, None]
 
 
 def state_matrix() -> np.ndarray:
@@ -65,7 +63,7 @@ def state_matrix() -> np.ndarray:
     return matrix
 
 
-def input_matrix(acceleration_map: Array) -> np.ndarray:
+def input_matrix(acceleration_map: np.ndarray) -> np.ndarray:
     """B of (25) from M^-1 tau.
 
     Deviation: (22) prints tau where (10) demands M^-1 tau.
@@ -76,11 +74,8 @@ def input_matrix(acceleration_map: Array) -> np.ndarray:
     Returns:
         (..., 18, 6).
     """
-    acceleration_map = as_array(acceleration_map)
-    xp = namespace(acceleration_map)
-    unmoved = xp.zeros_like(acceleration_map)
-    pairs = xp.reshape(xp.stack([unmoved, acceleration_map], axis=-2), (*unmoved.shape[:-2], 2 * AXES, AXES))
-    matrix: np.ndarray = xp.concat([pairs, unmoved], axis=-2)
+    matrix = np.zeros((*acceleration_map.shape[:-2], STATES, AXES))
+    matrix[..., RATE, :] = acceleration_map
     return matrix
 
 

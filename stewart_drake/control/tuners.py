@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.control.density import DensityKind
-from stewart_drake.control.features import Site
+from stewart_drake.control.density import DensityKind, density_part
+from stewart_drake.control.features import TunerContext
 from stewart_drake.control.network import (
     TunerNetwork,
     default_network_path,
@@ -22,7 +22,7 @@ from stewart_drake.control.policy import Chooser, Policy, Schedule, default_poli
 from stewart_drake.control.robot_gains import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.control.settings import disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.sampling import Sampled
+from stewart_drake.part import Part
 from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Window
 
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
@@ -35,28 +35,8 @@ class Levels(NamedTuple):
     least: float = 1.0
 
 
-class TunerSite(NamedTuple):
-    """What a tuner is built for.
-
-    Attributes:
-        period: [s] of a tick.
-        noise: [rad] of a reading, as the observer believes it.
-        latency: [s] from a reading to its torque, as believed.
-        length: [m] characteristic length of the robot.
-        disturbance: [rad/s^2 per sqrt(s)] that the observer expects where no tuner says otherwise.
-        compiled: See `Scenario.compiled`.
-    """
-
-    period: float
-    noise: float
-    latency: float
-    length: float
-    disturbance: float
-    compiled: bool = False
-
-
 class Tuner(Section, ABC, key="tuner"):
-    """What every tuner has; what runs it, `registry.TUNERS.system`, gives weights for densities."""
+    """What every tuner has."""
 
     kind: str
     density: DensityKind = "magnitude"
@@ -84,6 +64,14 @@ class Tuner(Section, ABC, key="tuner"):
     def listens(self) -> bool:
         """Whether it needs the innovations of an observer."""
         return False
+
+    def density_part(self) -> Part:
+        """The densities in a loop; they are logged whether a network hears them or not."""
+        return density_part(self.window, self.density)
+
+    def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - nothing depends on it here
+        """What changes the weights in a loop, see `part.Setup`; nothing where they stay."""
+        return ()
 
     def network(self) -> TunerNetwork | None:
         """The network that it asks, or None where the weights stay.
@@ -154,7 +142,7 @@ class BlockTuner(BlockWeights):
 
 
 class AnnTuner(PairTuner):
-    """Weights from the paper's neural network, Fig. 5; `systems.AnnTuner` is the LeafSystem that runs it."""
+    """Weights from the paper's neural network, Fig. 5."""
 
     kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
@@ -162,7 +150,7 @@ class AnnTuner(PairTuner):
 
     @property
     def label(self) -> str:
-        """See `Tuner.label`."""
+        """What its weights are, for titles."""
         return "Output of the ANN"
 
     def network(self) -> TunerNetwork:
@@ -178,8 +166,12 @@ class AnnTuner(PairTuner):
                 raise ConfigurationError(f"tuner.{key}", value, f"{low:g} to {high:g}, as {path} was trained on")
         return network
 
+    def parts(self, setup: Any) -> tuple[Part, ...]:  # noqa: ARG002 - a density has no unit
+        """The network in a loop."""
+        return (network_part(self.network(), self.weights),)
+
     def content(self) -> str:
-        """See `Tuner.content`."""
+        """Text of its weights file."""
         return read_weights(default_network_path() if self.weights_file is None else Path(self.weights_file))
 
 
@@ -200,8 +192,8 @@ class SettingTuner(BlockWeights):
         """
 
     @property
-    def taste(self) -> float:
-        """[-] kappa, see `features.Site`."""
+    def smoothness(self) -> float:
+        """[-] kappa, see `features.TunerContext`."""
         return 0.0
 
     @property
@@ -211,14 +203,22 @@ class SettingTuner(BlockWeights):
 
     @property
     def levels(self) -> Levels:
-        """See `Tuner.levels`."""
+        """What it makes of the disturbance that the observer expects."""
         chooser = self.chooser()
         return Levels(float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest)))
 
     @property
     def listens(self) -> bool:
-        """See `Tuner.listens`."""
+        """Whether it needs the innovations of an observer."""
         return True
+
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The tuner in a loop: of `setup` period, noise, latency, robot and the base's disturbance."""
+        base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
+        length = setup.robot.characteristic_length
+        context = TunerContext(setup.period, setup.noise, setup.latency, length, self.smoothness)
+        part = setting_part(self.chooser(), context, base, setup.disturbance)
+        return (part._replace(says={"disturbance": "expected_disturbance"}),)
 
 
 class PolicyTuner(SettingTuner):
@@ -232,20 +232,20 @@ class PolicyTuner(SettingTuner):
 
     @property
     def label(self) -> str:
-        """See `Tuner.label`."""
+        """What its weights are, for titles."""
         return "Output of the policy"
 
     @property
-    def taste(self) -> float:
-        """See `SettingTuner.taste`."""
+    def smoothness(self) -> float:
+        """[-] kappa."""
         return self.kappa
 
     def chooser(self) -> Policy:
-        """See `SettingTuner.chooser`."""
+        """What wants a setting."""
         return load_policy(self.weights_file)
 
     def content(self) -> str:
-        """See `Tuner.content`."""
+        """Text of its weights file."""
         return read_weights(default_policy_path() if self.weights_file is None else Path(self.weights_file))
 
 
@@ -267,27 +267,9 @@ class ScheduleTuner(SettingTuner):
 
     @property
     def label(self) -> str:
-        """See `Tuner.label`."""
+        """What its weights are, for titles."""
         return "Weights of the schedule"
 
     def chooser(self) -> Schedule:
-        """See `SettingTuner.chooser`."""
+        """What wants a setting."""
         return Schedule(np.array(self.calm), np.array(self.alert), self.threshold, self.hold)
-
-
-def held_weights(options: Tuner, site: TunerSite) -> Sampled:  # noqa: ARG001 - nothing depends on it
-    """Weights that stay, whatever is heard."""
-    return Sampled(np.array(options.weights), lambda *heard: heard[-1])
-
-
-def asked_weights(options: AnnTuner, site: TunerSite) -> Sampled:
-    """Weights of the network, see `network_part`."""
-    first, tick = network_part(options.network(), options.weights, site.compiled)
-    return Sampled(first, lambda densities, *heard: tick(densities, heard[-1]))
-
-
-def chosen_settings(options: SettingTuner, site: TunerSite) -> Sampled:
-    """Settings, see `setting_part`."""
-    base = np.array([options.q_pose, options.q_rate, options.q_integral, options.r])
-    at = Site(site.period, site.noise, site.latency, site.length, options.taste)
-    return setting_part(options.chooser(), at, base, site.disturbance, site.compiled)

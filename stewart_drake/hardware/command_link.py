@@ -1,70 +1,24 @@
-"""The link from the controller to the motors: ticks that are dropped or late, commands that are corrupted; pure."""
+"""The way of a command to the motors: a constant delay; ticks that are dropped or late, commands that are corrupted."""
 
 from __future__ import annotations
 
 import contextlib
-import math
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import UnreachablePoseError
-from stewart_drake.families import Table
-from stewart_drake.hardware.faults import Fault, FaultKind
+from stewart_drake.hardware.faults import CommandFault, Signal
 from stewart_drake.hardware.seeded import tick_uniform
+from stewart_drake.jit import fields, new_record, njit
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.registry import COMMAND_FAULTS
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.sampling import Sampled
-from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Real, Section, Seed, Share, Text
-
-MEMORY_SIZE = 16
-"""Command 6, its age, command under way 6, step at which that is due, its tick, tick of the command in force."""
+from stewart_drake.section import Natural, NotNegative, Section, Seed, Share
 
 _STREAM = 3
-
-
-class Command(NamedTuple):
-    """What a fault of a command finds: torque (6,) [N m], and the number of the tick."""
-
-    torque: np.ndarray
-    tick: int
-
-
-def _nan(fault: Any, now: Command) -> None:
-    now.torque[fault.channels] = math.nan
-
-
-def _inf(fault: Any, now: Command) -> None:
-    now.torque[fault.channels] = math.inf
-
-
-def _offset(fault: Any, now: Command) -> None:
-    now.torque[fault.channels] += fault.size
-
-
-def _chatter(fault: Any, now: Command) -> None:
-    now.torque[fault.channels] += fault.size * (-1.0) ** now.tick
-
-
-NAN, INF, OFFSET, CHATTER = FaultKind(_nan), FaultKind(_inf), FaultKind(_offset), FaultKind(_chatter)
-
-
-class CommandFault(Fault, key="link.faults"):
-    """Commands that a broken controller would send."""
-
-    kinds: ClassVar[Table] = COMMAND_FAULTS
-    kind: Annotated[Text, COMMAND_FAULTS]
-    """nan and inf in place of the torque; offset: `size` is added; chatter: `size` is added in one tick and
-    subtracted in the next."""
-    leg: LegNumber | None = None
-    """0 to 5; null for all."""
-    duration: Positive | None = None
-    """[s] after which commands are correct again; null for never."""
-    size: Real = 0.0
-    """[N m] of offset and chatter."""
 
 
 class LinkOptions(Section, key="link"):
@@ -110,47 +64,57 @@ class LinkOptions(Section, key="link"):
         return "late" if tick in self._listed[1] or late < self.late_probability else "arrives"
 
 
-def link_step(
-    options: LinkOptions, steps_per_tick: int, step: int, time: float, command: np.ndarray, memory: np.ndarray
-) -> np.ndarray:
-    """One step of the plant: what has arrived by then.
+LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
+"""torque: in force [N m]. age: of it, counted from the newest tick there was [ticks]. steps: done. arriving: under way
+[N m]. due: step at which that arrives, 0 for none. sent: its tick. arrived: tick of the command in force."""
+
+
+def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Part:
+    """What has arrived by each step of the plant: `torque` (6,) [N m] and `time` (1,) [s] -> `torque`, `age`.
 
     Args:
         options: See `LinkOptions`.
         steps_per_tick: Steps of the plant in a control period.
-        step: 0, 1, ...
-        time: [s] of the step.
-        command: (6,) [N m] that the controller says now.
-        memory: (16,) of the step before, see `MEMORY_SIZE`; zeros before the first.
-
-    Returns:
-        (16,): first the command (6,) [N m] in force and its age [ticks], counted from the newest tick there was.
+        initial: (6,) [N m] until the first command arrives.
     """
-    held, arriving = np.array(memory[:6]), np.array(memory[7:13])
-    due, sent, arrived = memory[13:16]
-    if due > 0.0 and step >= due:
-        held, arrived, due = arriving, sent, 0.0
-    tick, within = divmod(step, steps_per_tick)
-    if within == 0:
-        command = np.array(command, dtype=float)
-        for fault in options.faults:
-            fault.spoil(time, Command(command, tick))
-        fate = options.fate(tick, time)
-        if fate == "arrives":
-            held, arrived, due = command, float(tick), 0.0
-        elif fate == "late":
-            arriving, sent, due = command, float(tick), float(step + options.late_steps)
-    return np.concatenate([held, [tick - arrived], arriving, [due, sent, arrived]])
+
+    def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+        now: Any = state[0]
+        step = int(now["steps"])
+        if now["due"] > 0.0 and step >= now["due"]:
+            now["torque"], now["arrived"], now["due"] = now["arriving"], now["sent"], 0.0
+        number, within = divmod(step, steps_per_tick)
+        if within == 0:
+            signal = Signal(np.array(torque, dtype=float), float(time[0]), number)
+            for fault in options.faults:
+                fault.spoil(signal)
+            fate = options.fate(number, signal.time)
+            if fate == "arrives":
+                now["torque"], now["arrived"], now["due"] = signal.says, number, 0.0
+            elif fate == "late":
+                now["arriving"], now["sent"], now["due"] = signal.says, number, step + options.late_steps
+        now["age"], now["steps"] = number - now["arrived"], step + 1
+
+    first = new_record(LINK_STATE, torque=initial)
+    return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
 
 
-def command_link(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Sampled:
-    """`link_step` as a part of a loop, of command (6,), time [s] and step; `initial` (6,) until the first arrives."""
+@njit
+def _delay_tick(torque: Any, out: Any, under_way: Any) -> None:
+    out[0] = under_way[0, 0]
+    for row in range(under_way.shape[1] - 1):
+        under_way[0, row] = under_way[0, row + 1]
+    under_way[0, -1] = torque
 
-    def tick(command: np.ndarray, time: float, step: int, memory: np.ndarray) -> np.ndarray:
-        return link_step(options, steps_per_tick, step, time, command, memory)
 
-    # Age 0 before the first: nothing is overdue at the start.
-    return Sampled(np.concatenate([initial, np.zeros(10)]), tick)
+def delay_part(ticks: int, initial: np.ndarray) -> Part:
+    """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
+    first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
+
+    def tick(torque: np.ndarray, state: np.ndarray) -> None:
+        _delay_tick(torque, state["torque"], state["under_way"])
+
+    return Part("command_delay", {"torque": 6}, ("torque",), first, tick)
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:

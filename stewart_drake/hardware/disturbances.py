@@ -29,7 +29,7 @@ class ConstantWrench(Section, key="disturbances"):
     kind: Literal["constant"] = "constant"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`."""
+        """Wrench (..., 6) at times (...) [s]."""
         return np.broadcast_to(np.array(self.wrench), (*np.shape(time), 6))
 
 
@@ -45,12 +45,12 @@ class StepWrench(Section, key="disturbances"):
     kind: Literal["step"] = "step"
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """The interval is one."""
         if self.until is not None and not self.until > self.time:
             raise ConfigurationError("until", self.until, f"a time after {self.time:g} s, or null")
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`."""
+        """Wrench (..., 6) at times (...) [s]."""
         return _within(time, self.time, math.inf if self.until is None else self.until) * np.array(self.wrench)
 
 
@@ -69,7 +69,7 @@ class ImpulseWrench(Section, key="disturbances"):
     kind: Literal["impulse"] = "impulse"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`."""
+        """Wrench (..., 6) at times (...) [s]."""
         during = _within(time, self.time, self.time + self.duration)
         return during * (np.array(self.impulse) / self.duration)
 
@@ -86,7 +86,7 @@ class SineWrench(Section, key="disturbances"):
     kind: Literal["sine"] = "sine"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`."""
+        """Wrench (..., 6) at times (...) [s]."""
         angle = 2.0 * math.pi * self.frequency * np.asarray(time, dtype=float)[..., None] + self.phase
         return np.sin(angle) * np.array(self.wrench)
 
@@ -108,12 +108,12 @@ class NoiseWrench(Section, key="disturbances"):
     kind: Literal["noise"] = "noise"
 
     def rules(self) -> None:
-        """See `Section.rules`."""
+        """The interval is one."""
         if not self.high > self.low:
             raise ConfigurationError("high", self.high, f"above low, {self.low:g} Hz")
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`."""
+        """Wrench (..., 6) at times (...) [s]."""
         frequency, phase = self._sines
         angle = 2.0 * math.pi * frequency * np.asarray(time, dtype=float)[..., None, None] + phase
         return np.sqrt(2.0 / _SINES) * np.array(self.rms) * np.sin(angle).sum(axis=-1)
@@ -132,7 +132,7 @@ class UserDisturbance(UserMade, key="disturbances"):
     asked = "evaluate(t) returns a wrench (6,)"
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """See `total_wrench`.
+        """Wrench (..., 6) at times (...) [s].
 
         Raises:
             ConfigurationError: The class cannot be used, or answers something else.

@@ -1,255 +1,227 @@
-"""Pose and rate of the platform from the motor encoders alone."""
+"""Pose and rate of the platform from the motor encoders alone: forward kinematics, and differences of the angles."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
-from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
 
-from stewart_drake.compiled.constants import CHAIN_STATE, ESTIMATOR_MEMORY, ESTIMATOR_NUMBERS, SAME_BRANCH, filled
 from stewart_drake.errors import (
     AssemblyModeError,
+    ForwardKinematicsError,
     RunFailure,
     SingularPoseError,
     UnreachablePoseError,
     pose_text,
 )
-from stewart_drake.hardware.seeded import tick_normal
-from stewart_drake.hardware.sensing import Estimate, LoopSite
-from stewart_drake.hardware.sensor_faults import EncoderFault, SensorOptions, faulty_sensor
-from stewart_drake.mechanics.kinematics import (
-    crank_rates,
+from stewart_drake.hardware.sensors import EncoderOptions
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    NO_CONVERGENCE,
+    NOT_FINITE,
+    OK,
+    PARALLEL,
+    SERIAL,
     forward_kinematics,
-    leg_geometry,
-    rod_lines,
-    twist_to_pose_rate,
+    legs_at,
+    rate_of,
+    robot_record,
 )
+from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST
-from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.sampling import WELL, Running, Sampled
-from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Seed, Vector6
-
-_M = ESTIMATOR_MEMORY
-MEMORY_SIZE: int = _M.size
-"""Pose 6, pose rate 6, angles 6, crank rates 6, ticks held, sign of the assembly mode, ticks done (0 or 1)."""
-
-_STREAM = 1
-"""Of random numbers, see `seeded`."""
+from stewart_drake.section import Section
 
 TOLERANCE = 1e-12
 """[m] rod-length error at which Newton's method stops."""
 ITERATIONS = 12
 """Newton steps at most; a warm start needs two."""
+SAME_BRANCH = 1.0 - 1e-6
+"""Cosine between a crank and the inverse kinematics of the pose found from it; below, it is the other branch's."""
+TOO_FAST, OTHER_MODE = 10, 11
+"""How a tick may end beside the statuses of `kinematics_laws`."""
 
 
-class EncoderOptions(SensorOptions):
-    """Motor encoders, and the estimator that knows nothing else."""
+class EstimatorOptions(Section, key="estimator"):
+    """Base of the options of estimators."""
 
-    kind: Literal["encoders"] = "encoders"
-    resolution_bits: Annotated[Natural, Field(le=40)] = 17
-    """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
-    offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """[rad] reading minus true angle of each motor: an error of homing."""
-    noise: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
-    """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
-    noise_seed: Seed = 0
-    """Of the noise."""
-    faults: tuple[EncoderFault, ...] = ()
-    """Encoders that fail, in order: each acts on what those before it left of the readings."""
-    rate_cutoff: Positive | None = None
-    """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
-    max_speed: Positive = 60.0
-    """[rad/s] a reading that has moved faster than this is rejected."""
-    max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
-    """[rad, m] a pose further than this from the last one, at first from the start, is rejected: Newton has found
-    another assembly mode."""
-    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
-    """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
-
-    @cached_property
-    def quantum(self) -> float:
-        """[rad] of one count; 0 for none."""
-        return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
+    kind: str
 
     @property
-    def reading_noise(self) -> float:
-        """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
-        return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
+    def exact(self) -> bool:
+        """Whether it passes on what a sensor of pose and rate says."""
+        return False
 
-    def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
-        """What the encoders say, while none fails.
+    @property
+    def expected(self) -> float:
+        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for no observer."""
+        return 0.0
 
-        Args:
-            crank_angles: (..., 6) [rad] true.
-            tick: Whose noise it has; None for none.
+    def ahead(self, delay: int) -> int:
+        """[ticks] from a command to its torque, as believed, of those that it takes."""
+        return delay
 
-        Returns:
-            (..., 6) [rad].
-        """
-        angles = crank_angles + self.read_offset
-        if tick is not None and self.noise > 0.0:
-            angles = angles + self.noise * tick_normal(self.noise_seed, _STREAM, tick, 6)
-        return np.rint(angles / self.quantum) * self.quantum if self.quantum else angles
+    def innovation_scale(self, setup: Setup) -> tuple[float, float]:  # noqa: ARG002 - there are none
+        """What the innovations of an observer mean, see `observer.innovation_scale`."""
+        return 0.0, 1.0
 
-    def reader(self, compiled: bool) -> Callable[[np.ndarray, int], np.ndarray]:
-        """`read` of angles (6,) at a tick, compiled or not."""
-        if not compiled:
-            return self.read
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.estimator import read
-
-        offset, quantum, nothing = self.read_offset, self.quantum, np.zeros(6)
-
-        def fast(crank_angles: np.ndarray, tick: int) -> np.ndarray:
-            result = np.empty(6)
-            drawn = tick_normal(self.noise_seed, _STREAM, tick, 6) if self.noise > 0.0 else nothing
-            read(crank_angles, offset, self.noise, drawn, quantum, result)
-            return result
-
-        return fast
-
-    @cached_property
-    def read_offset(self) -> np.ndarray:
-        """`offset` (6,) [rad] as an array."""
-        return np.array(self.offset)
-
-    def smoothing(self, period: float) -> float:
-        """Share of a new difference in the filtered crank rate, 1 without a low pass."""
-        return 1.0 if self.rate_cutoff is None else 1.0 - math.exp(-2.0 * math.pi * self.rate_cutoff * period)
+    def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002
+        """What makes of `reading` the signal `measurement`; none where that is the reading itself."""
+        return ()
 
 
-FlatEstimate = Callable[[np.ndarray, np.ndarray], np.ndarray]
+class DifferenceOptions(EstimatorOptions):
+    """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
+
+    kind: Literal["difference"] = "difference"
+
+    @property
+    def exact(self) -> bool:
+        """It is."""
+        return True
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `EstimatorOptions`."""
+        if setup.reading == 12:
+            return ()
+        return (difference_part(setup.robot, setup.sensors, setup.period, setup.pose, setup.pose_rate),)
 
 
-def initial_memory(pose: np.ndarray, crank_rates: np.ndarray | None = None) -> np.ndarray:
-    """Memory (27,) before the first tick.
-
-    Args:
-        pose: (6,) [rad, m] roughly where the platform stands.
-        crank_rates: (6,) [rad/s] of a robot that is in motion at the start; None for one at rest.
-    """
-    memory = np.zeros(MEMORY_SIZE)
-    memory[: _M.rate] = pose
-    memory[_M.crank_rates : _M.held] = 0.0 if crank_rates is None else crank_rates
-    return memory
+SETUP = fields(period=(), smoothing=(), max_speed=(), max_turn=(), max_shift=(), hold_ticks=())
+"""[s], share of a new difference in the filtered crank rate, [rad/s], [rad], [m], [ticks]; see `EncoderOptions`."""
+STATE = fields(measurement=12, health=2, angles=6, crank_rate=6, held=(), side=(), started=(), candidate=6)
+"""measurement: pose and its rate [rad, m and 1/s]. angles: the last that were believed [rad]. crank_rate: filtered
+[rad/s]. held: ticks since. side: sign of the rods' determinant. candidate: pose that was found in the last tick, which
+need not have been believed."""
 
 
-def estimate(
-    robot: RobotParameters, options: EncoderOptions, period: float, angles: np.ndarray, memory: np.ndarray
-) -> np.ndarray:
+@njit
+def difference_tick(robots: Any, setups: Any, angles: Any, states: Any) -> Any:
     """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles.
 
     Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
-    has one reading; it repeats the crank rates of `initial_memory`. A pose is
-    believed if no angle has jumped, Newton's method converges near the last pose, and the rods' lines have not changed
-    orientation: between two assembly modes lies a parallel singularity, where their determinant changes sign. The
-    cranks must stand on the robot's branch of the inverse kinematics, which ends at their dead centres.
+    has one reading; it repeats the crank rates that the state has. A pose is believed if no angle has jumped, Newton's
+    method converges near the last pose, and the rods' lines have not changed orientation: between two assembly modes
+    lies a parallel singularity, where their determinant changes sign. The cranks must stand on the robot's branch of
+    the inverse kinematics, which ends at their dead centres. Up to `hold_ticks` failures in a row are bridged by the
+    last good pose and rate.
 
     Args:
-        robot: Geometry.
-        options: See `EncoderOptions`.
-        period: [s].
+        robots: `ROBOT` record.
+        setups: `SETUP` record.
         angles: (6,) [rad] readings.
-        memory: (27,) of the tick before, see `MEMORY_SIZE`; its first 12 are the measurement.
+        states: `STATE` record, in place.
 
     Returns:
-        (27,) of this tick.
-
-    Raises:
-        RunFailure: Readings that are not finite, or have jumped.
-        ForwardKinematicsError: Newton's method does not converge.
-        AssemblyModeError: The pose found is not near the last one (at first: the start), or in another assembly mode.
-        SingularPoseError: A crank at its dead centre or beyond, or rods at a parallel singularity.
+        Status, leg or -1, margin; of NO_CONVERGENCE the steps taken and the error [m] in place of these.
     """
-    started = memory[_M.started] > 0.0
-    if not np.isfinite(angles).all():
-        raise RunFailure(f"encoder readings {pose_text(angles)}: not finite", reason="encoder")
-    if started and np.abs(angles - memory[_M.angles : _M.crank_rates]).max() > options.max_speed * period * (
-        1.0 + memory[_M.held]
-    ):
-        text = f"encoder readings {pose_text(angles)}: changed faster than {options.max_speed:g} rad/s"
-        raise RunFailure(text, reason="encoder")
-    guess = memory[: _M.rate]
-    pose = forward_kinematics(robot, angles, guess, TOLERANCE, ITERATIONS)
-    try:
-        legs = leg_geometry(robot, pose)
-    except UnreachablePoseError as error:
+    state = record(states)
+    status, leg, margin = _estimate(record(robots), record(setups), angles, state, np.empty(1, LEGS))
+    if status != OK and state.started > 0.0 and state.held < record(setups).hold_ticks:
+        state.held += 1.0
+        return OK, -1, 0.0
+    return status, leg, margin
+
+
+@njit
+def _estimate(robot: Any, setup: Any, angles: Any, state: Any, scratch: Any) -> Any:
+    """`difference_tick` without the bridge; where the status is not OK only `candidate` changes."""
+    legs, pose, last = record(scratch), state.candidate, state.measurement
+    started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
+    pose[:] = last[:6]
+    for i in range(6):
+        if not np.isfinite(angles[i]):
+            return NOT_FINITE, -1, 0.0
+    for i in range(6):
+        if started and abs(angles[i] - state.angles[i]) > setup.max_speed * elapsed:
+            return TOO_FAST, -1, 0.0
+    error, steps = forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
+    if not error <= TOLERANCE:
+        return NO_CONVERGENCE, steps, error
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
         # A crank carried across its dead centre, slightly.
-        raise SingularPoseError("serial", pose, error.margin, 0.0, error.leg) from None
-    beyond = np.cos(legs.crank_angles - angles) < SAME_BRANCH
-    if beyond.any():
-        leg = int(beyond.argmax())
-        raise SingularPoseError("serial", pose, -float(abs(legs.transmission[leg])), 0.0, leg)
-    lines = rod_lines(legs)
-    sign = math.copysign(1.0, np.linalg.det(lines))
-    step = np.abs(pose - guess) / np.repeat(options.max_step, 3)
-    if (started and sign != memory[_M.side]) or step.max() > 1.0:
-        raise AssemblyModeError(pose, guess)
-    rate = memory[_M.crank_rates : _M.held]
-    if started:
-        difference = (angles - memory[_M.angles : _M.crank_rates]) / (period * (1.0 + memory[_M.held]))
-        rate = rate + options.smoothing(period) * (difference - rate)
-    try:
-        twist = np.linalg.solve(lines, robot.crank_lengths * legs.transmission * rate)
-    except np.linalg.LinAlgError:
-        raise SingularPoseError("parallel", pose, 0.0, 0.0) from None
-    return np.concatenate([pose, twist_to_pose_rate(pose, twist), angles, rate, [0.0, sign, 1.0]])
+        return SERIAL, bad, legs.reach[bad]
+    for i in range(6):
+        if legs.cosine[i] * np.cos(angles[i]) + legs.sine[i] * np.sin(angles[i]) < SAME_BRANCH:
+            return SERIAL, i, -abs(legs.transmission[i])
+    twist, rate = np.empty((6, 1)), state.crank_rate.copy()
+    for i in range(6):
+        if started:
+            rate[i] += setup.smoothing * ((angles[i] - state.angles[i]) / elapsed - rate[i])
+        twist[i, 0] = legs.lever[i] * rate[i]
+    side = solve(legs.line, twist)
+    near = True
+    for k in range(6):
+        near = near and abs(pose[k] - last[k]) <= (setup.max_turn if k < 3 else setup.max_shift)
+    if not near or (started and side != 0.0 and side != state.side):
+        return OTHER_MODE, -1, 0.0
+    if side == 0.0:
+        return PARALLEL, -1, 0.0
+    state.measurement[:6] = pose
+    rate_of(pose, twist[:, 0], state.measurement[6:])
+    state.angles[:], state.crank_rate[:] = angles, rate
+    state.held, state.side, state.started = 0.0, side, 1.0
+    return OK, -1, 0.0
 
 
-def held_estimate(
-    robot: RobotParameters, options: EncoderOptions, period: float, angles: np.ndarray, memory: np.ndarray
-) -> np.ndarray:
-    """`estimate`, where up to `hold_ticks` failures in a row are bridged by the last good pose and rate.
+def difference_part(
+    robot: RobotParameters, options: EncoderOptions, period: float, pose: np.ndarray, pose_rate: np.ndarray
+) -> Part:
+    """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
-    Raises:
-        RunFailure: As `estimate`, where no good tick came before or they failed too often in a row.
+    Args:
+        robot: As the controller believes it to be.
+        options: Of the encoders.
+        period: [s] of the ticks.
+        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
+        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
     """
-    try:
-        return estimate(robot, options, period, angles, memory)
-    except RunFailure:
-        if memory[_M.started] == 0.0 or memory[_M.held] >= options.hold_ticks:
-            raise
-    held = memory.copy()
-    held[_M.held] += 1.0
-    return held
-
-
-def flat_estimate(robot: RobotParameters, options: EncoderOptions, period: float, compiled: bool) -> FlatEstimate:
-    """`held_estimate` as a function of angles (6,) and memory (27,) alone, compiled or not."""
-    if not compiled:
-        return lambda angles, memory: held_estimate(robot, options, period, angles, memory)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import estimator, mechanism
-
-    packed = mechanism.pack(robot)
-    numbers = filled(
-        ESTIMATOR_NUMBERS,
+    cutoff = options.rate_cutoff
+    setup = new_record(
+        SETUP,
         period=period,
-        smoothing=options.smoothing(period),
+        smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
         max_speed=options.max_speed,
         max_turn=options.max_step[0],
         max_shift=options.max_step[1],
-        tolerance=TOLERANCE,
-        iterations=ITERATIONS,
+        hold_ticks=options.hold_ticks,
     )
+    measurement = np.concatenate([pose, np.zeros(6)])
+    rates = _starting_crank_rates(robot, pose, pose_rate)
+    initial = new_record(STATE, measurement=measurement, health=WELL, crank_rate=rates)
+    own = robot_record(robot)
 
-    def tick(angles: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        result = np.empty(MEMORY_SIZE)
-        if estimator.estimate(packed, numbers, angles, memory, result) == mechanism.OK:
-            return result
-        # Rare: the reference says what was wrong, and bridges it.
-        return held_estimate(robot, options, period, angles, memory)
+    def tick(reading: np.ndarray, state: np.ndarray) -> None:
+        status, leg, margin = difference_tick(own, setup, reading, state)
+        if status != OK:
+            raise _error(status, leg, margin, reading, options, state)
 
-    return tick
+    return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
 
 
-def starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+def _error(
+    status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
+) -> RunFailure:
+    """What is wrong with a tick."""
+    pose, last = state["candidate"][0].copy(), state["measurement"][0, :6].copy()
+    if status == NO_CONVERGENCE:
+        return ForwardKinematicsError(margin, leg)
+    if status == SERIAL:
+        return SingularPoseError("serial", pose, margin, 0.0, leg)
+    if status == PARALLEL:
+        return SingularPoseError("parallel", pose, 0.0, 0.0)
+    if status == OTHER_MODE:
+        return AssemblyModeError(pose, last)
+    what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
+    return RunFailure(f"encoder readings {pose_text(angles)}: {what}", reason="encoder")
+
+
+def _starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
     """Crank rates (6,) [rad/s] of the robot, as believed, at a pose; zeros where it cannot stand there."""
     # In that case the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
@@ -257,52 +229,3 @@ def starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np
         if np.isfinite(rates).all():
             return rates
     return np.zeros(6)
-
-
-class EncoderSensing:
-    """`EncoderOptions` in one run; see `Sensing`."""
-
-    size = 6
-    live = False
-
-    def __init__(self, options: EncoderOptions, site: LoopSite) -> None:
-        self._read = options.reader(site.compiled)
-        self._faulty = Running(faulty_sensor(options.faults, 6, site.period)) if options.faults else None
-        self.angles: np.ndarray | None = None
-
-    def __call__(self, time: float, tick: int, state: np.ndarray) -> np.ndarray:
-        """See `Sensing`."""
-        angles = self._read(state[CHAIN_STATE.angles : CHAIN_STATE.anchor], tick)
-        self.angles = angles if self._faulty is None else self._faulty(time, angles, time)[:6]
-        return self.angles
-
-
-class DifferenceEstimating:
-    """`DifferenceOptions` in one run; see `Estimating`."""
-
-    ahead = 0
-    surprise_scale = None
-
-    def __init__(self, options: object, site: LoopSite, sensors: Any, size: int) -> None:  # noqa: ARG002 - none matter
-        self.live, self._estimate = size == 12, None
-        if not self.live:
-            rates = starting_crank_rates(site.robot, site.pose, site.pose_rate)
-            tick = flat_estimate(site.robot, sensors, site.period, site.compiled)
-            self._estimate = Running(Sampled(initial_memory(site.pose, rates), tick), site.guarded)
-
-    @property
-    def health(self) -> tuple[float, float]:
-        """See `Estimating`."""
-        return WELL if self._estimate is None else self._estimate.health
-
-    def __call__(
-        self,
-        time: float,
-        reading: np.ndarray,
-        sent: np.ndarray,  # noqa: ARG002
-        reference: np.ndarray,  # noqa: ARG002
-        disturbance: np.ndarray | None,  # noqa: ARG002
-    ) -> Estimate:
-        """See `Estimating`."""
-        found = reading if self._estimate is None else self._estimate(time, reading)[:12]
-        return Estimate(found, found)

@@ -1,24 +1,49 @@
-"""What faults of sensors, commands and motors have in common. A kind is a `FaultKind` and a line in the registry."""
+"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while.
+
+What a kind of fault does is one function of the fault and of the signal that it spoils, and a line in the registry.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Table
-from stewart_drake.section import NotNegative, Section
+from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
+from stewart_drake.section import LegNumber, NotNegative, Positive, Real, Section, Text
 from stewart_drake.wording import describe, either
+
+
+@dataclass
+class Signal:
+    """What a fault finds, and spoils in place.
+
+    Attributes:
+        says: (n,) readings or torques, as the faults before have left them.
+        time: [s].
+        tick: Of the controller.
+        good: (n,) the last readings before one of the faults that keep them; of sensors.
+        late: (n,) true readings of as many ticks ago as the fault says; of sensors.
+    """
+
+    says: np.ndarray
+    time: float = 0.0
+    tick: int = 0
+    good: Any = None
+    late: Any = None
 
 
 class FaultKind(NamedTuple):
     """What a kind of fault does.
 
     Attributes:
-        spoil: Called with the section of the fault and with what it spoils, which it changes in place.
+        spoil: Called with the section of the fault and with a `Signal`, whose `says` it changes in place.
         needs: Key that this kind must have, and that is null for kinds that do not need it; empty for none.
         keeps: Whether it goes on from the last good reading, which is then kept; of sensors.
     """
@@ -26,6 +51,35 @@ class FaultKind(NamedTuple):
     spoil: Callable[[Any, Any], None]
     needs: str = ""
     keeps: bool = False
+
+
+def _set(value: Callable[[Any, Signal], Any]) -> Callable[[Any, Signal], None]:
+    """A kind's function, from what its channels say instead."""
+
+    def spoil(fault: Any, signal: Signal) -> None:
+        signal.says[fault.channels] = value(fault, signal)
+
+    return spoil
+
+
+def _swapped(fault: Any, signal: Signal) -> None:
+    pair = [fault.leg, fault.other]
+    signal.says[pair] = signal.says[pair[::-1]]
+
+
+def _now(fault: Any, signal: Signal) -> np.ndarray:
+    return signal.says[fault.channels]
+
+
+NAN, INF = FaultKind(_set(lambda f, s: math.nan)), FaultKind(_set(lambda f, s: math.inf))  # noqa: ARG005
+FREEZE = FaultKind(_set(lambda f, s: s.good[f.channels]), keeps=True)
+REVERSED = FaultKind(_set(lambda f, s: 2.0 * s.good[f.channels] - _now(f, s)), keeps=True)
+LATE = FaultKind(_set(lambda f, s: s.late[f.channels]), needs="delay")
+JUMP = FaultKind(_set(lambda f, s: _now(f, s) + f.size))
+DRIFT = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (s.time - f.time)))
+CHATTER = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (-1.0) ** s.tick))
+INVERTED = FaultKind(_set(lambda f, s: -_now(f, s)))
+SWAPPED = FaultKind(_swapped, needs="other")
 
 
 class Fault(Section):
@@ -36,42 +90,102 @@ class Fault(Section):
     time: NotNegative = 0.0
     """[s] when it begins."""
 
-    @property
-    def does(self) -> FaultKind:
-        """What its kind does."""
-        found: FaultKind = self.kinds[self.kind]
-        return found
+    def has(self, key: str) -> Any:
+        """Value of a key; None where it is null, and where faults of this target have no such key."""
+        return getattr(self, key, None)
 
-    def spoil(self, time: float, what: Any) -> bool:
-        """Does what its kind does, if it is there at this time [s]; whether it is."""
-        duration = getattr(self, "duration", None)
-        acts = self.time <= time < self.time + (math.inf if duration is None else duration)
+    def spoil(self, signal: Signal) -> bool:
+        """Does what its kind does, if it is there at the signal's time; whether it is."""
+        duration = self.has("duration")
+        acts = self.time <= signal.time < self.time + (math.inf if duration is None else duration)
         if acts:
-            self.does.spoil(self, what)
+            self.kinds[self.kind].spoil(self, signal)
         return acts
 
     @property
     def channels(self) -> slice:
         """Entries that it spoils: of its leg, or all."""
-        leg = getattr(self, "leg", None)
+        leg = self.has("leg")
         return slice(None) if leg is None else slice(leg, leg + 1)
 
+    def ticks_late(self, period: float) -> int:
+        """Whole ticks of a period [s] by which it delays a reading; 0 for a kind that does not."""
+        delay = self.has("delay")
+        return 0 if delay is None else math.ceil(delay / period - 1e-6)
+
     def rules(self) -> None:
-        """See `Section.rules`."""
-        leg, other = getattr(self, "leg", None), getattr(self, "other", None)
+        """The keys that the kind needs, and no others."""
         for key in ("delay", "other"):
-            value, kinds = getattr(self, key, None), [n for n in self.kinds.names if self.kinds[n].needs == key]
+            value, kinds = self.has(key), [name for name in self.kinds.names if self.kinds[name].needs == key]
             if value is not None and self.kind not in kinds:
                 raise ConfigurationError(key, value, f"null, but for kind {either(kinds)}")
             if value is None and self.kind in kinds:
                 field = self.__pydantic_fields__[key]
                 raise ConfigurationError(key, value, f"{describe(field.annotation)}, for kind {self.kind}")
+        leg, other = self.has("leg"), self.has("other")
         if other is not None and (leg is None or leg == other):
             key, value = ("leg", leg) if leg is None else ("other", other)
             raise ConfigurationError(key, value, f"a leg from 0 to 5, other than {other if leg is None else leg}")
 
 
-def swap(fault: Any, values: np.ndarray) -> None:
-    """Each of two legs has the other's number."""
-    pair = np.array([fault.leg, fault.other], dtype=int)
-    values[pair] = values[pair[::-1]]
+Delay = Annotated[Positive, Field(le=1.0)]
+"""[s] by which a reading may be late; so many readings are kept."""
+
+
+class EncoderFault(Fault, key="sensors.faults"):
+    """One encoder that fails, or all six at once."""
+
+    kinds: ClassVar[Table] = ENCODER_FAULTS
+    kind: Annotated[Text, ENCODER_FAULTS]
+    """freeze: repeats its last good reading. nan: not a number. jump: off by `size`, as after slipped counts. late:
+    says what it read `delay` ago. drift: off by `size` more each second. reversed: counts backwards from its last good
+    reading. inverted: says the negative angle. swapped: `leg` and `other` say each other's angle."""
+    leg: LegNumber | None
+    """0 to 5; null for all."""
+    duration: Positive | None = None
+    """[s] after which the encoder works again; null for never."""
+    size: Real = 0.0
+    """[rad] of a jump, [rad/s] of a drift."""
+    delay: Delay | None = None
+    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+    other: LegNumber | None = None
+    """0 to 5, of swapped encoders."""
+
+
+class PoseFault(Fault, key="sensors.faults"):
+    """A sensor of pose and rate that fails as a whole."""
+
+    kinds: ClassVar[Table] = POSE_FAULTS
+    kind: Annotated[Text, POSE_FAULTS]
+    """freeze: repeats its last good reading. nan: not a number. late: says what it read `delay` ago."""
+    duration: Positive | None = None
+    """[s] after which the sensor works again; null for never."""
+    delay: Delay | None = None
+    """[s] of a late reading, up to 1; rounded up to whole ticks."""
+
+
+class CommandFault(Fault, key="link.faults"):
+    """Commands that a broken controller would send."""
+
+    kinds: ClassVar[Table] = COMMAND_FAULTS
+    kind: Annotated[Text, COMMAND_FAULTS]
+    """nan and inf in place of the torque; offset: `size` is added; chatter: `size` is added in one tick and
+    subtracted in the next."""
+    leg: LegNumber | None = None
+    """0 to 5; null for all."""
+    duration: Positive | None = None
+    """[s] after which commands are correct again; null for never."""
+    size: Real = 0.0
+    """[N m] of offset and chatter."""
+
+
+class MotorFault(Fault, key="motors.faults"):
+    """Motors wired wrong, for good."""
+
+    kinds: ClassVar[Table] = MOTOR_FAULTS
+    kind: Annotated[Text, MOTOR_FAULTS]
+    """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
+    leg: LegNumber
+    """0 to 5."""
+    other: LegNumber | None = None
+    """0 to 5, of swapped motors."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.errors import UnreachablePoseError
-from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.friction import dry_level
+from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
+from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.friction_options import FrictionOptions
-from stewart_drake.sampling import Sampled
 from stewart_drake.section import Positive
 
 
@@ -24,52 +25,58 @@ class FrictionCompensation(FrictionOptions, key="friction_compensation"):
     width: Positive = 0.002
     """[rad/s] a crank that is to turn at this rate gets 76 % of its dry friction: reversals are that smooth."""
 
-    def torque(self, rates: np.ndarray) -> np.ndarray:
-        """Torques (..., 6) [N m] that keep cranks turning at rates (..., 6) [rad/s]."""
-        coulomb, break_away, stribeck, viscous = np.array(self.levels)
-        level = coulomb + (break_away - coulomb) * np.exp(-((rates / stribeck) ** 2))
-        torque: np.ndarray = level * np.tanh(rates / self.width) + viscous * rates
-        return torque
+
+BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
+"""[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
+STATE = fields(against_friction=6)
+"""[N m]."""
 
 
-FlatFeedforward = Callable[[np.ndarray], np.ndarray]
+@njit
+def against_friction(robots: Any, believed: Any, reference: Any, states: Any) -> None:
+    """Torques g(rate) tanh(rate / width) + viscous rate of cranks that follow a reference.
 
-
-def feedforward(robot: RobotParameters, options: FrictionCompensation, reference: np.ndarray) -> np.ndarray:
-    """Torques (6,) [N m] along a reference (18,); zeros where that is out of reach or a crank at its dead centre.
+    Zeros where the reference is out of reach, or a crank at its dead centre.
 
     Args:
-        robot: As believed.
-        options: See `FrictionCompensation`.
-        reference: Pose [rad, m], its rate and its acceleration.
+        robots: `ROBOT` record.
+        believed: `BELIEVED` record.
+        reference: (18,) pose [rad, m], its rate and its acceleration.
+        states: `STATE` record, out.
     """
-    try:
-        with np.errstate(all="ignore"):
-            rates = crank_rates(robot, leg_geometry(robot, reference[:6]), reference[:6], reference[6:12])
-    except UnreachablePoseError:
-        return np.zeros(6)
-    return options.torque(rates) if np.isfinite(rates).all() else np.zeros(6)
+    _torque(record(robots), record(believed), reference, record(states).against_friction, np.empty(1, LEGS))
 
 
-def flat_feedforward(robot: RobotParameters, options: FrictionCompensation, compiled: bool) -> FlatFeedforward:
-    """`feedforward` as a function of the reference alone, compiled or not."""
-    if not compiled:
-        return lambda reference: feedforward(robot, options, reference)
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import friction
-    from stewart_drake.compiled.mechanism import pack
-
-    packed, levels = pack(robot), np.array(options.levels)
-
-    def tick(reference: np.ndarray) -> np.ndarray:
-        torque = np.zeros(6)
-        friction.feedforward(packed, levels, options.width, reference, torque)
-        return torque
-
-    return tick
+@njit
+def _torque(robot: Any, friction: Any, reference: Any, out: Any, scratch: Any) -> None:
+    legs, twist, rates = record(scratch), np.empty(6), np.empty(6)
+    out[:] = 0.0
+    if legs_at(robot, reference[:6], legs) >= 0:
+        return
+    twist_of(reference[:6], reference[6:12], twist)
+    crank_rates(legs, twist, rates)
+    for i in range(6):
+        if not np.isfinite(rates[i]):
+            return
+    for i in range(6):
+        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
+        out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
 
 
-def feedforward_part(robot: RobotParameters, options: FrictionCompensation, compiled: bool) -> Sampled:
-    """`flat_feedforward` as a part of a loop; it remembers nothing."""
-    answer = flat_feedforward(robot, options, compiled)
-    return Sampled(np.zeros(6), lambda reference, memory: answer(reference))  # noqa: ARG005
+def friction_part(robot: RobotParameters, options: FrictionCompensation) -> Part:
+    """`reference` (18,) -> `against_friction` (6,) [N m], for a robot as believed."""
+    coulomb, break_away, stribeck, viscous = options.levels
+    own = robot_record(robot)
+    believed = new_record(
+        BELIEVED,
+        coulomb=coulomb,
+        break_away=break_away,
+        stribeck_rate=stribeck,
+        viscous=viscous,
+        width=options.width,
+    )
+
+    def tick(reference: np.ndarray, state: np.ndarray) -> None:
+        against_friction(own, believed, reference, state)
+
+    return Part("friction_compensation", {"reference": 18}, ("against_friction",), new_record(STATE), tick)

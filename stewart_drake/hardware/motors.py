@@ -1,20 +1,20 @@
-"""What a motor and its amplifier make of the torque asked for; pure."""
+"""What a motor and its amplifier make of the torque asked for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Table
-from stewart_drake.hardware.faults import Fault, FaultKind, swap
-from stewart_drake.registry import MOTOR_FAULTS
+from stewart_drake.hardware.faults import MotorFault, Signal
+from stewart_drake.jit import fields, new_record
+from stewart_drake.part import Part
 from stewart_drake.robot.leg import LEGS, SMALLEST
-from stewart_drake.section import LegNumber, Natural, NotNegative, Section, Text
+from stewart_drake.section import LegNumber, Natural, NotNegative, Section
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -24,25 +24,6 @@ class DeadMotor(Section, key="motors.dead"):
     """0 to 5."""
     time: NotNegative = 0.0
     """[s] when it dies."""
-
-
-def _reversed(fault: Any, torque: np.ndarray) -> None:
-    torque[fault.leg] *= -1.0
-
-
-REVERSED, SWAPPED = FaultKind(_reversed), FaultKind(swap, needs="other")
-
-
-class MotorFault(Fault, key="motors.faults"):
-    """Motors wired wrong, for good."""
-
-    kinds: ClassVar[Table] = MOTOR_FAULTS
-    kind: Annotated[Text, MOTOR_FAULTS]
-    """reversed: a torque of the other sign. swapped: each of two motors gives the other's torque."""
-    leg: LegNumber
-    """0 to 5."""
-    other: LegNumber | None = None
-    """0 to 5, of swapped motors."""
 
 
 class MotorOptions(Section, key="motors"):
@@ -85,12 +66,22 @@ class MotorOptions(Section, key="motors"):
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
         for fault in self.faults:
-            fault.spoil(time, torque)
+            fault.spoil(Signal(torque, time))
         if self.ripple > 0.0:
             torque += self.ripple * np.sin(self.ripple_periods * crank_angles)
         if self.dead is not None and time >= self.dead.time:
             torque[self.dead.leg] = 0.0
         return torque
+
+
+def motor_part(options: MotorOptions) -> Part:
+    """`torque` (6,) [N m], `time` (1,) [s], `crank_state` (12,), angles [rad] and rates -> `torque` that they give."""
+
+    def tick(torque: np.ndarray, time: np.ndarray, crank_state: np.ndarray, state: np.ndarray) -> None:
+        state["torque"][0] = options.torque(torque, crank_state[:6], float(time[0]))
+
+    inputs = {"torque": 6, "time": 1, "crank_state": 12}
+    return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 Between two ticks the exact model says what the known torques do. What else happens is one more acceleration of each
 crank, which nobody knows and which wanders. A reading then corrects all three, by the steady Kalman filter of
 
-    theta' = rate,  rate' = model + surplus + white noise,  surplus' = white noise,  reading = theta + white noise,
+    theta' = rate,  rate' = model + disturbance + white noise,  disturbance' = white noise,
+    reading = theta + white noise,
 
 the same for each crank. In the cranks' coordinates noise is alike in all directions and the gains are three numbers,
 however the robot stands. Source of the filter's closed form: the spectral factorisation of its Riccati equation, see
@@ -16,31 +17,35 @@ friction it stays as it is while the reference rests and all cranks stand where 
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.compiled.constants import OBSERVER_MEMORY, OBSERVER_NUMBERS, WHITE_SHARE, filled
-from stewart_drake.errors import RunFailure, SingularPoseError, UnreachablePoseError, pose_text
-from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, task_inertia
-from stewart_drake.mechanics.kinematics import (
-    leg_geometry,
-    pose_jacobian,
-    pose_rate_to_twist,
-    rod_lines,
-    twist_jacobian,
-    twist_to_pose_rate,
+from stewart_drake.errors import ConfigurationError, RunFailure, SingularPoseError, UnreachablePoseError, pose_text
+from stewart_drake.hardware.estimator import EstimatorOptions, difference_part
+from stewart_drake.hardware.sensors import EncoderOptions
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics import pose_acceleration_map
+from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    OK,
+    PARALLEL,
+    SERIAL,
+    UNREACHABLE,
+    angular_velocity,
+    dot,
+    legs_at,
+    rate_of,
+    robot_record,
 )
+from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.spectral import spectral_factor
+from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Natural, Positive, Section
-from stewart_drake.spectral import filter_cubic, filter_read, spectral_factor
-
-_M = OBSERVER_MEMORY
+from stewart_drake.section import Natural, Positive
 
 SMALLEST_NOISE = 1e-5
 """[rad] that readings have at least for the observer: finer than that no model is."""
@@ -50,42 +55,18 @@ SLIP = 4.0
 """[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
 NOISE_AT_MOST = 8.0
 """Standard deviations of a reading that an innovation of noise and counts alone has at most."""
-SHARE = WHITE_SHARE
+WHITE_SHARE = 1.5
 """[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
-none the loop that feeds the surplus back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake margins`)."""
+none the loop that feeds the disturbance back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake
+margins`)."""
 RESTS = 1e-4
 """[rad/s] a crank that is to turn more slowly is to rest."""
-
-
-class EstimatorOptions(Section, key="estimator"):
-    """Base of the options of estimators."""
-
-    kind: str
-
-    @property
-    def exact(self) -> bool:
-        """Whether it passes on what a sensor of pose and rate says."""
-        return False
-
-    @property
-    def expected(self) -> float:
-        """[rad/s^2 per sqrt(s)] that an observer expects unless a tuner says otherwise; 0 for no observer."""
-        return 0.0
-
-    def ahead(self, delay: int) -> int:
-        """[ticks] from a command to its torque, as believed, of those that it takes."""
-        return delay
-
-
-class DifferenceOptions(EstimatorOptions):
-    """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
-
-    kind: Literal["difference"] = "difference"
-
-    @property
-    def exact(self) -> bool:
-        """See `EstimatorOptions`."""
-        return True
+LONGEST_DELAY = 100
+"""[ticks] of a command that may be under way; the state has place for so many, whatever the delay is."""
+FARTHEST = 0.3
+"""[s] beyond which a prediction says nothing any more; assumed."""
+MISSING, FIRST = 20, 21
+"""How a tick may end beside the statuses of `kinematics_laws`."""
 
 
 class ObserverOptions(EstimatorOptions):
@@ -95,7 +76,7 @@ class ObserverOptions(EstimatorOptions):
     disturbance: Annotated[Positive, Field(le=1e6)] = 16.0
     """[rad/s^2 per sqrt(s)] by which the unexplained part of each crank's acceleration is expected to change in a
     second: low is quiet, high is stiff. With the noise of the readings it sets the bandwidth."""
-    delay: Annotated[Natural, Field(le=100)] | None = None
+    delay: Annotated[Natural, Field(le=LONGEST_DELAY)] | None = None
     """[ticks] from a command to its torque, as believed; null takes `command_delay`. The controller gets the state, and
     the reference, of the time at which its command acts."""
     max_innovation: Positive = 0.05
@@ -105,302 +86,383 @@ class ObserverOptions(EstimatorOptions):
 
     @property
     def expected(self) -> float:
-        """See `EstimatorOptions`."""
+        """Its own, unless a tuner says otherwise."""
         return self.disturbance
 
     def ahead(self, delay: int) -> int:
-        """See `EstimatorOptions`."""
+        """[ticks] of its own, or those of the commands."""
         return delay if self.delay is None else self.delay
 
+    def innovation_scale(self, setup: Setup) -> tuple[float, float]:
+        """See `EstimatorOptions`."""
+        return innovation_scale(setup.noise, self.disturbance * setup.levels[1], setup.period)
 
-class KalmanGains(NamedTuple):
-    """What an innovation of 1 rad adds.
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `EstimatorOptions`."""
+        part = observer_part(
+            setup.robot,
+            self,
+            setup.gravity,
+            setup.period,
+            setup.noise,
+            setup.pose,
+            setup.pose_rate,
+            setup.still,
+            command_delay=setup.delay,
+            friction=setup.friction,
+            size=setup.reading,
+        )
+        return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
 
-    Attributes:
-        angle: [-] to the crank's angle.
-        rate: [1/s] to its rate.
-        surplus: [1/s^2] to the unexplained acceleration.
-    """
 
-    angle: float
-    rate: float
-    surplus: float
+SETUP = fields(period=(), gravity=(), noise=(), max_innovation=(), hold_ticks=(), arrived=(), slip=(), delay=())
+"""period [s]. gravity [m/s^2]. noise: of a reading [rad]. max_innovation [rad]. hold_ticks [ticks]. arrived: within
+which a crank stands where it is wanted [rad], negative for motors without friction. slip: of a crank by `SLIP` of the
+largest break-away torque [rad/s^2]. delay: of the commands [ticks]."""
+STATE = fields(
+    measurement=12, ahead=12, compensation=6, innovation=6, health=2,
+    disturbance=6, missed=6, side=(), commands=(LONGEST_DELAY + 1, 6),
+)  # fmt: skip
+"""measurement: pose and rate now [rad, m and 1/s]. ahead: likewise when the command of this tick will act.
+compensation: against what is not explained, for the command [N m]. innovation: readings less what was expected of
+them, 0 where one is missing [rad]. disturbance: acceleration of the cranks that the model does not explain [rad/s^2].
+missed: ticks in a row without a reading. side: sign of the rods' determinant, 0 before the first tick. commands: the
+last `delay` + 1, oldest first [N m]."""
 
 
+@njit
 def bandwidth(noise: float, disturbance: float, period: float) -> float:
     """[rad/s] of the observer: geometric mean of its three poles in continuous time."""
-    return float((float(disturbance) / (noise * math.sqrt(period))) ** (1.0 / 3.0))
+    return (disturbance / (noise * np.sqrt(period))) ** (1.0 / 3.0)
 
 
-def kalman_gains(noise: float, disturbance: float, period: float) -> KalmanGains:
+@njit
+def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float, float, float]:
     """Gains of the steady Kalman filter of one crank, in closed form.
 
     With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
-    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: surplus and acceleration reach
-    the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
+    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: disturbance and acceleration
+    reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
 
     Args:
         noise: [rad] standard deviation of a reading.
         disturbance: [rad/s^2 per sqrt(s)], see `ObserverOptions`.
-        period: [s].
+        period: h [s].
+
+    Returns:
+        What an innovation of 1 rad adds to the crank's angle [-], rate [1/s] and disturbance [1/s^2].
     """
     turn = bandwidth(noise, disturbance, period) * period
-    wandering, white = turn**6, SHARE**2 * turn**4
-    factor = spectral_factor(*map(np.float64, filter_cubic(wandering, white)))
-    return KalmanGains(*map(float, filter_read(factor, period)))
+    wandering, white = turn**6, WHITE_SHARE**2 * turn**4
+    c2, c1, c0, low = spectral_factor(0.25 * white + wandering / 16.0, white + 0.5 * wandering, wandering)
+    return (c2 + 0.25 * c0) * low, c1 * low / period, c0 * low / period**2
 
 
-class ObserverMemory(NamedTuple):
-    """What a tick says, and what the next one needs of it.
-
-    Attributes:
-        pose: (6,) [rad, m] now.
-        rate: (6,) [rad/s, m/s] now.
-        pose_ahead: (6,) when the command of this tick will act.
-        rate_ahead: (6,) likewise.
-        compensation: (6,) [N m] against what is not explained, for the command.
-        innovation: (6,) [rad] readings less what was expected of them; 0 where one is missing.
-        surplus: (6,) [rad/s^2] acceleration of the cranks that the model does not explain.
-        missed: (6,) ticks in a row without a reading.
-        side: Sign of the rods' determinant; 0 before the first tick.
-        commands: (delay + 1, 6) [N m] the last, oldest first.
-    """
-
-    pose: np.ndarray
-    rate: np.ndarray
-    pose_ahead: np.ndarray
-    rate_ahead: np.ndarray
-    compensation: np.ndarray
-    innovation: np.ndarray
-    surplus: np.ndarray
-    missed: np.ndarray
-    side: np.ndarray
-    commands: np.ndarray
-
-    def flat(self) -> np.ndarray:
-        """All in one vector (61 + 6 (delay + 1),), in the order of the attributes."""
-        return np.concatenate([np.ravel(each) for each in self])
-
-    @classmethod
-    def from_flat(cls, values: np.ndarray) -> ObserverMemory:
-        """Inverse of `flat`."""
-        parts = [values[start:end] for start, end in itertools.pairwise(_M)]
-        return cls(*(*parts, values[_M.size :].reshape(-1, 6)))
-
-
-class Observer(NamedTuple):
-    """What stays the same from tick to tick.
-
-    Attributes:
-        robot: As believed.
-        options: See `ObserverOptions`.
-        gravity: [m/s^2].
-        period: [s].
-        noise: [rad] standard deviation of a reading, see `SensorOptions.reading_noise`.
-        friction: [N m] largest break-away torque that the motors are believed to have.
-        least: [-] smallest share of the options' disturbance that a tuner may ask for.
-    """
-
-    robot: RobotParameters
-    options: ObserverOptions
-    gravity: float
-    period: float
-    noise: float
-    friction: float = 0.0
-    least: float = 1.0
-
-    @property
-    def reading_noise(self) -> float:
-        """[rad] of a reading, at least `SMALLEST_NOISE`."""
-        return max(self.noise, SMALLEST_NOISE)
-
-    def gains(self, disturbance: float) -> KalmanGains:
-        """Of the filter, for a disturbance as in `ObserverOptions`."""
-        return kalman_gains(self.reading_noise, disturbance, self.period)
-
-    @property
-    def slip(self) -> float:
-        """[rad/s^2] of a crank by `SLIP` of the largest break-away torque."""
-        home = self.robot.home_pose
-        mobility = pose_jacobian(self.robot, home) @ pose_acceleration_map(self.robot, home)
-        return SLIP * self.friction * float(np.diag(mobility).max())
-
-    def arrived(self, disturbance: float) -> float:
-        """[rad] within which a crank that rests stands where it is wanted; negative for motors without friction."""
-        if self.friction == 0.0:
-            return -1.0
-        turn = bandwidth(self.reading_noise, disturbance, self.period)
-        return max(ARRIVED * self.reading_noise, self.slip / turn**2)
-
-    @property
-    def surprise_scale(self) -> tuple[float, float]:
-        """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
-        turn = bandwidth(self.reading_noise, self.options.disturbance * self.least, self.period)
-        return NOISE_AT_MOST * self.reading_noise, 1.0 / turn**2 + self.period**2
-
-    def initial(self, pose: np.ndarray, rate: np.ndarray, command: np.ndarray, delay: int) -> np.ndarray:
-        """Memory before the first tick, flat.
-
-        Args:
-            pose: (6,) [rad, m] roughly where the platform stands; picks the assembly mode.
-            rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
-            command: (6,) [N m] at the motors until the first command arrives.
-            delay: [ticks] of the commands.
-        """
-        none = np.zeros(6)
-        commands = np.tile(command, (delay + 1, 1))
-        return ObserverMemory(pose, rate, pose, rate, none, none, none, none, np.zeros(1), commands).flat()
-
-
-def advance(
-    observer: Observer, pose: np.ndarray, rate: np.ndarray, torque: np.ndarray, surplus: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pose and rate (6,) a period later, by the exact model under constant torques and `surplus` (6,) [rad/s^2].
-
-    Raises:
-        UnreachablePoseError: The pose is out of reach.
-        numpy.linalg.LinAlgError: Exactly at a singularity.
-    """
-    robot, period = observer.robot, observer.period
-    more = np.linalg.solve(twist_jacobian(robot, pose), surplus)
-    acceleration = forward_dynamics(robot, pose, rate, torque, observer.gravity) + twist_to_pose_rate(pose, more)
-    return pose + period * (rate + 0.5 * period * acceleration), rate + period * acceleration
-
-
-def observe(
-    observer: Observer,
-    angles: np.ndarray,
-    sent: np.ndarray,
-    reference: np.ndarray,
-    disturbance: float,
-    memory: ObserverMemory,
-) -> ObserverMemory:
-    """One tick, but the first: predicts, corrects by what is believed of the readings, and looks ahead.
+def innovation_scale(noise: float, disturbance: float, period: float) -> tuple[float, float]:
+    """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves.
 
     Args:
-        observer: See there.
-        angles: (6,) [rad] readings; NaN for one that is missing.
+        noise: [rad] `SensorOptions.reading_noise`.
+        disturbance: [rad/s^2 per sqrt(s)] the least that is expected.
+        period: [s].
+    """
+    noise = max(noise, SMALLEST_NOISE)
+    return NOISE_AT_MOST * noise, 1.0 / bandwidth(noise, disturbance, period) ** 2 + period**2
+
+
+@njit
+def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
+    """Moves pose and rate (6,) by a period, by the exact model.
+
+    Args:
+        robot: `ROBOT` record.
+        setup: `SETUP` record.
+        torque: (6,) [N m], constant meanwhile.
+        disturbance: (6,) [rad/s^2] more of the cranks.
+        pose: (6,) [rad, m] in place.
+        rate: (6,) [rad/s, m/s] in place.
+        legs: `LEGS` record, overwritten.
+
+    Returns:
+        OK, SERIAL out of reach or PARALLEL at a singularity; leg or -1; margin.
+    """
+    acceleration, h = np.empty(6), setup.period
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
+        return SERIAL, bad, legs.reach[bad]
+    if not forward_dynamics(robot, legs, pose, rate, torque, disturbance, setup.gravity, acceleration):
+        return PARALLEL, -1, 0.0
+    for k in range(6):
+        pose[k] += h * (rate[k] + 0.5 * h * acceleration[k])
+        rate[k] += h * acceleration[k]
+    return OK, -1, 0.0
+
+
+@njit
+def observe(robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: Any, states: Any) -> Any:
+    """One tick: predicts, corrects by what is believed of the readings, and looks ahead.
+
+    Args:
+        robots: `ROBOT` record.
+        setups: `SETUP` record.
+        reading: (6,) [rad] of the cranks, NaN for one that is missing; or (12,) pose [rad, m] and its rate.
         sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
         reference: (18,) wanted now: pose [rad, m], its rate and its acceleration.
-        disturbance: [rad/s^2 per sqrt(s)] for this tick, see `ObserverOptions`.
-        memory: Of the tick before.
+        expected: (1,) disturbance [rad/s^2 per sqrt(s)] for this tick, see `ObserverOptions`.
+        states: `STATE` record, in place.
 
-    Raises:
-        RunFailure: A reading has been missing, or not believed, for too long.
-        SingularPoseError: The robot has come to a singularity.
+    Returns:
+        Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
     """
-    robot, options, gains = observer.robot, observer.options, observer.gains(disturbance)
+    robot, setup, state = record(robots), record(setups), record(states)
+    if state.side == 0.0:
+        return FIRST, -1, 0.0
+    cosine, sine, scratch = np.empty(6), np.empty(6), np.empty(1, LEGS)
+    status, leg, margin = _directions(robot, reading, cosine, sine, scratch)
+    if status == OK:
+        _remember(state, int(setup.delay), sent)
+        status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected[0], state, scratch)
+    if status == OK:
+        status, leg, margin = _look_ahead(robot, setup, state, scratch)
+    return status, leg, margin
+
+
+@njit
+def begin(robots: Any, setups: Any, pose: Any, states: Any) -> Any:
+    """The first tick, from the pose (6,) that its readings tell; the rate is that of the state.
+
+    Args and returns: As of `observe`.
+    """
+    state, scratch = record(states), np.empty(1, LEGS)
+    state.measurement[:6] = pose
+    state.side = _side(record(robots), pose, scratch)
+    return _look_ahead(record(robots), record(setups), state, scratch)
+
+
+@njit
+def _side(robot: Any, pose: Any, scratch: Any) -> float:
+    legs = record(scratch)
+    legs_at(robot, pose, legs)
+    return solve(legs.line, np.empty((6, 1)))
+
+
+@njit
+def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, scratch: Any) -> Any:
+    """Cosine and sine (6,) of the cranks' angles that a sensor reads; of a pose those that belong to it."""
+    if reading.size == 6:
+        for i in range(6):
+            cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
+        return OK, -1, 0.0
+    legs = record(scratch)
+    bad = legs_at(robot, reading[:6], legs)
+    cosine[:], sine[:] = legs.cosine, legs.sine
+    if bad >= 0 and np.isfinite(reading[:6]).all():
+        return UNREACHABLE, bad, legs.reach[bad]
+    if bad >= 0:
+        cosine[:] = np.nan
+    return OK, -1, 0.0
+
+
+@njit
+def _remember(state: Any, delay: int, sent: Any) -> None:
+    """The last command joins those under way."""
+    for row in range(delay):
+        state.commands[row] = state.commands[row + 1]
     # What is not a number no motor gives; the safety layer repeats the last command for it.
-    sent = sent if np.isfinite(sent).all() else memory.commands[-1]
-    commands = np.concatenate([memory.commands[1:], sent[None]])
-    with _named(memory):
-        pose, rate = advance(observer, memory.pose, memory.rate, commands[0], memory.surplus)
-        expected = leg_geometry(robot, pose).crank_angles
-        innovation = np.remainder(angles - expected + np.pi, 2.0 * np.pi) - np.pi
-        believed = np.abs(innovation) <= options.max_innovation
-        missed = np.where(believed, 0.0, memory.missed + 1.0)
-        if missed.max() > options.hold_ticks:
-            leg = int(missed.argmax())
-            text = f"encoder readings {pose_text(angles)}: {leg} is missing or not believed"
-            raise RunFailure(text, reason="encoder", leg=leg)
-        innovation = np.where(believed, innovation, 0.0)
-        jacobian = twist_jacobian(robot, pose)
-        turned = np.linalg.solve(jacobian, np.outer(innovation, gains[:2])).T
-        pose, rate = pose + twist_to_pose_rate(pose, turned[0]), rate + twist_to_pose_rate(pose, turned[1])
-        wanted = pose_rate_to_twist(pose, np.stack([pose - reference[:6], reference[6:12]]))
-        apart = np.abs(jacobian @ wanted.T).max(axis=0)
-        stands = apart[0] <= observer.arrived(disturbance) and apart[1] <= RESTS
-        surplus = memory.surplus if stands else memory.surplus + gains.surplus * innovation
-        now = memory._replace(pose=pose, rate=rate, surplus=surplus, missed=missed, commands=commands)
-        return _looking_ahead(observer, now._replace(innovation=innovation))
+    if np.isfinite(sent).all():
+        state.commands[delay] = sent
 
 
-@contextmanager
-def _named(memory: ObserverMemory) -> Iterator[None]:
-    """Names what is wrong with a robot that has come to a singularity, or will before its command acts."""
-    try:
-        yield
-    except UnreachablePoseError as error:
-        # A crank carried across its dead centre, slightly.
-        raise SingularPoseError("serial", error.pose, error.margin, 0.0, error.leg) from None
-    except np.linalg.LinAlgError:
-        raise SingularPoseError("parallel", memory.pose, 0.0, 0.0) from None
+@njit
+def _correct(
+    robot: Any, setup: Any, cosine: Any, sine: Any, reference: Any, expected: float, state: Any, scratch: Any
+) -> Any:
+    """Prediction and correction; pose and rate in the state become those of now."""
+    legs, h = record(scratch), setup.period
+    pose, rate = state.measurement[:6].copy(), state.measurement[6:].copy()
+    status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance, pose, rate, legs)
+    if status != OK:
+        return status, leg, margin
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
+        state.measurement[:6] = pose
+        return SERIAL, bad, legs.reach[bad]
+    to_angle, to_rate, to_disturbance = kalman_gains(setup.noise, expected, h)
+    worst = 0
+    for i in range(6):
+        # Of the reading against the crank expected, within half a turn.
+        c, s = legs.cosine[i], legs.sine[i]
+        state.innovation[i] = np.arctan2(sine[i] * c - cosine[i] * s, cosine[i] * c + sine[i] * s)
+        if abs(state.innovation[i]) <= setup.max_innovation:
+            state.missed[i] = 0.0
+        else:
+            state.innovation[i] = 0.0
+            state.missed[i] += 1.0
+        if state.missed[i] > state.missed[worst]:
+            worst = i
+    if state.missed[worst] > setup.hold_ticks:
+        return MISSING, worst, 0.0
+    lines, turned, change = legs.line.copy(), np.empty((6, 2)), np.empty(6)
+    for i in range(6):
+        turned[i, 0] = legs.lever[i] * to_angle * state.innovation[i]
+        turned[i, 1] = legs.lever[i] * to_rate * state.innovation[i]
+    side = solve(lines, turned)
+    if side != state.side:
+        state.measurement[:6] = pose
+        return PARALLEL, -1, 0.0
+    predicted = pose.copy()
+    rate_of(predicted, turned[:, 0], change)
+    pose += change
+    rate_of(predicted, turned[:, 1], change)
+    rate += change
+    state.measurement[:6], state.measurement[6:] = pose, rate
+    if not _stands(setup, legs, expected, pose, reference):
+        for i in range(6):
+            state.disturbance[i] += to_disturbance * state.innovation[i]
+    return OK, -1, 0.0
 
 
-def _looking_ahead(observer: Observer, memory: ObserverMemory) -> ObserverMemory:
-    """The rest of a tick: what will be when its command acts."""
-    robot, pose, rate = observer.robot, memory.pose, memory.rate
-    side = np.sign(np.linalg.det(rod_lines(leg_geometry(robot, pose))))
-    if memory.side[0] not in (0.0, side):
-        raise SingularPoseError("parallel", pose, 0.0, 0.0)
-    for command in memory.commands[1:]:
-        pose, rate = advance(observer, pose, rate, command, memory.surplus)
-    jacobian = twist_jacobian(robot, pose)
-    wrench = task_inertia(robot, pose) @ np.linalg.solve(jacobian, memory.surplus)
-    compensation = -np.linalg.solve(jacobian.T, wrench)
-    return memory._replace(pose_ahead=pose, rate_ahead=rate, compensation=compensation, side=np.atleast_1d(side))
+@njit
+def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -> bool:
+    """Whether a robot with friction in its motors is to rest, and does where it is wanted."""
+    if setup.arrived < 0.0:
+        return False
+    turn = bandwidth(setup.noise, expected, setup.period)
+    arrived = max(setup.arrived, setup.slip / (turn * turn))
+    off, wanted = np.empty(6), np.empty(6)
+    angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
+    angular_velocity(pose[:3], reference[6:9], wanted[:3])
+    off[3:], wanted[3:] = pose[3:] - reference[3:6], reference[9:12]
+    for i in range(6):
+        apart = dot(legs.line[i, :3], off[:3]) + dot(legs.line[i, 3:], off[3:])
+        turning = dot(legs.line[i, :3], wanted[:3]) + dot(legs.line[i, 3:], wanted[3:])
+        lever = abs(legs.lever[i])
+        if not (abs(apart) <= arrived * lever and abs(turning) <= RESTS * lever):
+            return False
+    return True
 
 
-def start(observer: Observer, pose: np.ndarray, memory: ObserverMemory) -> ObserverMemory:
-    """The first tick, from the pose (6,) [rad, m] that its readings tell; the rate is that of the memory.
+@njit
+def _look_ahead(robot: Any, setup: Any, state: Any, scratch: Any) -> Any:
+    """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
+    legs, ahead, inertia = record(scratch), state.ahead, np.empty((6, 6))
+    ahead[:] = state.measurement
+    for row in range(1, int(setup.delay) + 1):
+        status, leg, margin = predict(robot, setup, state.commands[row], state.disturbance, ahead[:6], ahead[6:], legs)
+        if status != OK:
+            return status, leg, margin
+    bad = legs_at(robot, ahead[:6], legs)
+    if bad >= 0:
+        return SERIAL, bad, legs.reach[bad]
+    # T = -J^-T M J^-1 (disturbance).
+    task_inertia(robot, legs, inertia)
+    lines, twist, transposed, wrench = legs.line.copy(), np.empty((6, 1)), np.empty((6, 6)), np.zeros((6, 1))
+    for i in range(6):
+        twist[i, 0] = legs.lever[i] * state.disturbance[i]
+        for k in range(6):
+            transposed[k, i] = legs.line[i, k]
+    if solve(lines, twist) == 0.0:
+        return PARALLEL, -1, 0.0
+    for k in range(6):
+        for m in range(6):
+            wrench[k, 0] += inertia[k, m] * twist[m, 0]
+    if solve(transposed, wrench) == 0.0:
+        return PARALLEL, -1, 0.0
+    for i in range(6):
+        state.compensation[i] = -legs.lever[i] * wrench[i, 0]
+    return OK, -1, 0.0
 
-    Raises:
-        SingularPoseError: The robot comes to a singularity before its first command acts.
-    """
-    with _named(memory):
-        return _looking_ahead(observer, memory._replace(pose=pose))
+
+def slip_of(robot: RobotParameters, friction: float) -> float:
+    """[rad/s^2] of a crank by `SLIP` of a torque [N m], at home."""
+    home = robot.home_pose
+    mobility = pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)
+    return SLIP * friction * float(np.diag(mobility).max())
 
 
-FlatObserver = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-def flat_observer(
-    observer: Observer, first_pose: Callable[[np.ndarray, np.ndarray], np.ndarray], compiled: bool
-) -> FlatObserver:
-    """A tick of angles (6,), last command (6,), reference (18,), disturbance (1,) and memory alone, compiled or not.
+def observer_part(
+    robot: RobotParameters,
+    options: ObserverOptions,
+    gravity: float,
+    period: float,
+    noise: float,
+    pose: np.ndarray,
+    pose_rate: np.ndarray,
+    still: np.ndarray,
+    *,
+    command_delay: int = 0,
+    friction: float = 0.0,
+    size: int = 6,
+) -> Part:
+    """The observer, see `observe` for its inputs and `STATE` for its outputs.
 
     Args:
-        observer: See there.
-        first_pose: Pose (6,) from the first readings (6,) and the pose in the memory.
-        compiled: See `Scenario.compiled`.
+        robot: As the controller believes it to be.
+        options: See `ObserverOptions`.
+        gravity: [m/s^2].
+        period: [s] of the ticks.
+        noise: [rad] standard deviation of a reading, `SensorOptions.reading_noise`.
+        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
+        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
+        still: (6,) [N m] at the motors until the first command arrives.
+        command_delay: [ticks] of the commands; `ObserverOptions.delay` may say otherwise.
+        friction: [N m] largest break-away torque that the motors are believed to have.
+        size: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+
+    Raises:
+        ConfigurationError: A delay that is too long.
     """
-
-    def in_numpy(
-        angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, flat: np.ndarray
-    ) -> np.ndarray:
-        memory = ObserverMemory.from_flat(flat)
-        if memory.side[0] == 0.0:
-            return start(observer, first_pose(angles, memory.pose), memory).flat()
-        return observe(observer, angles, sent, reference, float(disturbance[0]), memory).flat()
-
-    if not compiled:
-        return in_numpy
-    # numba takes half a second to import, and compiles on first use.
-    from stewart_drake.compiled import mechanism
-    from stewart_drake.compiled import observer as fast
-
-    packed = mechanism.pack(observer.robot)
-    numbers = filled(
-        OBSERVER_NUMBERS,
-        period=observer.period,
-        gravity=observer.gravity,
-        noise=observer.reading_noise,
-        max_innovation=observer.options.max_innovation,
-        hold_ticks=observer.options.hold_ticks,
-        arrived=ARRIVED * observer.reading_noise if observer.friction > 0.0 else -1.0,
-        slip=observer.slip,
-        rests=RESTS,
+    delay, noise = options.ahead(command_delay), max(noise, SMALLEST_NOISE)
+    if delay * period > FARTHEST:
+        given = ("command_delay", command_delay) if options.delay is None else ("estimator.delay", options.delay)
+        allowed = f"at most {int(FARTHEST / period)} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
+        raise ConfigurationError(*given, allowed)
+    setup = new_record(
+        SETUP,
+        period=period,
+        gravity=gravity,
+        noise=noise,
+        max_innovation=options.max_innovation,
+        hold_ticks=options.hold_ticks,
+        arrived=ARRIVED * noise if friction > 0.0 else -1.0,
+        slip=slip_of(robot, friction),
+        delay=delay,
     )
+    own, first = robot_record(robot), difference_part(robot, EncoderOptions(), period, pose, np.zeros(6))
+    start = np.concatenate([pose, pose_rate])
+    initial = new_record(STATE, measurement=start, ahead=start, health=WELL)
+    initial["commands"][0, : delay + 1] = still
+
+    def first_tick(reading: np.ndarray, state: np.ndarray) -> tuple[int, int, float]:
+        angles, estimate = reading, first.initial.copy()
+        if size == 12:
+            finite = bool(np.isfinite(reading[:6]).all())
+            angles = inverse_kinematics(robot, reading[:6]) if finite else np.full(6, np.nan)
+        first.tick(angles, estimate)
+        return begin(own, setup, estimate["measurement"][0, :6], state)
 
     def tick(
-        angles: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, flat: np.ndarray
-    ) -> np.ndarray:
-        result = np.empty_like(flat)
-        if flat[_M.side] != 0.0:
-            ended = fast.observe(packed, numbers, angles, sent, reference, disturbance, flat, result)
-            if ended == mechanism.OK:
-                return result
-        # Rare: numpy says what was wrong.
-        return in_numpy(angles, sent, reference, disturbance, flat)
+        reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, state: np.ndarray
+    ) -> None:
+        status, leg, margin = observe(own, setup, reading, sent, reference, disturbance, state)
+        if status == FIRST:
+            status, leg, margin = first_tick(reading, state)
+        if status != OK:
+            raise _error(status, leg, margin, reading, state)
 
-    return tick
+    inputs = {"reading": size, "sent": 6, "reference": 18, "disturbance": 1}
+    return Part("observer", inputs, ("measurement", "ahead", "compensation", "innovation"), initial, tick)
+
+
+def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.ndarray) -> RunFailure:
+    """What is wrong with a tick."""
+    pose = state["measurement"][0, :6].copy()
+    if status == UNREACHABLE:
+        return UnreachablePoseError(reading[:6].copy(), leg, margin)
+    if status == SERIAL:
+        # A crank carried across its dead centre, slightly.
+        return SingularPoseError("serial", pose, margin, 0.0, leg)
+    if status == PARALLEL:
+        return SingularPoseError("parallel", pose, 0.0, 0.0)
+    text = f"encoder readings {pose_text(reading[:6])}: {leg} is missing or not believed"
+    return RunFailure(text, reason="encoder", leg=leg)

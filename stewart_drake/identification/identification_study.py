@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.identification.identify import identify
 from stewart_drake.identification.parameters import COULOMB, KINDS, PARAMETERS, VISCOUS, of_robot
 from stewart_drake.identification.simulated_logs import deviating, recorded

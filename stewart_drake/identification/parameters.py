@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.arrays import Robot, numpy_robot
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -122,31 +122,33 @@ def inertia_matrix(platform: np.ndarray) -> Any:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def unit_robots(guess: RobotParameters) -> list[Robot]:
-    """Robots of the guess's geometry with one of the bodies' parameters 1 and the others 0: columns of the model.
+def unit_robots(guess: RobotParameters) -> list[np.ndarray]:
+    """Records of the guess's geometry with one of the bodies' parameters 1 and the others 0: columns of the model.
 
     The last has the cranks' own inertia instead, the part of the torques that is known.
     """
-    whole = numpy_robot(guess)
-    half = 0.5 * whole.cranks
-    nothing = whole._replace(
-        axis_inertias=0.0 * half,
-        **dict.fromkeys(("rod_mass", "rod_inertia", "crank_mass", "platform_mass"), np.array(0.0)),
-        platform_moment=np.zeros(3),
-        platform_inertia=np.zeros((3, 3)),
-    )
-    one = np.array(1.0)
-    robots = [nothing._replace(platform_mass=one)]
-    robots += [nothing._replace(platform_moment=row) for row in np.eye(3)]
-    robots += [nothing._replace(platform_inertia=inertia_matrix(row)) for row in np.eye(10)[4:]]
-    robots += [
-        nothing._replace(rod_mass=one),
-        nothing._replace(rod_inertia=one),
-        nothing._replace(crank_mass=one, axis_inertias=half * half),
-        nothing._replace(axis_inertias=np.ones(LEGS)),
-        nothing._replace(axis_inertias=np.full(LEGS, guess.crank_inertia[1])),
+    nothing = robot_record(guess).copy()
+    bodies = ("crank_inertia", "rod_mass", "rod_inertia", "crank_mass")
+    for name in (*bodies, "platform_mass", "platform_moment", "platform_tensor"):
+        nothing[name] = 0.0
+
+    def only(**values: Any) -> np.ndarray:
+        robot = nothing.copy()
+        for name, value in values.items():
+            robot[name] = value
+        return robot
+
+    half = 0.5 * guess.crank_lengths
+    return [
+        only(platform_mass=1.0),
+        *(only(platform_moment=row) for row in np.eye(3)),
+        *(only(platform_tensor=inertia_matrix(row)) for row in np.eye(10)[4:]),
+        only(rod_mass=1.0),
+        only(rod_inertia=1.0),
+        only(crank_mass=1.0, crank_inertia=half * half),
+        only(crank_inertia=1.0),
+        only(crank_inertia=guess.crank_inertia[1]),
     ]
-    return robots
 
 
 def scales(guess: RobotParameters) -> np.ndarray:

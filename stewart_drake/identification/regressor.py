@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.identification.parameters import unit_robots
-from stewart_drake.mechanics.checks import legs_within_reach
-from stewart_drake.mechanics.dynamics_core import inverse_dynamics
+from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.robot import RobotParameters
-
-_BLOCK = 1024
 
 
 def body_torques(
@@ -30,13 +27,5 @@ def body_torques(
     Raises:
         UnreachablePoseError: As in `inverse_kinematics`.
     """
-    robots = unit_robots(guess)
-    columns = np.empty((len(pose), 6, len(robots)))
-    for start in range(0, len(pose), _BLOCK):
-        rows = slice(start, start + _BLOCK)
-        # The legs' lines do not depend on the masses.
-        _, legs = legs_within_reach(guess, pose[rows])
-        for at, robot in enumerate(robots):
-            motion = pose[rows], rate[rows], acceleration[rows]
-            columns[rows, :, at] = inverse_dynamics(robot, legs, *motion, gravity, masked=False)
-    return columns[..., :-1], columns[..., -1]
+    columns = [inverse_dynamics(robot, pose, rate, acceleration, gravity) for robot in unit_robots(guess)]
+    return np.stack(columns[:-1], axis=-1), columns[-1]

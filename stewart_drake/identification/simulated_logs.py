@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.identification.parameters import (
     COULOMB,
     GAIN,

@@ -1,27 +1,26 @@
-"""Exact rigid-body dynamics of the closed chain in six task coordinates, in closed form over the legs.
+"""Exact rigid-body dynamics of the closed chain in six task coordinates, for poses with any leading axes.
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
-Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist). Arrays of
-numpy or of any other namespace of the Array API; `dynamics_core` has the same without a check.
+Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics import dynamics_core as core
-from stewart_drake.mechanics import kinematics_core
-from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, as_array, first, in_blocks, last, namespace
-from stewart_drake.mechanics.checks import legs_within_reach
-from stewart_drake.mechanics.kinematics import LegGeometry
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stewart_drake.jit import njit, record
+from stewart_drake.mechanics import dynamics_laws as laws
+from stewart_drake.mechanics.batch import Robot, at_poses
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, legs_at
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] the value of the reference computations and of Drake's default field."""
 
 
-@in_blocks
-def static_torque(robot: AnyRobot, pose: Array, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def static_torque(robot: Robot, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques that hold platform, rods and cranks at rest against gravity.
 
     Args:
@@ -36,21 +35,14 @@ def static_torque(robot: AnyRobot, pose: Array, gravity: float = STANDARD_GRAVIT
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
         numpy.linalg.LinAlgError: Exactly at a parallel singularity.
     """
-    pose = as_array(pose)
-    return core.static_torque(*legs_within_reach(robot, pose), gravity, masked=False)
+    return at_poses(_static_torques, robot, {"pose": pose}, (6,), gravity)
 
 
-def static_torque_of_legs(robot: AnyRobot, legs: LegGeometry, gravity: float) -> np.ndarray:
-    """`static_torque` from leg vectors that are already at hand; (..., 6) [N m]."""
-    return core.static_torque(arrays_of(robot, legs.e_l), legs.components(), gravity, masked=False)
-
-
-@in_blocks
 def inverse_dynamics(
-    robot: AnyRobot,
-    pose: Array,
-    pose_rate: Array,
-    pose_acceleration: Array,
+    robot: Robot,
+    pose: ArrayLike,
+    pose_rate: ArrayLike,
+    pose_acceleration: ArrayLike,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Motor torques of a motion, all bodies included.
@@ -66,20 +58,18 @@ def inverse_dynamics(
         (..., 6) [N m].
 
     Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; a rate or acceleration of another shape.
         numpy.linalg.LinAlgError: Exactly at a parallel singularity.
     """
-    pose, pose_rate, pose_acceleration = (as_array(value) for value in (pose, pose_rate, pose_acceleration))
-    own, legs = legs_within_reach(robot, pose)
-    return core.inverse_dynamics(own, legs, pose, pose_rate, pose_acceleration, gravity, masked=False)
+    motion = {"pose": pose, "pose_rate": pose_rate, "pose_acceleration": pose_acceleration}
+    return at_poses(_motion_torques, robot, motion, (6,), gravity)
 
 
-@in_blocks
 def forward_dynamics(
-    robot: AnyRobot,
-    pose: Array,
-    pose_rate: Array,
-    torque: Array,
+    robot: Robot,
+    pose: ArrayLike,
+    pose_rate: ArrayLike,
+    torque: ArrayLike,
     gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Acceleration of the platform under motor torques, all bodies included; the inverse of `inverse_dynamics`.
@@ -95,19 +85,14 @@ def forward_dynamics(
         (..., 6) [rad/s^2, m/s^2] second derivative of the pose.
 
     Raises:
-        UnreachablePoseError: As in `inverse_kinematics`.
-        ConfigurationError: Likewise; rate or torque of another shape.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; a rate or torque of another shape.
+        numpy.linalg.LinAlgError: Exactly at a singularity.
     """
-    pose, pose_rate, torque = (as_array(value) for value in (pose, pose_rate, torque))
-    for name, value in (("pose_rate", pose_rate), ("torque", torque)):
-        if value.shape[-1:] != (6,):
-            raise ConfigurationError(name, value, "numbers of shape (..., 6)")
-    own, legs = legs_within_reach(robot, pose)
-    return core.forward_dynamics(own, legs, pose, pose_rate, torque, gravity, masked=False)
+    motion = {"pose": pose, "pose_rate": pose_rate, "torque": torque}
+    return at_poses(_forward_dynamics, robot, motion, (6,), gravity)
 
 
-@in_blocks
-def task_bias(robot: AnyRobot, pose: Array, twist: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def task_bias(robot: Robot, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """h(pose, twist): Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates.
 
     Args:
@@ -120,14 +105,12 @@ def task_bias(robot: AnyRobot, pose: Array, twist: np.ndarray, gravity: float = 
         (..., 6) [N m, N].
 
     Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; a twist of another shape.
     """
-    pose = as_array(pose)
-    return core.task_bias(*legs_within_reach(robot, pose), as_array(twist), gravity, masked=False)
+    return at_poses(_task_biases, robot, {"pose": pose, "twist": twist}, (6,), gravity)
 
 
-@in_blocks
-def task_inertia(robot: AnyRobot, pose: Array) -> np.ndarray:
+def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """M(pose): inertia of the closed chain as the platform feels it.
 
     Args:
@@ -140,12 +123,10 @@ def task_inertia(robot: AnyRobot, pose: Array) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    pose = as_array(pose)
-    return core.task_inertia(*legs_within_reach(robot, pose), masked=False)
+    return at_poses(_task_inertias, robot, {"pose": pose}, (6, 6))
 
 
-@in_blocks
-def pose_acceleration_map(robot: AnyRobot, pose: Array) -> np.ndarray:
+def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """Second derivative of the pose per unit of motor torque, E^-1 M^-1 J'; the exact counterpart of M^-1 tau in (10).
 
     Args:
@@ -157,28 +138,77 @@ def pose_acceleration_map(robot: AnyRobot, pose: Array) -> np.ndarray:
 
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
+        numpy.linalg.LinAlgError: Exactly at a crank's dead centre.
     """
-    pose = as_array(pose)
-    xp, (own, legs) = namespace(pose), legs_within_reach(robot, pose)
-    pushed = xp.matrix_transpose(last(xp, kinematics_core.twist_jacobian(own, legs, masked=False), 2))
-    rates = xp.moveaxis(xp.linalg.solve(core.task_inertia(own, legs, masked=False), pushed), -2, 0)
-    angular = kinematics_core.euler_rates(pose[..., None, :], rates[:3, ...])
-    return xp.moveaxis(xp.concat([angular, rates[3:, ...]]), 0, -2)
+    return at_poses(_pose_acceleration_maps, robot, {"pose": pose}, (6, 6))
 
 
-def euler_acceleration(pose: Array, pose_rate: Array, twist_rate: np.ndarray) -> np.ndarray:
-    """Second derivative of the pose from d(twist)/dt; undoes the first step of `inverse_dynamics`.
+@njit
+def _static_torques(robots: Any, gravity: float, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        if not laws.static_torque(robot, legs, gravity, made[n]):
+            return PARALLEL
+    return OK
 
-    Args:
-        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
-        pose_rate: (..., 6) [rad/s, m/s].
-        twist_rate: (..., 6) [rad/s^2, m/s^2].
 
-    Returns:
-        (..., 6) [rad/s^2, m/s^2].
-    """
-    pose, pose_rate, twist_rate = (as_array(value) for value in (pose, pose_rate, twist_rate))
-    xp = namespace(pose, pose_rate, twist_rate)
-    changing = first(xp, twist_rate, 1)
-    angular = kinematics_core.euler_rates(pose, changing[:3, ...] - kinematics_core.angular_drift(pose, pose_rate))
-    return last(xp, xp.concat([angular, changing[3:, ...]]), 1)
+@njit
+def _motion_torques(robots: Any, gravity: float, poses: Any, rates: Any, accelerations: Any, made: Any) -> int:
+    robot, store, motion = record(robots), np.empty(1, LEGS), np.empty(12)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        motion[:6], motion[6:] = poses[n], rates[n]
+        if not laws.motion_torque(robot, legs, motion, accelerations[n], gravity, made[n]):
+            return PARALLEL
+    return OK
+
+
+@njit
+def _forward_dynamics(robots: Any, gravity: float, poses: Any, rates: Any, torques: Any, made: Any) -> int:
+    robot, store, nothing = record(robots), np.empty(1, LEGS), np.zeros(6)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        if not laws.forward_dynamics(robot, legs, poses[n], rates[n], torques[n], nothing, gravity, made[n]):
+            return PARALLEL
+    return OK
+
+
+@njit
+def _task_biases(robots: Any, gravity: float, poses: Any, twists: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        laws.task_bias(robot, legs, twists[n], gravity, made[n])
+    return OK
+
+
+@njit
+def _task_inertias(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        laws.task_inertia(robot, legs, made[n])
+    return OK
+
+
+@njit
+def _pose_acceleration_maps(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        if not laws.pose_acceleration_map(robot, legs, poses[n], made[n]):
+            return PARALLEL
+    return OK

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.arrays import AnyRobot, Array, arrays_of, last, namespace
 from stewart_drake.mechanics.kinematics import LegGeometry, leg_geometry, rod_lines
+from stewart_drake.robot import RobotParameters
 
 ForceMapKind = Literal["printed", "statics"]
 
@@ -21,10 +22,10 @@ def rod_map(legs: LegGeometry) -> np.ndarray:
     Returns:
         (..., 6, 6) [m, -].
     """
-    return namespace(legs.e_l).matrix_transpose(rod_lines(legs))
+    return rod_lines(legs).swapaxes(-1, -2)
 
 
-def crank_map(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
     """Diagonal of tau_2 of (16): force in a rod per unit of motor torque.
 
     `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
@@ -36,7 +37,7 @@ def crank_map(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndar
     Raises:
         ConfigurationError: Another `kind`.
     """
-    cranks = last(namespace(legs.e_l), arrays_of(robot, legs.e_l).cranks, 1)
+    cranks = robot.crank_lengths
     if kind == "printed":
         return legs.transmission / cranks
     if kind != "statics":
@@ -45,12 +46,12 @@ def crank_map(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndar
         return 1.0 / (cranks * legs.transmission)
 
 
-def force_map_of_legs(robot: AnyRobot, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
+def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
     """Map tau of (18) from leg vectors that are already at hand; (..., 6, 6) [-, 1/m]."""
     return rod_map(legs) * crank_map(robot, legs, kind)[..., None, :]
 
 
-def force_map(robot: AnyRobot, pose: Array, kind: ForceMapKind = "statics") -> np.ndarray:
+def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
     """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
 
     Args:

@@ -1,4 +1,4 @@
-"""Friction of motors that sticks: Stribeck's levels, and a bristle below them; arrays of any namespace.
+"""Friction of motors that sticks: Stribeck's levels, and a bristle below them, compiled, for six motors.
 
 Each crank hangs on a bristle: a spring k from the crank to an anchor in the housing, and a damper d beside it. Its
 torque reaches at most the level g; beyond, the crank drags the anchor along. At rest the anchor stays where it is, so
@@ -12,16 +12,21 @@ and B. Armstrong, "A new computational model of friction applied to haptic rende
 dragged; C. Canudas de Wit et al., "A new model for control of systems with friction" (IEEE Trans. Autom. Control 40,
 1995) for bristle and levels.
 
-Where gradients are wanted `width` [N m] rounds the corners at the levels; 0 leaves them sharp.
+A bristle is remembered by its anchor [rad] and by the slip [rad/s], the speed of the anchor in the step before.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.mechanics.arrays import Array, namespace
+from stewart_drake.jit import fields, new_record, njit
+
+FRICTION = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, stiffness=6, damping=6)
+"""Numbers of six motors, made by `friction_law`. coulomb: level in sliding [N m]. break_away: level at rest [N m], at
+least `coulomb`. stribeck_rate: of the anchor, at which 37 % of their difference are left [rad/s]. viscous: beside the
+bristle [N m s/rad]. stiffness: k [N m/rad]. damping: d [N m s/rad]."""
 
 STIFFNESS_NUMBER = 1000.0
 """k h^2 / I of a bristle, for a crank's inertia I and a step h. Taken implicitly a bristle is stable whatever this is:
@@ -32,42 +37,12 @@ SWEEPS = 30
 """Over the six motors, in `implicit_torque`."""
 
 
-class FrictionLaw(NamedTuple):
-    """Numbers of six motors, (6,) or (..., 6); made by `friction_law`.
-
-    Attributes:
-        coulomb: [N m] level in sliding.
-        break_away: [N m] level at rest, at least `coulomb`.
-        stribeck_rate: [rad/s] of the anchor, at which 37 % of their difference are left.
-        viscous: [N m s/rad], beside the bristle.
-        stiffness: [N m/rad] k.
-        damping: [N m s/rad] d.
-    """
-
-    coulomb: Array
-    break_away: Array
-    stribeck_rate: Array
-    viscous: Array
-    stiffness: Array
-    damping: Array
-
-
-class Bristles(NamedTuple):
-    """What friction remembers.
-
-    Attributes:
-        anchor: (..., 6) [rad].
-        slip: (..., 6) [rad/s] of the anchor in the step before.
-    """
-
-    anchor: Array
-    slip: Array
-
-
 def friction_law(
     coulomb: Any, break_away: Any, stribeck_rate: Any, viscous: Any, axis_inertias: np.ndarray, step: float
-) -> FrictionLaw:
-    """A law with the bristles that a step can carry, see `STIFFNESS_NUMBER`.
+) -> np.ndarray:
+    """A `FRICTION` record with the bristles that a step can carry, see `STIFFNESS_NUMBER`.
+
+    A crank at rest yields by g / k = g step^2 / (1000 I).
 
     Args:
         coulomb: [N m] one, or (6,).
@@ -76,164 +51,94 @@ def friction_law(
         viscous: [N m s/rad] likewise.
         axis_inertias: (6,) [kg m^2] of cranks and rotors about the motor axes, `robot.crank_axis_inertias`.
         step: [s].
-
-    Returns:
-        Arrays (6,) of numpy. A crank at rest yields by g / k = g step^2 / (1000 I).
     """
     stiffness = STIFFNESS_NUMBER * np.asarray(axis_inertias, dtype=float) / step**2
-    given = (coulomb, break_away, stribeck_rate, viscous, stiffness, stiffness * step)
-    return FrictionLaw(*(np.array(np.broadcast_to(each, stiffness.shape), dtype=float) for each in given))
+    return new_record(
+        FRICTION,
+        coulomb=coulomb,
+        break_away=break_away,
+        stribeck_rate=stribeck_rate,
+        viscous=viscous,
+        stiffness=stiffness,
+        damping=stiffness * step,
+    )
 
 
-def at_rest(angles: Array) -> Bristles:
-    """Bristles without tension at crank angles (..., 6) [rad]."""
-    return Bristles(angles, 0.0 * angles)
+@njit
+def dry_level(coulomb: float, break_away: float, stribeck_rate: float, rate: float) -> float:
+    """Stribeck's curve g [N m] at a rate [rad/s]."""
+    ratio = rate / stribeck_rate
+    return coulomb + (break_away - coulomb) * np.exp(-ratio * ratio)
 
 
-def level(law: FrictionLaw, slip: Array) -> Array:
-    """Levels g (..., 6) [N m] at speeds (..., 6) [rad/s] of the anchors."""
-    xp, ratio = namespace(slip), slip / law.stribeck_rate
-    return law.coulomb + (law.break_away - law.coulomb) * xp.exp(-ratio * ratio)
+@njit
+def level(friction: Any, leg: int, slip: float) -> float:
+    """Level g [N m] of a motor at a slip [rad/s]."""
+    return dry_level(friction.coulomb[leg], friction.break_away[leg], friction.stribeck_rate[leg], slip)
 
 
-def relief(law: FrictionLaw, slip: Array) -> Array:
-    """Torques (..., 6) [N m] that take friction's from break-away to its level, along the slips (..., 6) [rad/s]."""
-    return namespace(slip).sign(slip) * (law.break_away - level(law, slip))
-
-
-def moved(law: FrictionLaw, bristles: Bristles, angles: Array, step: float, width: Array | float = 0.0) -> Bristles:
-    """The bristles once the cranks have come to angles (..., 6) [rad] within a step [s]; `width` see above."""
-    stretch = bristles.anchor - angles
-    kept = _clipped(stretch, level(law, bristles.slip) / law.stiffness, _per(width, law.stiffness))
-    # In this form an anchor that holds keeps its last bit.
-    anchor = bristles.anchor + (kept - stretch)
-    return Bristles(anchor, (anchor - bristles.anchor) / step)
-
-
-def torque(law: FrictionLaw, bristles: Bristles, angles: Array, rates: Array, width: float = 0.0) -> Array:
-    """Torques (..., 6) [N m] on cranks at angles [rad] and rates [rad/s] (..., 6), at the end of a step.
+@njit
+def drag_anchors(friction: Any, angles: Any, step: float, anchor: Any, slip: Any) -> None:
+    """Brings the bristles to where they are once the cranks have come to their angles within a step.
 
     Args:
-        law: Of the motors.
-        bristles: At the beginning of the step.
-        angles: At its end.
-        rates: Likewise.
-        width: See above.
-    """
-    pull = law.stiffness * (bristles.anchor - angles) - law.damping * rates
-    return _clipped(pull, level(law, bristles.slip), width) - law.viscous * rates
-
-
-class Motor(NamedTuple):
-    """What friction asks of a motor in a step, by the rate that its crank would have without it; arrays of one shape.
-
-    Attributes:
-        own: [rad/s per N m] rate that a torque of the motor itself adds.
-        slowed: [-] 1 + own viscous.
-        yielding: [rad/s per N m] rate per torque of crank and bristle.
-        aim: [rad/s] rate at which the bristle has no tension at the step's end.
-        viscous: [N m s/rad].
-        bound: [N m] level of the dry part.
-        width: [N m] over which corners are rounded; 0.0 for not.
-    """
-
-    own: Array
-    slowed: Array
-    yielding: Array
-    aim: Array
-    viscous: Array
-    bound: Array
-    width: Array | float
-
-    @classmethod
-    def of(
-        cls, law: FrictionLaw, bristles: Bristles, angles: Array, own: Array, step: float, width: Array | float
-    ) -> Motor:
-        """Six of them, (..., 6), at the beginning of a step."""
-        rigidity = law.damping + step * law.stiffness
-        slowed = 1.0 + own * law.viscous
-        aim = slowed * law.stiffness * (bristles.anchor - angles) / rigidity
-        return cls(own, slowed, slowed / rigidity + own, aim, law.viscous, level(law, bristles.slip), width)
-
-    def each(self) -> list[Motor]:
-        """One by one."""
-        return [Motor(*(each if isinstance(each, float) else each[..., leg] for each in self)) for leg in range(6)]
-
-    def answer(self, without: Array) -> Array:
-        """Torques [N m], viscous friction included, at rates [rad/s] that the cranks would have without them."""
-        dry = _clipped((self.aim - without) / self.yielding, self.bound, self.width)
-        return dry - self.viscous * (without + self.own * dry) / self.slowed
-
-    def slope(self, without: Array) -> Array:
-        """Derivative [N m s/rad] of `answer`; at a sharp corner one of its two."""
-        inside = -_slope((self.aim - without) / self.yielding, self.bound, self.width) / self.yielding
-        return inside - self.viscous * (1.0 + self.own * inside) / self.slowed
-
-
-def implicit_torque(
-    law: FrictionLaw,
-    bristles: Bristles,
-    angles: Array,
-    free_rates: Array,
-    mobility: Array,
-    step: float,
-    width: Array | float = 0.0,
-    sweeps: int = SWEEPS,
-    tolerance: float = 0.0,
-) -> Array:
-    """Torques of friction that agree with the cranks' motion under them: `torque` at the end of the step, solved for.
-
-    With v = free_rates + step mobility f and angles that advance by step v, f = torque(angles + step v, v). Without
-    corners rounded that is the unique minimum of a convex function, found motor by motor (projected Gauss-Seidel). It
-    makes the exact model stable at steps at which no explicit bristle is.
-
-    Args:
-        law: Of the motors.
-        bristles: At the beginning of the step.
-        angles: (..., 6) [rad] likewise.
-        free_rates: (..., 6) [rad/s] of the cranks at the step's end, were there no friction.
-        mobility: (..., 6, 6) [1/(kg m^2)] acceleration of the cranks per unit of motor torque, J M^-1 J'.
+        friction: `FRICTION` record.
+        angles: (6,) [rad] at the step's end.
         step: [s].
-        width: [N m] see above, one or (..., 6); the rounding is that of the solution, not of `torque`.
-        sweeps: Over the motors, at most.
-        tolerance: [N m] a sweep that changes no torque by more is the last; 0 makes all.
-
-    Returns:
-        (..., 6) [N m], viscous friction included.
+        anchor: (6,) [rad], in place.
+        slip: (6,) [rad/s], in place.
     """
-    xp = namespace(free_rates)
-    pushed = step * mobility
-    own = xp.stack([pushed[..., leg, leg] for leg in range(6)], axis=-1)
-    motors = Motor.of(law, bristles, angles, own, step, width).each()
-    rates, found = free_rates, [0.0 * free_rates[..., leg] for leg in range(6)]
+    for i in range(6):
+        stretch = anchor[i] - angles[i]
+        bound = level(friction, i, slip[i]) / friction.stiffness[i]
+        # In this form an anchor that holds keeps its last bit.
+        moved = anchor[i] + (min(max(stretch, -bound), bound) - stretch)
+        slip[i] = (moved - anchor[i]) / step
+        anchor[i] = moved
+
+
+@njit
+def implicit_torque(
+    friction: Any, bristles: Any, angles: Any, free_rates: Any, mobility: Any, step: float, sweeps: int, out: Any
+) -> None:
+    """Torques of friction that agree with the cranks' motion under them, at the end of a step.
+
+    With v = free_rates + step mobility T and angles that advance by step v,
+    T = clip(k (anchor - angles - step v) - d v, -g, g) - viscous v. That is the unique minimum of a convex function,
+    found motor by motor (projected Gauss-Seidel). It makes the exact model stable at steps at which no explicit bristle
+    is.
+
+    Args:
+        friction: `FRICTION` record.
+        bristles: Anything with fields `anchor` (6,) [rad] and `slip` (6,) [rad/s], at the beginning of the step.
+        angles: (6,) [rad] likewise.
+        free_rates: (6,) [rad/s] of the cranks at the step's end, were there no friction.
+        mobility: (6, 6) [1/(kg m^2)] acceleration of the cranks per unit of motor torque, J M^-1 J'.
+        step: [s].
+        sweeps: Over the motors, at most.
+        out: (6,) [N m], viscous friction included.
+    """
+    rates, bound, wanted = free_rates.copy(), np.empty(6), np.empty(6)
+    for i in range(6):
+        out[i] = 0.0
+        bound[i] = level(friction, i, bristles.slip[i])
+        rigidity = friction.damping[i] + step * friction.stiffness[i]
+        wanted[i] = friction.stiffness[i] * (bristles.anchor[i] - angles[i]) / rigidity
     for _ in range(sweeps):
-        before = list(found)
-        for leg, motor in enumerate(motors):
-            whole = motor.answer(rates[..., leg] - motor.own * found[leg])
-            rates = rates + pushed[..., leg] * (whole - found[leg])[..., None]
-            found[leg] = whole
-        if tolerance and max(float(xp.max(xp.abs(a - b))) for a, b in zip(found, before, strict=True)) <= tolerance:
+        shift, largest = 0.0, 0.0
+        for i in range(6):
+            own = step * mobility[i, i]
+            slowed = 1.0 + own * friction.viscous[i]
+            without = rates[i] - own * out[i]
+            rigidity = friction.damping[i] + step * friction.stiffness[i]
+            dry = (slowed * wanted[i] - without) / (slowed / rigidity + own)
+            dry = min(max(dry, -bound[i]), bound[i])
+            whole = dry - friction.viscous[i] * (without + own * dry) / slowed
+            change = step * (whole - out[i])
+            for k in range(6):
+                rates[k] += mobility[k, i] * change
+            shift, largest = max(shift, abs(whole - out[i])), max(largest, abs(whole))
+            out[i] = whole
+        # Further sweeps would change rounding alone; a number that is none goes on to the end.
+        if shift <= 1e-16 * largest:
             break
-    return xp.stack(found, axis=-1)
-
-
-def _per(width: Array | float, by: Array) -> Array | float:
-    return width if isinstance(width, float) and width == 0.0 else width / by
-
-
-def _clipped(value: Array, bound: Array, width: Array | float) -> Array:
-    """Between -bound and bound; with corners rounded over `width`, which takes up to half of it off there."""
-    xp = namespace(value)
-    if isinstance(width, float) and width == 0.0:
-        return xp.minimum(xp.maximum(value, -bound), bound)
-    above, below, square = value + bound, value - bound, width * width
-    return 0.5 * (xp.sqrt(above * above + square) - xp.sqrt(below * below + square))
-
-
-def _slope(value: Array, bound: Array, width: Array | float) -> Array:
-    """Derivative of `_clipped`."""
-    xp = namespace(value)
-    if isinstance(width, float) and width == 0.0:
-        return xp.where(xp.abs(value) < bound, 1.0 + 0.0 * value, 0.0 * value)
-    above, below, square = value + bound, value - bound, width * width + 1e-300
-    return 0.5 * (above / xp.sqrt(above * above + square) - below / xp.sqrt(below * below + square))

@@ -1,8 +1,7 @@
-"""Inverse and forward kinematics of the 6-RSS platform, (1)-(6), and their Jacobians.
+"""Inverse and forward kinematics of the 6-RSS platform, (1)-(6), and their Jacobians, for poses with any leading axes.
 
 Poses are [roll, pitch, yaw, X, Y, Z] of P in B; R_BP = Rz(yaw) Ry(pitch) Rx(roll), the inverse of the paper's (3). A
-twist is [w, v]: angular velocity of P and velocity of its origin, both in B. All is vectorised over leading axes and
-takes arrays of numpy or of any other namespace of the Array API; `kinematics_core` has the same without a check.
+twist is [w, v]: angular velocity of P and velocity of its origin, both in B. Many poses are computed on all cores.
 """
 
 from __future__ import annotations
@@ -11,27 +10,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError
-from stewart_drake.mechanics import kinematics_core as core
-from stewart_drake.mechanics.arrays import (
-    AnyRobot,
-    Array,
-    arrays_of,
-    as_array,
-    first,
-    in_blocks,
-    last,
-    namespace,
-    numbers_like,
-    to_numpy,
-)
-from stewart_drake.mechanics.arrays import cross as cross_of_components
-from stewart_drake.mechanics.checks import checked, legs_within_reach, within_reach
+from stewart_drake.jit import njit, record
+from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.batch import Robot, at_poses, broadcast_rows, over_rows, reaches, robot_records
+from stewart_drake.mechanics.kinematics_laws import LEGS, OK, UNREACHABLE
 from stewart_drake.robot import RobotParameters
 
 
-def rotation_matrix(rpy: Array) -> np.ndarray:
+def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
     """R_BP of roll, pitch, yaw; the inverse of (3).
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
@@ -42,18 +31,16 @@ def rotation_matrix(rpy: Array) -> np.ndarray:
     Returns:
         (..., 3, 3) [-].
     """
-    rpy = as_array(rpy)
-    xp = namespace(rpy)
-    return xp.matrix_transpose(last(xp, core.rotation(rpy), 2))
+    return _by_rows(_rotations, (3, 3), rpy)
 
 
-def rotation_angle(rotation: Array) -> np.ndarray:
+def rotation_angle(rotation: np.ndarray) -> np.ndarray:
     """Angle (...) [rad] of rotations (..., 3, 3)."""
-    xp = namespace(rotation)
-    return xp.acos(xp.clip(0.5 * (xp.linalg.trace(rotation) - 1.0), -1.0, 1.0))
+    trace = np.trace(rotation, axis1=-2, axis2=-1)
+    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
 
 
-def roll_pitch_yaw(matrix: Array) -> np.ndarray:
+def roll_pitch_yaw(matrix: ArrayLike) -> np.ndarray:
     """Roll, pitch, yaw of a rotation matrix; pitch in [-pi/2, pi/2].
 
     Args:
@@ -62,14 +49,12 @@ def roll_pitch_yaw(matrix: Array) -> np.ndarray:
     Returns:
         (..., 3) [rad].
     """
-    matrix = as_array(matrix)
-    xp = namespace(matrix)
-    roll = xp.atan2(matrix[..., 2, 1], matrix[..., 2, 2])
-    pitch = xp.asin(xp.clip(-matrix[..., 2, 0], -1.0, 1.0))
-    return xp.stack([roll, pitch, xp.atan2(matrix[..., 1, 0], matrix[..., 0, 0])], axis=-1)
+    m = np.asarray(matrix, dtype=float)
+    roll, yaw = np.arctan2(m[..., 2, 1], m[..., 2, 2]), np.arctan2(m[..., 1, 0], m[..., 0, 0])
+    return np.stack([roll, np.arcsin(np.clip(-m[..., 2, 0], -1.0, 1.0)), yaw], axis=-1)
 
 
-def euler_rate_matrix(rpy: Array) -> np.ndarray:
+def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
     """E with w_B = E(rpy) d(rpy)/dt.
 
     Args:
@@ -78,14 +63,11 @@ def euler_rate_matrix(rpy: Array) -> np.ndarray:
     Returns:
         (..., 3, 3) [-]; singular at pitch = +-pi/2.
     """
-    rpy = as_array(rpy)
-    xp = namespace(rpy)
-    sp, cp, sy, cy = xp.sin(rpy[..., 1]), xp.cos(rpy[..., 1]), xp.sin(rpy[..., 2]), xp.cos(rpy[..., 2])
-    o = xp.zeros_like(sp)
-    return _of_entries(xp, (cy * cp, -sy, o, sy * cp, cy, o, -sp, o, o + 1.0))
+    rpy = np.asarray(rpy, dtype=float)
+    return _by_rows(_angular_velocities, (3,), rpy[..., None, :], np.eye(3)).swapaxes(-1, -2)
 
 
-def euler_rate_matrix_dot(rpy: Array, rpy_rate: Array) -> np.ndarray:
+def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
     """Time derivative of `euler_rate_matrix` along `rpy_rate`.
 
     Args:
@@ -95,23 +77,17 @@ def euler_rate_matrix_dot(rpy: Array, rpy_rate: Array) -> np.ndarray:
     Returns:
         (..., 3, 3) [1/s].
     """
-    rpy, rpy_rate = as_array(rpy), as_array(rpy_rate)
-    xp = namespace(rpy, rpy_rate)
-    sp, cp, sy, cy = xp.sin(rpy[..., 1]), xp.cos(rpy[..., 1]), xp.sin(rpy[..., 2]), xp.cos(rpy[..., 2])
-    pd, yd = rpy_rate[..., 1], rpy_rate[..., 2]
-    sink = -cp * pd
-    o = xp.zeros_like(sink)
-    first_row = -sy * cp * yd - cy * sp * pd, -cy * yd, o
-    return _of_entries(xp, (*first_row, cy * cp * yd - sy * sp * pd, -sy * yd, o, sink, o, o))
+    rpy, rate = np.asarray(rpy, dtype=float), np.asarray(rpy_rate, dtype=float)
+    sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
+    pitch, yaw = rate[..., 1], rate[..., 2]
+    made = np.zeros((*np.broadcast_shapes(rpy.shape, rate.shape), 3))
+    made[..., 0, 0], made[..., 0, 1] = -sy * cp * yaw - cy * sp * pitch, -cy * yaw
+    made[..., 1, 0], made[..., 1, 1] = cy * cp * yaw - sy * sp * pitch, -sy * yaw
+    made[..., 2, 0] = -cp * pitch
+    return made
 
 
-def _of_entries(xp: Any, entries: tuple[Array, ...]) -> np.ndarray:
-    """Matrices (..., 3, 3) of nine entries (...), row by row."""
-    matrix: np.ndarray = xp.reshape(xp.stack(entries, axis=-1), (*entries[0].shape, 3, 3))
-    return matrix
-
-
-def pose_rate_to_twist(pose: Array, pose_rate: Array) -> np.ndarray:
+def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
     """Twist [w, v] of P in B from the pose's rate.
 
     Args:
@@ -121,12 +97,10 @@ def pose_rate_to_twist(pose: Array, pose_rate: Array) -> np.ndarray:
     Returns:
         (..., 6) [rad/s, m/s].
     """
-    pose, pose_rate = as_array(pose), as_array(pose_rate)
-    xp = namespace(pose, pose_rate)
-    return last(xp, core.twist(pose, pose_rate), 1)
+    return _by_rows(_twists, (6,), pose, pose_rate)
 
 
-def twist_to_pose_rate(pose: Array, twist: Array) -> np.ndarray:
+def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
     """Inverse of `pose_rate_to_twist`.
 
     Args:
@@ -136,10 +110,7 @@ def twist_to_pose_rate(pose: Array, twist: Array) -> np.ndarray:
     Returns:
         (..., 6) [rad/s, m/s].
     """
-    pose, twist = as_array(pose), as_array(twist)
-    xp = namespace(pose, twist)
-    moving = first(xp, twist, 1)
-    return last(xp, xp.concat([core.euler_rates(pose, moving[:3, ...]), moving[3:, ...]]), 1)
+    return _by_rows(_rates, (6,), pose, twist)
 
 
 @dataclass(frozen=True)
@@ -164,16 +135,8 @@ class LegGeometry:
     e_l: np.ndarray
     transmission: np.ndarray
 
-    def components(self) -> core.Legs:
-        """The same with components first, as `kinematics_core` takes them; no copy."""
-        xp = namespace(self.e_l)
-        rotation = first(xp, xp.matrix_transpose(self.rotation), 2)
-        arm, crank, e_n, e_l = (first(xp, vector, 2) for vector in (self.arm, self.crank, self.e_n, self.e_l))
-        return core.Legs(rotation, arm, crank, e_n, e_l, first(xp, self.transmission, 1))
 
-
-@in_blocks
-def reach_margin(robot: AnyRobot, pose: Array) -> np.ndarray:
+def reach_margin(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
 
     Args:
@@ -182,14 +145,15 @@ def reach_margin(robot: AnyRobot, pose: Array) -> np.ndarray:
 
     Returns:
         (..., 6) [-].
+
+    Raises:
+        ConfigurationError: A pose that is not finite or not (..., 6).
     """
-    pose = as_array(pose)
-    return last(namespace(pose), core.reach_margin(arrays_of(robot, pose), pose), 1)
+    return at_poses(reaches, robot, {"pose": pose}, (6,))
 
 
-@in_blocks
-def inverse_kinematics(robot: AnyRobot, pose: Array, branch: int | None = None) -> np.ndarray:
-    """Crank angles that put the platform at `pose`; closed form of (1)-(6), see `kinematics_core.cranks_at`.
+def inverse_kinematics(robot: Robot, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
+    """Crank angles that put the platform at `pose`; closed form of (1)-(6).
 
     Args:
         robot: Geometry.
@@ -203,11 +167,10 @@ def inverse_kinematics(robot: AnyRobot, pose: Array, branch: int | None = None) 
         UnreachablePoseError: A rod cannot span; `.leg`, `.pose` and `.margin` say which, where and by how much.
         ConfigurationError: A branch other than -1 and +1, or a pose that is not finite or not (..., 6).
     """
-    pose = as_array(pose)
-    return core.crank_angles(within_reach(core.cranks_at(*checked(robot, pose, branch)), pose))
+    return at_poses(_crank_angles, _with_branch(robot, branch), {"pose": pose}, (6,))
 
 
-def leg_geometry(robot: AnyRobot, pose: Array, branch: int | None = None) -> LegGeometry:
+def leg_geometry(robot: Robot, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
     """Directions of cranks and rods at `pose`, Fig. 1.
 
     Args:
@@ -218,19 +181,20 @@ def leg_geometry(robot: AnyRobot, pose: Array, branch: int | None = None) -> Leg
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    pose = as_array(pose)
-    xp, (own, pose) = namespace(pose), checked(robot, pose, branch)
-    legs = core.legs_at(own, pose)
-    theta = core.crank_angles(within_reach(legs.cranks, pose))
-    arm, crank, e_n, e_l = (last(xp, vector, 2) for vector in (legs.arm, legs.crank, legs.e_n, legs.e_l))
-    rotation = xp.matrix_transpose(last(xp, legs.rotation, 2))
-    return LegGeometry(rotation, theta, arm, crank, e_n, e_l, last(xp, legs.transmission, 1))
+    legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=LEGS)
+    names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
+    theta = np.arctan2(legs["sine"], legs["cosine"])
+    return LegGeometry(crank_angles=theta, **{name: np.ascontiguousarray(legs[name]) for name in names})
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product over the last axis; several times faster than numpy's on small arrays."""
-    xp = namespace(a, b)
-    return last(xp, cross_of_components(xp, *(xp.moveaxis(each, -1, 0) for each in xp.broadcast_arrays(a, b))), 1)
+    a, b = np.broadcast_arrays(a, b)
+    made = np.empty(a.shape)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        made[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return made
 
 
 def rod_lines(legs: LegGeometry) -> np.ndarray:
@@ -239,11 +203,10 @@ def rod_lines(legs: LegGeometry) -> np.ndarray:
     Returns:
         (..., 6, 6) [m, -], one row per leg.
     """
-    return last(namespace(legs.e_l), core.rod_lines(legs.components()), 2)
+    return np.concatenate([cross(legs.arm, legs.e_l), legs.e_l], axis=-1)
 
 
-@in_blocks
-def twist_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
+def twist_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(twist): crank rates from the twist of P.
 
     Args:
@@ -256,12 +219,10 @@ def twist_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    pose = as_array(pose)
-    return last(namespace(pose), core.twist_jacobian(*legs_within_reach(robot, pose), masked=False), 2)
+    return at_poses(_twist_jacobians, robot, {"pose": pose}, (6, 6))
 
 
-@in_blocks
-def pose_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
+def pose_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """d(theta)/d(pose): crank rates from the pose's rate (Euler rates).
 
     Args:
@@ -274,11 +235,10 @@ def pose_jacobian(robot: AnyRobot, pose: Array) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    pose = as_array(pose)
-    return last(namespace(pose), core.pose_jacobian(*legs_within_reach(robot, pose), pose, masked=False), 2)
+    return at_poses(_pose_jacobians, robot, {"pose": pose}, (6, 6))
 
 
-def crank_rates(robot: AnyRobot, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
     """Crank rates at a pose whose leg vectors are at hand; infinite or NaN at a crank's dead centre.
 
     Args:
@@ -290,15 +250,14 @@ def crank_rates(robot: AnyRobot, legs: LegGeometry, pose: np.ndarray, pose_rate:
     Returns:
         (..., 6) [rad/s].
     """
-    xp, parts = namespace(legs.e_l), legs.components()
-    along_rods = xp.sum(core.rod_lines(parts) * core.twist(pose, pose_rate)[:, None, ...], axis=0)
-    return last(xp, along_rods / core.levers(arrays_of(robot, legs.e_l), parts), 1)
+    twist = pose_rate_to_twist(pose, pose_rate)
+    return np.einsum("...ij,...j->...i", rod_lines(legs), twist) / (robot.crank_lengths * legs.transmission)
 
 
 def forward_kinematics(
-    robot: AnyRobot,
-    crank_angles: Array,
-    guess: Array | None = None,
+    robot: Robot,
+    crank_angles: ArrayLike,
+    guess: ArrayLike | None = None,
     tolerance: float = 1e-13,
     max_iterations: int = 30,
 ) -> np.ndarray:
@@ -309,8 +268,7 @@ def forward_kinematics(
     Args:
         robot: Geometry.
         crank_angles: (..., 6) [rad].
-        guess: (..., 6) [rad, m] where to start, in the namespace of the angles or numbers of numpy or of lists; None
-            starts at the home pose of a `RobotParameters`.
+        guess: (..., 6) [rad, m] where to start; None starts at the home pose of a `RobotParameters`.
         tolerance: [m] largest rod-length error accepted.
         max_iterations: Newton steps at most.
 
@@ -318,39 +276,39 @@ def forward_kinematics(
         (..., 6) [rad, m].
 
     Raises:
-        ForwardKinematicsError: No convergence, or a singular Jacobian on the way.
-        ConfigurationError: Wrong shape, or not finite; no guess for a robot that is arrays.
+        ForwardKinematicsError: No convergence, or a singular Jacobian on the way; with the largest error left.
+        ConfigurationError: Wrong shape, or not finite; no guess for a robot that is a record.
     """
-    theta = as_array(crank_angles)
-    xp, own = namespace(theta), arrays_of(robot, theta)
-    if theta.ndim < 1 or theta.shape[-1] != 6 or not bool(xp.all(xp.isfinite(theta))):
-        raise ConfigurationError("crank_angles", theta, "finite numbers of shape (..., 6)")
-    start = as_array(robot.home_pose if guess is None and isinstance(robot, RobotParameters) else guess)
-    if isinstance(start, np.ndarray):
-        start = numbers_like(start, theta)
-    if start.shape[-1:] != (6,) or not bool(xp.all(xp.isfinite(start))):
-        raise ConfigurationError("guess", start, "finite numbers of shape (..., 6)")
+    theta = np.asarray(crank_angles, dtype=float)
+    if theta.shape[-1:] != (6,) or not np.isfinite(theta).all():
+        raise ConfigurationError("crank_angles", crank_angles, "finite numbers of shape (..., 6)")
+    given = robot.home_pose if guess is None and isinstance(robot, RobotParameters) else guess
+    start = np.asarray(given, dtype=float)
+    if start.shape[-1:] != (6,) or not np.isfinite(start).all():
+        raise ConfigurationError("guess", given, "finite numbers of shape (..., 6)")
     try:
-        pose = xp.broadcast_to(start, theta.shape)
-    except (ValueError, RuntimeError):
-        allowed = f"finite numbers whose shape fits that of crank_angles, {tuple(theta.shape)}"
+        poses = np.broadcast_to(start, theta.shape).reshape(-1, 6)
+    except ValueError:
+        allowed = f"finite numbers whose shape fits that of crank_angles, {theta.shape}"
         raise ConfigurationError("guess", start, allowed) from None
-    worst = np.inf
-    for iteration in range(max_iterations + 1):
-        rows, error = core.rod_errors(own, theta, pose)
-        worst = float(to_numpy(xp.max(xp.abs(error)))) if 0 not in error.shape else 0.0
-        if worst <= tolerance:
-            return pose
-        if iteration == max_iterations or not np.isfinite(worst):
-            break
-        try:
-            pose = core.newton_step(rows, error, pose, masked=False)
-        except (np.linalg.LinAlgError, RuntimeError):
-            break
-    raise ForwardKinematicsError(worst, iteration)
+    poses, error, steps = newton(robot, theta.reshape(-1, 6), poses, tolerance, max_iterations)
+    if not (error <= tolerance).all():
+        worst = np.nan_to_num(error, nan=np.inf).argmax()
+        raise ForwardKinematicsError(float(error[worst]), int(steps[worst]))
+    return poses.reshape(theta.shape)
 
 
-def conditioning(robot: RobotParameters, pose: Array) -> np.ndarray:
+def newton(
+    robot: Robot, theta: np.ndarray, start: np.ndarray, tolerance: float, iterations: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`forward_kinematics` of angles and starts (n, 6), without raising: poses (n, 6), errors (n,) [m], steps (n,)."""
+    poses, ends = np.array(start, order="C"), np.zeros((len(theta), 2))
+    angles = np.array(theta, order="C")
+    over_rows(_forward_kinematics, (robot_records(robot), float(tolerance), int(iterations)), (angles, poses, ends))
+    return poses, ends[:, 0], ends[:, 1]
+
+
+def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """sigma_min / sigma_max of [e_M / length; e_l] of (14), rotations scaled by the characteristic length.
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
@@ -365,12 +323,117 @@ def conditioning(robot: RobotParameters, pose: Array) -> np.ndarray:
     Raises:
         UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
-    return line_conditioning(robot, leg_geometry(robot, pose))
+    return at_poses(_conditioning, robot, {"pose": pose}, ())
 
 
 def line_conditioning(robot: RobotParameters, legs: LegGeometry) -> np.ndarray:
     """`conditioning` from leg vectors that are already at hand; (...) [-]."""
-    xp, parts = namespace(legs.e_l), legs.components()
-    lines = xp.concat([cross_of_components(xp, parts.arm, parts.e_l) / robot.characteristic_length, parts.e_l])
-    sigma = xp.linalg.svdvals(last(xp, lines, 2))
+    lines = rod_lines(legs)
+    lines[..., :3] /= robot.characteristic_length
+    sigma = np.linalg.svd(lines, compute_uv=False)
     return sigma[..., -1] / sigma[..., 0]
+
+
+def _by_rows(loop: Any, tail: tuple[int, ...], *inputs: ArrayLike) -> np.ndarray:
+    """Values of a loop that needs no robot."""
+    leading, rows = broadcast_rows(*(np.asarray(each, dtype=float) for each in inputs))
+    made = np.empty((len(rows[0]), *tail))
+    over_rows(loop, (), (*rows, made))
+    return made.reshape((*leading, *tail))
+
+
+def _with_branch(robot: Robot, branch: int | None) -> Robot:
+    if branch is None:
+        return robot
+    if branch not in (-1, 1):
+        raise ConfigurationError("branch", branch, "-1 or 1, or None")
+    made = robot_records(robot).copy()
+    made["branch"] = branch
+    return made
+
+
+@njit
+def _rotations(rpy: Any, made: Any) -> None:
+    for n in range(len(rpy)):
+        laws.rotation(rpy[n], made[n])
+
+
+@njit
+def _angular_velocities(rpy: Any, rates: Any, made: Any) -> None:
+    for n in range(len(rpy)):
+        laws.angular_velocity(rpy[n], rates[n], made[n])
+
+
+@njit
+def _twists(poses: Any, rates: Any, made: Any) -> None:
+    for n in range(len(poses)):
+        laws.twist_of(poses[n], rates[n], made[n])
+
+
+@njit
+def _rates(poses: Any, twists: Any, made: Any) -> None:
+    for n in range(len(poses)):
+        laws.rate_of(poses[n], twists[n], made[n])
+
+
+@njit
+def _crank_angles(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if laws.legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        for i in range(6):
+            made[n, i] = np.arctan2(legs.sine[i], legs.cosine[i])
+    return OK
+
+
+@njit
+def _legs(robots: Any, poses: Any, made: Any) -> int:
+    robot = record(robots)
+    for n in range(len(poses)):
+        if laws.legs_at(robot, poses[n], record(made[n : n + 1])) >= 0:
+            return UNREACHABLE
+    return OK
+
+
+@njit
+def _twist_jacobians(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if laws.legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        laws.crank_jacobian(legs, made[n])
+    return OK
+
+
+@njit
+def _pose_jacobians(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if laws.legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        laws.crank_jacobian(legs, made[n])
+        for i in range(6):
+            laws.euler_moment(poses[n, :3], made[n, i, :3])
+    return OK
+
+
+@njit
+def _conditioning(robots: Any, poses: Any, made: Any) -> int:
+    robot, store = record(robots), np.empty(1, LEGS)
+    for n in range(len(poses)):
+        legs = record(store)
+        if laws.legs_at(robot, poses[n], legs) >= 0:
+            return UNREACHABLE
+        made[n] = laws.conditioning(robot, legs, 1e-14)
+    return OK
+
+
+@njit
+def _forward_kinematics(robots: Any, tolerance: float, iterations: int, angles: Any, poses: Any, ends: Any) -> None:
+    robot = record(robots)
+    for n in range(len(angles)):
+        ends[n, 0], ends[n, 1] = laws.forward_kinematics(robot, angles[n], poses[n], tolerance, iterations)

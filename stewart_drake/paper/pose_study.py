@@ -9,8 +9,8 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.paper.study import Study
+from stewart_drake.planning.workspace import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
 from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays
-from stewart_drake.planning.workspace_region import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import Vector6
@@ -73,10 +73,8 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
         surveys[kind] = survey(robot, limits, grid, gravity, study.part(0.17 * i, 0.17))
     rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
     for i, kind in enumerate(KINDS):
-        size = {"subdivisions": study.pick(4, 3), "refinements": study.pick(3, 1)}
-        boundaries[kind] = boundary(
-            robot, limits, kind, center, **size, gravity=gravity, progress=study.part(0.34 + 0.08 * i, 0.08)
-        )
+        count, progress = study.pick(20_000, 2_000), study.part(0.34 + 0.08 * i, 0.08)
+        boundaries[kind] = boundary(robot, limits, kind, center, count, gravity, progress)
     ends = np.concatenate([-np.eye(3), np.eye(3)])
     rays = {kind: follow_rays(robot, limits, kind, center, ends, gravity) for kind in KINDS}
     way, cuts = (

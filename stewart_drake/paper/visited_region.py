@@ -15,8 +15,8 @@ from stewart_drake.logs.motion_envelope import MotionEnvelope, motion_envelope
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.paper.study import Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
-from stewart_drake.planning.workspace import measure_poses
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.plotting.panels import COORDINATES
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH

@@ -14,15 +14,13 @@ from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.visited_region import VisitedRegion, controlled_motions, findings, visited_region
 from stewart_drake.planning.limits import RULES, limit_bounds
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
+from stewart_drake.planning.workspace import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
 from stewart_drake.plotting.envelope_plots import plot_motion_map, plot_state_region, plot_torque_region
 from stewart_drake.plotting.panels import COORDINATES, SCALES
 from stewart_drake.plotting.workspace_plots import (
     CAPABILITIES,
     WORDS,
-    plot_boundaries,
     plot_capability,
-    plot_losses,
     plot_slices,
 )
 
@@ -62,7 +60,7 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
             for name, kind, found in poses.others
         },
     }
-    figures = _pose_figures(study, poses, lost)
+    figures = _pose_figures(study, poses)
     values: dict[str, Any] = {}
     if regions:
         first = regions[0]
@@ -112,15 +110,13 @@ def summary(numbers: dict[str, Any]) -> list[tuple[str, str]]:
     return [*rows, ("poses measured a second", f"{numbers['poses_per_second']:,.0f}")]
 
 
-def _pose_figures(study: Study, poses: PoseStudy, lost: dict[Kind, list[Loss]]) -> dict[str, Figure]:
-    surfaces = [poses.boundaries[kind] for kind in KINDS]
-    figures = {"workspace-boundary": plot_boundaries(surfaces, study.base.robot)}
+def _pose_figures(study: Study, poses: PoseStudy) -> dict[str, Figure]:
+    figures: dict[str, Figure] = {}
     for kind in KINDS:
         slices = slice_surveys(study, poses, kind)
         figures[f"workspace-{kind}-slices"] = plot_slices(slices)
         figures[f"workspace-{kind}-capability"] = plot_capability(slices[-1] if kind == "position" else slices[2])
-    rows = [(f"{kind}s".capitalize(), lost[kind], poses.boundaries[kind].first()) for kind in KINDS]
-    return figures | {"workspace-losses": plot_losses(rows)}
+    return figures
 
 
 def _motion_figures(study: Study, poses: PoseStudy, regions: Sequence[VisitedRegion]) -> dict[str, Figure]:

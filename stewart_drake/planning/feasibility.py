@@ -10,22 +10,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
-
-__all__ = [
-    "FeasibilityReport",
-    "LimitMargin",
-    "Limits",
-    "amplitude_table",
-    "check_motion",
-    "check_reference",
-    "largest_amplitude",
-    "largest_scale",
-    "refuse_turns",
-]
 
 SEARCH_RTOL = 1e-4
 """Relative width at which the searches for the largest amplitude and scale stop."""
@@ -75,12 +62,10 @@ class FeasibilityReport:
         smallest: The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need
             crank angles are judged where all legs reach; one that could be judged nowhere is absent.
         first_violation: The earliest broken limit, with the worst place at that instant; None if feasible.
-        unreachable: (n,) bool, samples at which a rod cannot span.
     """
 
     smallest: dict[str, LimitMargin]
     first_violation: LimitMargin | None
-    unreachable: np.ndarray
 
     @property
     def feasible(self) -> bool:
@@ -88,11 +73,7 @@ class FeasibilityReport:
         return self.first_violation is None
 
     def raise_if_infeasible(self) -> None:
-        """Raises for the first violation, if there is one.
-
-        Raises:
-            InfeasibleReferenceError: With limit, time, leg and margin of the first violation.
-        """
+        """Raises an InfeasibleReferenceError for the first violation, if there is one."""
         v = self.first_violation
         if v is not None:
             raise InfeasibleReferenceError(v.limit, v.time, v.leg, v.margin, v.allowed)
@@ -123,9 +104,6 @@ def check_motion(
         pose_rate: (n, 6) [rad/s, m/s] Euler rates and velocity.
         pose_acceleration: (n, 6) [rad/s^2, m/s^2] their time derivatives.
         gravity: [m/s^2] along -z of B.
-
-    Returns:
-        The smallest margins and the first violation.
 
     Raises:
         ConfigurationError: An array of the wrong shape, or a value that is not finite; as `refuse_turns`.
@@ -158,8 +136,7 @@ def check_motion(
     }
     broken = {limit: (values < 0.0).any(axis=-1) for limit, values in margins.items()}
     first = min(((int(b.argmax()), limit) for limit, b in broken.items() if b.any()), key=lambda v: v[0], default=None)
-    unreachable = np.any(reach_margin(robot, motion["pose"]) < 0.0, axis=-1)
-    return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]), unreachable)
+    return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]))
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
@@ -229,8 +206,7 @@ def _joined(reports: Sequence[FeasibilityReport]) -> FeasibilityReport:
         if found:
             smallest[limit] = min(found, key=lambda margin: margin.margin)
     first = next((report.first_violation for report in reports if report.first_violation is not None), None)
-    unreachable = [reports[0].unreachable, *(report.unreachable[1:] for report in reports[1:])]
-    return FeasibilityReport(smallest, first, np.concatenate(unreachable))
+    return FeasibilityReport(smallest, first)
 
 
 def largest_amplitude(
@@ -300,21 +276,7 @@ def amplitude_table(
     gravity: float,
     center: np.ndarray | None = None,
 ) -> np.ndarray:
-    """`largest_amplitude` of every axis at every frequency.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        frequencies: [Hz] n_f of them.
-        gravity: [m/s^2] along -z of B.
-        center: (6,) [rad, m] middle of the motion; None takes home.
-
-    Returns:
-        (n_f, 6) [rad, m].
-
-    Raises:
-        ConfigurationError: As in `largest_amplitude`.
-    """
+    """`largest_amplitude` of every axis at every frequency [Hz]; (n, 6) [rad, m]."""
     rows = [[largest_amplitude(robot, limits, axis, f, gravity, center) for axis in range(6)] for f in frequencies]
     return np.array(rows).reshape(-1, 6)
 
@@ -341,9 +303,6 @@ def largest_scale(
 
     Returns:
         [-] feasible, to a relative 1e-4. Zero where scale 0 is not feasible.
-
-    Raises:
-        ConfigurationError: As in `check_reference`.
     """
 
     def feasible(scale: float) -> bool:

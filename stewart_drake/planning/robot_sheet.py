@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from stewart_drake.mechanics.dynamics import static_torque, task_inertia
-from stewart_drake.mechanics.kinematics import conditioning, leg_geometry
-from stewart_drake.planning.limits import smallest_clearance
+from stewart_drake.mechanics.kinematics import leg_geometry
+from stewart_drake.planning.measures import measure_poses
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -67,17 +67,19 @@ def at_home(robot: RobotParameters) -> Sheet:
 def figures(robot: RobotParameters) -> Sheet:
     """Single figures at the home pose."""
     heave = task_inertia(robot, robot.home_pose)[5, 5]
+    home = measure_poses(robot, np.array([robot.home_pose]))
+    share = 100.0 * home.holding_torque[0] / robot.effort_limit
     rows = [
-        ("conditioning of the rods' lines", f"{conditioning(robot, robot.home_pose):.3f}", "-"),
-        ("smallest gap between links of two legs", f"{1e3 * smallest_clearance(robot, robot.home_pose):.2f}", "mm"),
+        ("conditioning of the rods' lines", f"{home.conditioning[0]:.3f}", "-"),
+        ("smallest gap between links of two legs", f"{1e3 * home.clearance[0]:.2f}", "mm"),
         ("inertia felt in heave, motors and rods included", f"{heave:.4g}", "kg"),
-        ("largest torque at rest, of the effort limit", f"{_share_at_rest(robot):.1f}", "%"),
+        (
+            "largest torque at rest, of the effort limit",
+            f"{share:.1f}",
+            "%",
+        ),
     ]
     return "figures at home", ("", "value", "unit"), rows
-
-
-def _share_at_rest(robot: RobotParameters) -> float:
-    return float(100.0 * np.max(np.abs(static_torque(robot, robot.home_pose)) / robot.effort_limits))
 
 
 def _short(value: float) -> str:

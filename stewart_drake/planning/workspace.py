@@ -1,265 +1,334 @@
-"""What the robot can do at each of many poses: the mechanics of `kinematics_core`, poses on the last axis.
+"""Regions of poses over a grid: how much of space, or of all orientations, each limit leaves; and the ways out of them.
 
-The same quantities as in `kinematics`, `limits` and `dynamics`, several times faster: in blocks that fit the cache, by
-a pool of threads (numpy lets go of the interpreter inside its loops).
-
-Serial and parallel singularities are told apart by two measures. `transmission` |e_l . e_N| is zero where a crank is at
-its dead centre (serial): the motor moves, the platform does not; `reach` is zero there too. `conditioning` is zero
-where the rods' lines lose rank (parallel): the platform moves, the motors do not. Its sign is that of the rods'
-determinant relative to home, so that a pose beyond a parallel singularity is known from one before it.
+A position workspace is the set of positions at a fixed orientation, an orientation workspace that of orientations at a
+fixed position. What a pose takes up of a limit is its utilisation: 1 at the limit, above 1 outside. It makes limits of
+different units comparable; for a quantity x with a lower bound b it is b / x.
 """
 
 from __future__ import annotations
 
-import itertools
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics import kinematics_core as core
-from stewart_drake.mechanics.arrays import Robot, cross, dot, fitted, namespace, numpy_robot
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.dynamics_core import weight
-from stewart_drake.planning.limits import crank_strokes
+from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
+from stewart_drake.planning.limits import Limits, limit_bounds
+from stewart_drake.planning.measures import PoseMeasures, measure_poses
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
 
-_BLOCK = 1024  # poses at a time: 15 pairs of legs each, arrays of 120 kB, a dozen of them alive
-_REACH_BLOCK = 8192
-_NEARLY_SINGULAR = 1e-3
-_ONE, _OTHER = np.array(list(itertools.combinations(range(LEGS), 2))).T
+Kind = Literal["position", "orientation"]
+Progress = Callable[[float], None]
 
+COORDINATES: dict[Kind, tuple[int, int, int]] = {"position": (3, 4, 5), "orientation": (0, 1, 2)}
+"""The coordinates of a pose that vary over a workspace."""
 
-@dataclass(frozen=True)
-class PoseMeasures:
-    """Measures of n poses, each (n,); all but `reach` are NaN where a rod cannot span.
+SINGULARITIES = {"reach": "serial", "transmission": "serial", "conditioning": "parallel"}
+"""The kind of singularity that a limit keeps away from."""
+LIMIT_NAMES = (
+    "reach",
+    "transmission",
+    "conditioning",
+    "ball_swing",
+    "universal_swing",
+    "clearance",
+    "torque",
+    "euler_pitch",
+    "crank_range",
+)
+"""Limits that a pose at rest can break; those of `limits.RULES`, the swings of the two joints apart."""
+_LEAST = {"transmission", "conditioning", "clearance"}  # of which there must be at least so much
+ALL_ANGLES = np.array([np.pi, 0.5 * np.pi, np.pi])
+"""[rad] roll, pitch and yaw, either way, that cover all orientations."""
 
-    Attributes:
-        reach: [-] smallest 1 - |C| / sqrt(A^2 + B^2) of a leg; negative where a rod cannot span.
-        transmission: [-] smallest |e_l . e_N| of a leg; zero at a serial singularity.
-        conditioning: [-] sigma_min / sigma_max as in `kinematics.conditioning`, negative where the rods' determinant
-            has not the sign that it has at home; zero at a parallel singularity.
-        ball_swing: [rad] largest swing of a rod from home, seen in the platform.
-        universal_swing: [rad] largest swing of a rod from home, seen in its crank.
-        stroke: [-] largest distance of a crank from the middle of its range, as a part of half of it; 0 without stops.
-        clearance: [m] smallest distance of the surfaces of links of different legs; negative where they overlap.
-        holding_torque: [N m] largest |motor torque| at rest; infinite exactly at a parallel singularity.
-        force: [N] largest force, without moment about P, that can be exerted in any direction whatever.
-        moment: [N m] largest moment, without force, that can be exerted in any direction whatever.
-    """
-
-    reach: np.ndarray
-    transmission: np.ndarray
-    conditioning: np.ndarray
-    ball_swing: np.ndarray
-    universal_swing: np.ndarray
-    stroke: np.ndarray
-    clearance: np.ndarray
-    holding_torque: np.ndarray
-    force: np.ndarray
-    moment: np.ndarray
+_COARSE = 40**3  # cells to find the box of the poses in reach with
 
 
-def measure_poses(
-    robot: RobotParameters,
-    pose: np.ndarray,
-    gravity: float = STANDARD_GRAVITY,
-    torque_limit: float | None = None,
-    workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> PoseMeasures:
-    """Every measure of `PoseMeasures` at every pose.
-
-    Force and moment are balls inscribed into the image of the torque limits, a box, under the statics map. To exert
-    the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of (18),
-    `statics`. Over all forces of size r the term A_i w of motor i runs from -r |a_i| to +r |a_i|, a_i the three entries
-    of row i that belong to the force (or to the moment). So r can be exerted in every direction exactly as long as
-    |t_i| + r |a_i| <= T_max for all i: the largest is min_i (T_max - |t_i|) / |a_i|. It is zero where the weight alone
-    is too much.
+def utilisation(
+    robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: PoseMeasures
+) -> dict[str, np.ndarray]:
+    """Part of each limit that is on which each pose takes up; above 1 it is broken.
 
     Args:
-        robot: Geometry, masses, effort limit.
+        robot: Effort limit.
+        limits: What to keep to; limits of the speed do not count at rest.
         pose: (n, 6) [rad, m].
-        gravity: [m/s^2] along -z of B.
-        torque_limit: [N m] T_max in place of the robot's `effort_limit`; each motor keeps its share of it.
-        workers: Threads; None takes one for each processor.
-        progress: Called with the share done, 0 to 1.
+        measures: Of these poses.
 
     Returns:
-        What the functions of those modules give, to rounding: 1e-12 relative, but for `conditioning` (1e-11 absolute),
-        the swings (1e-8 rad, worst at 180 deg), `transmission` at a dead centre (1e-8 absolute), and torque, force and
-        moment near a parallel singularity (1e-14 / conditioning relative).
+        (n,) [-] per limit, in the order of `LIMIT_NAMES`; NaN where a rod cannot span, but for `reach` and
+        `euler_pitch`; infinite beyond a parallel singularity and where links overlap.
+    """
+    bounds = limit_bounds(robot, limits)
+    swing = bounds.get("joint_swing")
+    allowed = bounds | ({} if swing is None else {"ball_swing": swing, "universal_swing": swing})
+    use = {
+        "reach": 1.0 - measures.reach,
+        "transmission": measures.transmission,
+        "conditioning": measures.conditioning,
+        "ball_swing": measures.ball_swing,
+        "universal_swing": measures.universal_swing,
+        "clearance": measures.clearance,
+        "torque": measures.holding_torque,
+        "euler_pitch": np.abs(pose[:, 1]),
+        "crank_range": measures.stroke,
+    }
+
+    def part(name: str) -> np.ndarray:
+        if name == "crank_range":
+            return use[name]
+        if name not in _LEAST:
+            return use[name] / allowed[name]
+        beyond = np.where(np.isnan(use[name]), np.nan, np.inf)
+        return np.divide(allowed[name], use[name], out=beyond, where=use[name] > 0.0)
+
+    return {name: part(name) for name in LIMIT_NAMES if name in allowed}
+
+
+def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The largest utilisation (n,) [-] and the index (n,) of its limit in `LIMIT_NAMES`.
+
+    Where a rod cannot span, that is what governs, whatever else is known of the pose.
+    """
+    stack = np.stack(list(use.values()))
+    unknown = np.isnan(stack).any(axis=0)
+    stack[1:, unknown] = -np.inf
+    of = np.array([LIMIT_NAMES.index(name) for name in use])
+    return stack.max(axis=0), of[stack.argmax(axis=0)]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells of a box in three coordinates of the pose; a side of no length makes a slice.
+
+    Attributes:
+        coordinates: Indices of the coordinates that vary, `COORDINATES` of a workspace or any others, ascending.
+        center: (6,) [rad, m] pose; the other coordinates are taken from it.
+        low: (3,) lower corner.
+        high: (3,) upper corner.
+        counts: Cells along each side.
+    """
+
+    coordinates: tuple[int, int, int]
+    center: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    counts: tuple[int, int, int]
+
+    @property
+    def width(self) -> np.ndarray:
+        """(3,) [rad] or [m] of a cell."""
+        return (self.high - self.low) / self.counts
+
+    @cached_property
+    def axes(self) -> tuple[np.ndarray, ...]:
+        """Centres of the cells along each side."""
+        return tuple(
+            low + width * (np.arange(n) + 0.5) for low, width, n in zip(self.low, self.width, self.counts, strict=True)
+        )
+
+    @cached_property
+    def poses(self) -> np.ndarray:
+        """(n, 6) [rad, m] centres of the cells, the last coordinate running fastest."""
+        point = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
+        return poses_at(self.coordinates, self.center, point.reshape(-1, 3))
+
+    @cached_property
+    def cell_size(self) -> np.ndarray:
+        """(n,) size of each cell: product of its sides; of an orientation workspace, the share [-] of all orientations.
+
+        A random orientation has roll and yaw uniform and pitch of density cos(pitch): 8 pi^2 in all.
+        """
+        if self.coordinates != COORDINATES["orientation"]:
+            return np.full(math.prod(self.counts), float(np.prod(self.width)))
+        roll, pitch, yaw = self.width
+        upper, lower = self.axes[1] + 0.5 * pitch, self.axes[1] - 0.5 * pitch
+        share = roll * yaw * (np.sin(upper) - np.sin(lower)) / (8.0 * np.pi**2)
+        return np.broadcast_to(share[:, None], self.counts).ravel()
+
+
+def poses_at(coordinates: tuple[int, ...], center: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Poses (n, 6) [rad, m] with the given coordinates from `point` (n, k), the others from `center`."""
+    pose = np.tile(np.asarray(center, dtype=float), (len(point), 1))
+    pose[:, coordinates] = point
+    return pose
+
+
+def spanning_grid(robot: RobotParameters, kind: Kind, center: np.ndarray, samples: int) -> Grid:
+    """A grid of about `samples` nearly cubic cells over the poses at which all rods can span.
+
+    No joint is further from its shaft than crank and rod together, which bounds the positions; of these, those on the
+    centre's side of the motors' plane are taken: the other side belongs to another assembly. Orientations start from
+    all of them. A coarse grid then cuts the box down to what can be reached, and a cell more on each side.
+
+    Args:
+        robot: Geometry.
+        kind: What varies.
+        center: (6,) [rad, m].
+        samples: At least 8.
 
     Raises:
-        ConfigurationError: Poses that are not finite or not (n, 6).
+        ConfigurationError: A center that `check_center` refuses; too few samples.
     """
-    pose = np.asarray(pose, dtype=float)
-    if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
-        raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
-    limit = robot.effort_limit if torque_limit is None else torque_limit
-    table = np.full((len(fields(PoseMeasures)), len(pose)), np.nan)
-    table[0] = smallest_reach(robot, pose)
-    within = np.flatnonzero(table[0] >= 0.0)
-    home = _HomeRods.of(robot)
-
-    def fill(first: int) -> None:
-        block = within[first : first + _BLOCK]
-        table[1:, block] = _measure(robot, home, pose[block], gravity, limit)
-
-    starts = range(0, len(within), _BLOCK)
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        try:
-            for done, _ in enumerate(pool.map(fill, starts)):
-                if progress is not None:
-                    progress((done + 1) / len(starts))
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return PoseMeasures(*table)
+    center = np.asarray(center, dtype=float)
+    check_center(robot, center)
+    if samples < 8:
+        raise ConfigurationError("samples", samples, "at least 8")
+    low, high = outer_box(robot, center) if kind == "position" else (-ALL_ANGLES, ALL_ANGLES.copy())
+    coarse = Grid(COORDINATES[kind], center, low, high, _counts(high - low, _COARSE))
+    inside = reach_margin(robot, coarse.poses).min(axis=1).reshape(coarse.counts) >= 0.0
+    for axis in range(3) if inside.any() else ():
+        along = np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis})))
+        edges = low[axis] + coarse.width[axis] * np.array([along[0] - 1, along[-1] + 2])
+        low[axis], high[axis] = max(low[axis], edges[0]), min(high[axis], edges[1])
+    return Grid(COORDINATES[kind], center, low, high, _counts(high - low, samples))
 
 
-def smallest_reach(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """The measure `PoseMeasures.reach` alone, at a fiftieth of the cost of all; (n,) [-] of poses (n, 6) [rad, m]."""
-    reach = np.empty(len(pose))
-    for first in range(0, len(pose), _REACH_BLOCK):
-        block = slice(first, first + _REACH_BLOCK)
-        reach[block] = core.reach_margin(numpy_robot(robot), pose[block]).min(axis=0)
-    return reach
+def check_center(robot: RobotParameters, center: np.ndarray) -> None:
+    """Refuses what cannot be the centre of a workspace.
+
+    Raises:
+        ConfigurationError: Not six finite numbers, angles beyond `ALL_ANGLES`, or out of reach.
+    """
+    if center.shape != (6,) or not np.isfinite(center).all() or (np.abs(center[:3]) > ALL_ANGLES).any():
+        raise ConfigurationError(
+            "center", center.tolist(), "six finite numbers, roll and yaw within +-pi, pitch within +-pi/2"
+        )
+    if reach_margin(robot, center).min() < 0.0:
+        raise ConfigurationError("center", center.tolist(), "a pose that all rods can reach")
+
+
+def outer_box(robot: RobotParameters, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) [m] of a box around the positions in reach at the orientation of a `center` in reach.
+
+    Of these, the positions on the centre's side of the motors' shafts, where it is above or below them all.
+    """
+    about = robot.shaft_positions - robot.platform_joints @ rotation_matrix(center[:3]).T
+    reach = (robot.crank_lengths + robot.rod_lengths)[:, None]
+    low, high = (about - reach).max(axis=0), (about + reach).min(axis=0)
+    heights = robot.shaft_positions[:, 2]
+    if center[5] >= heights.max():
+        low[2] = max(low[2], heights.min())
+    elif center[5] <= heights.min():
+        high[2] = min(high[2], heights.max())
+    return low, high
+
+
+def _counts(size: np.ndarray, samples: int) -> tuple[int, int, int]:
+    edge = float(np.prod(size) / samples) ** (1.0 / 3.0)
+    x, y, z = (max(2, round(side / edge)) for side in size.tolist())
+    return x, y, z
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Measures of all cells of a grid against the limits.
+
+    Attributes:
+        grid: The cells.
+        measures: Of their centres.
+        use: Utilisation of each limit, see `utilisation`.
+    """
+
+    grid: Grid
+    measures: PoseMeasures
+    use: dict[str, np.ndarray]
+
+    @property
+    def spanning(self) -> np.ndarray:
+        """(n,) bool, all rods can span."""
+        return self.measures.reach >= 0.0
+
+    @cached_property
+    def feasible(self) -> np.ndarray:
+        """(n,) bool, within every limit."""
+        return np.all([u <= 1.0 for u in self.use.values()], axis=0)
+
+    @cached_property
+    def regular(self) -> np.ndarray:
+        """(n,) bool, in reach of the centre without passing a singularity of either kind, whatever the limits say."""
+        return self._joined(self.spanning & (np.nan_to_num(self.measures.conditioning) > 0.0))
+
+    @cached_property
+    def connected(self) -> np.ndarray:
+        """(n,) bool, in reach of the centre without breaking a limit."""
+        return self._joined(self.feasible)
+
+    def _joined(self, mask: np.ndarray) -> np.ndarray:
+        """The cells of a mask that are joined to the centre's through faces."""
+        start = self.grid.center[list(self.grid.coordinates)]
+        seed = np.zeros(self.grid.counts, dtype=bool)
+        if ((self.grid.low <= start) & (start <= self.grid.high)).all():
+            seed[tuple(int(np.abs(axis - x).argmin()) for axis, x in zip(self.grid.axes, start, strict=True))] = True
+        return flood(seed, mask.reshape(self.grid.counts)).ravel()
+
+    def size(self, mask: np.ndarray) -> float:
+        """Size of the cells of a mask, see `Grid.cell_size`."""
+        return float(self.grid.cell_size[mask].sum())
+
+    def bounding_box(self, mask: np.ndarray) -> np.ndarray | None:
+        """(2, 3) [rad] or [m] lower and upper corner around the cells of a mask; None where it is empty."""
+        if not mask.any():
+            return None
+        point = self.grid.poses[mask][:, self.grid.coordinates]
+        half = 0.5 * self.grid.width
+        return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
+
+
+def survey(
+    robot: RobotParameters,
+    limits: Limits,
+    grid: Grid,
+    gravity: float = STANDARD_GRAVITY,
+    progress: Progress | None = None,
+) -> Survey:
+    """Measures every cell of a grid; force and moment keep to the limit of the torque, where it is on."""
+    bounds = limit_bounds(robot, limits)
+    measures = measure_poses(robot, grid.poses, gravity, bounds.get("torque"), progress=progress)
+    return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
 @dataclass(frozen=True)
-class _HomeRods:
-    """What the swings and the side of a parallel singularity are told from."""
+class Loss:
+    """What one limit takes away, as shares [-] of `Survey.regular`.
 
-    in_platform: np.ndarray  # (3, 6)
-    in_crank: np.ndarray  # (3, 6) along the crank, its lateral axis (quarter x zero), and e_N
-    side: float  # sign of the rods' determinant
-
-    @staticmethod
-    def of(robot: RobotParameters) -> _HomeRods:
-        own = numpy_robot(robot)
-        legs = core.legs_at(own, robot.home_pose)
-        in_platform = np.einsum("ck,cl->kl", legs.rotation, legs.e_l)
-        return _HomeRods(in_platform, _in_crank(own, legs), float(np.sign(core.determinant(legs))) or 1.0)
-
-
-def _in_crank(robot: Robot, legs: core.Legs) -> np.ndarray:
-    """(3, 6, ...) directions of the rods along the cranks, their lateral axes and e_N."""
-    lateral = cross(namespace(robot.zeros), robot.quarters, robot.zeros)
-    return np.stack([dot(legs.e_l, legs.crank), dot(legs.e_l, lateral), legs.transmission])
-
-
-def _measure(
-    robot: RobotParameters, home: _HomeRods, pose: np.ndarray, gravity: float, torque_limit: float
-) -> np.ndarray:
-    """All fields of `PoseMeasures` but the first, (9, n), of poses within reach."""
-    own = fitted(numpy_robot(robot), 1)
-    legs = core.legs_at(own, pose)
-    conditioning, inverse = _invert(robot, home, core.rod_lines(legs))
-    shares = robot.effort_shares[:, None]
-    return np.stack(
-        [
-            np.abs(legs.transmission).min(axis=0),
-            conditioning,
-            _largest_swing(legs.e_l, np.einsum("ckn,kl->cln", legs.rotation, home.in_platform)),
-            _largest_swing(_in_crank(own, legs), home.in_crank[:, :, None]),
-            _largest_stroke(robot, legs.cranks),
-            _smallest_distance(own, legs) - 2.0 * robot.link_radius,
-            *_strength(core.levers(own, legs), weight(own, legs, gravity), inverse, torque_limit, shares),
-        ]
-    )
-
-
-def _invert(robot: RobotParameters, home: _HomeRods, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed conditioning (n,) and the inverse [twist component, leg] (6, 6, n) of the rods' lines (6, 6, n).
-
-    The singular values come from the eigenvalues of rows rows', at half the cost; where squaring would lose digits,
-    from the singular value decomposition. The inverse of a singular matrix is infinite.
+    Attributes:
+        limit: One of `LIMIT_NAMES`.
+        broken: Poses that break it.
+        alone: Poses that break it and no other: what would be won if it were lifted.
     """
-    rows = np.ascontiguousarray(lines.transpose(2, 1, 0))
-    determinant = np.linalg.det(rows)
-    singular = determinant == 0.0
-    scaled = rows.copy()
-    scaled[..., :3] /= robot.characteristic_length
-    square = np.linalg.eigvalsh(scaled @ scaled.swapaxes(-1, -2))
-    ratio = np.sqrt(np.maximum(square[:, 0], 0.0) / square[:, -1])
-    small = np.flatnonzero(ratio < _NEARLY_SINGULAR)
-    if small.size:
-        sigma = np.linalg.svd(scaled[small], compute_uv=False)
-        ratio[small] = sigma[:, -1] / sigma[:, 0]
-    rows[singular] = np.eye(6)
-    inverse = np.ascontiguousarray(np.linalg.inv(rows).transpose(1, 2, 0))
-    inverse[..., singular] = np.inf
-    return ratio * np.sign(determinant) * home.side, inverse
+
+    limit: str
+    broken: float
+    alone: float
 
 
-def _strength(
-    lever: np.ndarray,
-    weight: tuple[np.ndarray, np.ndarray],
-    inverse: np.ndarray,
-    torque_limit: float,
-    shares: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Holding torque, force and moment, each (n,).
+def losses(found: Survey) -> list[Loss]:
+    """What each limit takes of the poses that the mechanism could reach, in the order of `LIMIT_NAMES`."""
+    total = found.size(found.regular)
+    broken = {name: found.regular & (use > 1.0) for name, use in found.use.items()}
+    count = np.sum(list(broken.values()), axis=0)
 
-    Args:
-        lever: (6, n) [m] torque over rod force.
-        weight: What gravity takes to hold, of `dynamics_core.weight`: no force but along z, no moment about it.
-        inverse: (6, 6, n) of the rods' lines.
-        torque_limit: [N m].
-        shares: (6, 1) [-] `RobotParameters.effort_shares`.
-    """
-    wrench, own = weight
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rod_force = inverse[0] * wrench[0] + inverse[1] * wrench[1] + inverse[5] * wrench[5]
-        torque = np.abs(lever * rod_force + own)
-        # At a parallel singularity infinities of both signs meet in the sum: no torque holds.
-        torque[np.isnan(torque)] = np.inf
-        spare = torque_limit * shares - torque
-        size = np.abs(lever)
-        moment, force = (
-            np.where(spare > 0.0, spare / (size * np.sqrt(dot(part, part))), 0.0).min(axis=0)
-            for part in (inverse[:3], inverse[3:])
-        )
-    return (torque / shares).max(axis=0), force, moment
+    def share(mask: np.ndarray) -> float:
+        return found.size(mask) / total if total > 0.0 else 0.0
+
+    return [Loss(name, share(mask), share(mask & (count == 1))) for name, mask in broken.items()]
 
 
-def _largest_swing(now: np.ndarray | tuple[np.ndarray, ...], then: np.ndarray) -> np.ndarray:
-    """Largest angle (n,) [rad] over the legs between unit vectors, from the chord between their ends."""
-    chord = sum((one - other) ** 2 for one, other in zip(now, then, strict=True))
-    return 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.max(chord, axis=0)), 1.0))
-
-
-def _largest_stroke(robot: RobotParameters, cranks: core.Cranks) -> np.ndarray:
-    """`PoseMeasures.stroke` (n,); angles are formed for robots with stops alone."""
-    if not np.isfinite(robot.crank_angle_ranges).any():
-        return np.zeros(cranks.sine.shape[1:])
-    stroke, half = crank_strokes(robot, core.crank_angles(cranks))
-    return np.asarray((stroke / half).max(axis=-1))
-
-
-def _smallest_distance(robot: Robot, legs: core.Legs) -> np.ndarray:
-    """Smallest distance (n,) [m] between centre lines of links of different legs.
-
-    `limits.segment_distance` with unit directions, so that a link's parameter is the length along it.
-    """
-    shaft, crank, a = np.broadcast_to(robot.shafts, legs.crank.shape), legs.crank, robot.cranks
-    links = ((shaft, crank, a), (shaft + a * crank, legs.e_l, robot.rods))
-    of_one = [(start[:, _ONE], direction[:, _ONE], length[_ONE]) for start, direction, length in links]
-    of_other = [(start[:, _OTHER], direction[:, _OTHER], length[_OTHER]) for start, direction, length in links]
-    smallest = np.full((len(_ONE), crank.shape[-1]), np.inf)
-    for (start, u, end), (other_start, v, other_end) in itertools.product(of_one, of_other):
-        r = start - other_start
-        uv, ur, vr = dot(u, v), dot(u, r), dot(v, r)
-        determinant = 1.0 - uv * uv
-        skew = determinant > np.finfo(float).eps
-        s = np.clip((uv * vr - ur) / np.where(skew, determinant, 1.0), 0.0, end) * skew
-        t = np.clip(uv * s + vr, 0.0, other_end)
-        s = np.clip(uv * t - ur, 0.0, end)
-        r += s * u
-        r -= t * v
-        np.minimum(smallest, dot(r, r), out=smallest)
-    return np.sqrt(smallest.min(axis=0))
+def flood(seed: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """Cells of `allowed` that are joined to those of `seed` through faces; boolean arrays of one shape."""
+    reached, before = seed & allowed, -1
+    while (now := int(reached.sum())) != before:
+        before = now
+        for axis in range(reached.ndim):
+            along, open_to = np.moveaxis(reached, axis, 0), np.moveaxis(allowed, axis, 0)
+            for i in range(1, len(along)):
+                along[i] |= along[i - 1] & open_to[i]
+            for i in range(len(along) - 2, -1, -1):
+                along[i] |= along[i + 1] & open_to[i]
+    return reached

@@ -1,114 +1,53 @@
 """The robot in the six coordinates of its platform: the exact closed chain, stepped as the `MultibodyPlant` is.
 
 Semi-implicit Euler, of first order like SAP: accelerations at the step's beginning, the pose by the velocity at its
-end, friction by what it is at the end. Loops are closed in every step, rods do not spin. `advanced` is the readable
-reference; `ClosedChain` runs the same as machine code.
+end, friction by what it is at the end. Loops are closed in every step, rods do not spin.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.compiled.constants import CHAIN_STATE
 from stewart_drake.errors import SingularPoseError
-from stewart_drake.mechanics import dynamics_core, kinematics_core
-from stewart_drake.mechanics.arrays import Robot, numpy_robot
-from stewart_drake.mechanics.friction import SWEEPS, Bristles, FrictionLaw, at_rest, implicit_torque, moved
-from stewart_drake.mechanics.kinematics import (
-    inverse_kinematics,
-    pose_rate_to_twist,
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
+from stewart_drake.mechanics.friction import SWEEPS, drag_anchors, implicit_torque
+from stewart_drake.mechanics.kinematics import crank_rates as rates_of_cranks
+from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry, pose_rate_to_twist
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    crank_jacobian,
+    crank_rates,
+    cross,
+    legs_at,
+    rate_of,
+    robot_record,
     roll_pitch_yaw,
-    twist_to_pose_rate,
+    with_payload,
 )
+from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_model import home_frames
 from stewart_drake.robot import RobotParameters
 from stewart_drake.sampling import on_grid
 
-
-class ChainState(NamedTuple):
-    """What there is to know of the robot at an instant.
-
-    Attributes:
-        pose: (6,) [rad, m], pitch in [-pi/2, pi/2].
-        pose_rate: (6,) [rad/s, m/s] Euler rates and velocity.
-        twist: (6,) [rad/s, m/s] in B.
-        angles: (6,) [rad] of the cranks, not wrapped.
-        anchor: (6,) [rad] of the bristles.
-        slip: (6,) [rad/s] of the anchors in the step before.
-    """
-
-    pose: np.ndarray
-    pose_rate: np.ndarray
-    twist: np.ndarray
-    angles: np.ndarray
-    anchor: np.ndarray
-    slip: np.ndarray
+CHAIN_STATE = fields(pose=6, pose_rate=6, twist=6, angles=6, crank_rate=6, anchor=6, slip=6)
+"""What there is to know of the robot at an instant. pose: [rad, m], pitch in [-pi/2, pi/2]. pose_rate: Euler rates and
+velocity [rad/s, m/s]. twist: in B [rad/s, m/s]. angles: of the cranks [rad], not wrapped. crank_rate: theirs [rad/s].
+anchor: of the bristles [rad]. slip: speed of the anchors in the step before [rad/s]."""
+SETUP = fields(gravity=(), step=())
+"""[m/s^2], [s]."""
 
 
-def starting_state(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> ChainState:
-    """At a pose (6,) and its rate (6,), friction without tension.
-
-    Raises:
-        UnreachablePoseError: A rod cannot span.
-    """
-    home = home_frames(robot)
-    angles = home.crank_angles + home.motor_angles(inverse_kinematics(robot, pose))
-    return ChainState(pose, pose_rate, pose_rate_to_twist(pose, pose_rate), angles, *at_rest(angles))
-
-
-def loaded(robot: RobotParameters, options: PlantOptions) -> Robot:
-    """The robot with the payload as a part of its platform."""
-    own, mass, place = numpy_robot(robot), options.payload_mass, np.array(options.payload_position)
-    return own._replace(
-        platform_mass=own.platform_mass + mass,
-        platform_moment=own.platform_moment + mass * place,
-        platform_inertia=own.platform_inertia + mass * ((place @ place) * np.eye(3) - np.outer(place, place)),
-    )
-
-
-def advanced(
-    robot: Robot,
-    law: FrictionLaw,
-    gravity: float,
-    step: float,
-    torque: np.ndarray,
-    wrench: np.ndarray,
-    state: ChainState,
-) -> ChainState:
-    """One step.
-
-    Args:
-        robot: See `loaded`.
-        law: Of the motors' friction.
-        gravity: [m/s^2].
-        step: [s].
-        torque: (6,) [N m] of the motors, within their limits.
-        wrench: (6,) [N m, N] on the platform from outside, about P in B.
-        state: At the step's beginning, a pose within reach.
-    """
-    legs = kinematics_core.legs_at(robot, state.pose)
-    jacobian = np.swapaxes(kinematics_core.twist_jacobian(robot, legs, masked=False), 0, 1)
-    inertia = dynamics_core.task_inertia(robot, legs, masked=False)
-    bias = dynamics_core.task_bias(robot, legs, state.twist, gravity, masked=False)
-    free = state.twist + step * np.linalg.solve(inertia, jacobian.T @ torque + wrench - bias)
-    pushed = np.linalg.solve(inertia, jacobian.T)
-    bristles = Bristles(state.anchor, state.slip)
-    dry = implicit_torque(law, bristles, state.angles, jacobian @ free, jacobian @ pushed, step)
-    twist = free + step * pushed @ dry
-    # A quaternion along its rate, made of length one again: a turn by 2 atan(h w / 2).
-    half = 0.5 * step * np.cross(np.eye(3), twist[:3])
-    turn = np.linalg.solve(np.eye(3) - half, np.eye(3) + half) @ legs.rotation
-    pose = np.concatenate([roll_pitch_yaw(turn), state.pose[3:] + step * twist[3:]])
-    ahead = kinematics_core.crank_angles(kinematics_core.cranks_at(robot, pose)) - state.angles
-    angles = state.angles + ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-    return ChainState(pose, twist_to_pose_rate(pose, twist), twist, angles, *moved(law, bristles, angles, step))
+def loaded(robot: RobotParameters, options: PlantOptions) -> np.ndarray:
+    """The robot with the payload as a part of its platform, a `ROBOT` record."""
+    return with_payload(robot_record(robot), options.payload_mass, np.array(options.payload_position))
 
 
 class ClosedChain:
-    """The same by numba, on flat vectors.
+    """The closed chain of a scenario.
 
     Args:
         robot: Geometry and masses.
@@ -117,27 +56,132 @@ class ClosedChain:
     """
 
     def __init__(self, robot: RobotParameters, options: PlantOptions, gravity: float) -> None:
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.closed_chain import advance
-        from stewart_drake.compiled.mechanism import pack
+        self._robot, self._home = robot, home_frames(robot)
+        setup = new_record(SETUP, gravity=gravity, step=on_grid(options.time_step))
+        self._fixed = loaded(robot, options), options.friction_law(robot), setup
 
-        own = loaded(robot, options)
-        packed = pack(robot, (float(own.platform_mass), own.platform_moment, own.platform_inertia))
-        law = np.stack(options.friction_law(robot))
-        self._advance, self._fixed = advance, (packed, law, float(gravity), on_grid(options.time_step), SWEEPS)
+    def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
+        """`CHAIN_STATE` record at a pose (6,) and its rate (6,), friction without tension.
 
-    def advance(self, torque: np.ndarray, wrench: np.ndarray, now: np.ndarray, then: np.ndarray) -> None:
+        Raises:
+            UnreachablePoseError: A rod cannot span.
+        """
+        home = self._home
+        angles = home.crank_angles + home.motor_angles(inverse_kinematics(self._robot, pose))
+        twist = pose_rate_to_twist(pose, pose_rate)
+        rates = rates_of_cranks(self._robot, leg_geometry(self._robot, pose), pose, pose_rate)
+        moving = {"pose": pose, "pose_rate": pose_rate, "twist": twist, "angles": angles, "crank_rate": rates}
+        return new_record(CHAIN_STATE, **moving, anchor=angles)
+
+    def step(self, torque: np.ndarray, wrench: np.ndarray, state: np.ndarray) -> None:
         """One step.
 
         Args:
             torque: (6,) [N m] asked of the motors.
-            wrench: (6,) [N m, N] on the platform.
-            now: (36,) a `ChainState` in a row.
-            then: (36,) out, likewise.
+            wrench: (6,) [N m, N] on the platform from outside, about P in B.
+            state: `CHAIN_STATE` record, in place.
 
         Raises:
             SingularPoseError: A crank comes to its dead centre, where this description of the robot ends.
         """
-        leg, margin = self._advance(*self._fixed, torque, wrench, now, then)
+        leg, margin = chain_step(*self._fixed, torque, wrench, state)
         if leg >= 0:
-            raise SingularPoseError("serial", now[: CHAIN_STATE.pose_rate].copy(), margin, 0.0, leg)
+            raise SingularPoseError("serial", state["pose"][0].copy(), margin, 0.0, leg)
+
+
+@njit
+def chain_step(robots: Any, frictions: Any, setups: Any, torque: Any, wrench: Any, states: Any) -> Any:
+    """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench.
+
+    Args:
+        robots: `ROBOT` record, with its payload.
+        frictions: `FRICTION` record.
+        setups: `SETUP` record.
+        torque: (6,) [N m] asked of the motors.
+        wrench: (6,) [N m, N].
+        states: `CHAIN_STATE` record, in place.
+
+    Returns:
+        -1, or the leg that cannot span, and then the state is as it was; its margin.
+    """
+    # An array that is made here lives as long as this call; of a record of it numba would not know.
+    return _step(record(robots), record(frictions), record(setups), torque, wrench, record(states), np.empty(1, LEGS))
+
+
+@njit
+def _step(robot: Any, friction: Any, setup: Any, torque: Any, wrench: Any, state: Any, scratch: Any) -> Any:
+    legs, step = record(scratch), setup.step
+    bad = legs_at(robot, state.pose, legs)
+    if bad >= 0:
+        return bad, legs.reach[bad]
+    jacobian, inertia, columns = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
+    load, own, still = np.empty(6), np.empty(6), np.zeros(6)
+    task_inertia(robot, legs, inertia)
+    loads(robot, legs, state.twist, still, setup.gravity, load, own)
+    crank_jacobian(legs, jacobian)
+    # M a = J' (torque - own) - load + wrench; beside it M^-1 J' for friction.
+    for k in range(6):
+        columns[k, 6] = wrench[k] - load[k]
+    for i in range(6):
+        limit = robot.effort_limit[i]
+        given = min(max(torque[i], -limit), limit) - own[i]
+        for k in range(6):
+            columns[k, i] = jacobian[i, k]
+            columns[k, 6] += jacobian[i, k] * given
+    solve(inertia, columns)
+    twist = state.twist + step * columns[:, 6]
+    if rubs(friction):
+        _rub(friction, jacobian, columns, step, state, twist)
+    pose, rotation = np.empty(6), np.empty((3, 3))
+    for k in range(3):
+        _turn(legs.rotation[:, k], twist[:3], step, rotation[:, k])
+        pose[3 + k] = state.pose[3 + k] + step * twist[3 + k]
+    roll_pitch_yaw(rotation, pose[:3])
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
+        return bad, legs.reach[bad]
+    state.pose[:], state.twist[:] = pose, twist
+    rate_of(pose, twist, state.pose_rate)
+    crank_rates(legs, twist, state.crank_rate)
+    for i in range(6):
+        ahead = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
+        state.angles[i] += ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
+    drag_anchors(friction, state.angles, step, state.anchor, state.slip)
+    return -1, 0.0
+
+
+@njit
+def rubs(friction: Any) -> bool:
+    """Whether any motor has friction."""
+    return (friction.break_away > 0.0).any() or (friction.viscous > 0.0).any()
+
+
+@njit
+def _rub(friction: Any, jacobian: Any, pushed: Any, step: float, state: Any, twist: Any) -> None:
+    """Adds to the twist (6,) at a step's end what friction makes of it; `pushed` begins with M^-1 J' (6, 6)."""
+    rates, mobility, dry = np.zeros(6), np.zeros((6, 6)), np.empty(6)
+    for i in range(6):
+        for m in range(6):
+            rates[i] += jacobian[i, m] * twist[m]
+            for k in range(6):
+                mobility[i, k] += jacobian[i, m] * pushed[m, k]
+    implicit_torque(friction, state, state.angles, rates, mobility, step, SWEEPS, dry)
+    for k in range(6):
+        for i in range(6):
+            twist[k] += step * pushed[k, i] * dry[i]
+
+
+@njit
+def _turn(axis: Any, omega: Any, step: float, out: Any) -> None:
+    """An axis (3,) of P after a step of a quaternion along its rate, made of length one again.
+
+    v + 2 q x (v + q x v) / (1 + q q) with q = h w / 2: a turn by 2 atan(h w / 2).
+    """
+    half, inner, outer = 0.5 * step * omega, np.empty(3), np.empty(3)
+    scale = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    cross(half, axis, inner)
+    for k in range(3):
+        inner[k] += axis[k]
+    cross(half, inner, outer)
+    for k in range(3):
+        out[k] = axis[k] + scale * outer[k]

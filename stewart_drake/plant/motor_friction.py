@@ -17,7 +17,8 @@ from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem
 from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
-from stewart_drake.mechanics.friction import Bristles, FrictionLaw, at_rest, moved, relief
+from stewart_drake.jit import njit, record
+from stewart_drake.mechanics.friction import drag_anchors, level
 from stewart_drake.robot.leg import LEGS
 
 Relax = Callable[[Context, np.ndarray], None]
@@ -34,53 +35,55 @@ class MotorFriction(LeafSystem):
 
     Args:
         plant: Finalised, with the actuators that `add_friction_actuators` adds.
-        law: Of the motors.
-        compiled: See `Scenario.compiled`.
+        friction: `FRICTION` record of the motors.
     """
 
-    def __init__(self, plant: MultibodyPlant, law: FrictionLaw, compiled: bool = False) -> None:
+    def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
         super().__init__()
-        self._law, self._step = law, plant.time_step()
+        self._friction, self._step = friction, plant.time_step()
         joints = [plant.GetJointByName(f"motor_{leg}") for leg in range(LEGS)]
         self.cranks = np.array([joint.position_start() for joint in joints])
         self.plant_state = self.DeclareVectorInputPort("plant_state", plant.num_multibody_states())
         self.bristles = self.DeclareVectorInputPort("bristles", 2 * LEGS)
-        calc = self._compiled_calc() if compiled else self._calc
         inputs = {self.all_input_ports_ticket()}
-        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, calc, prerequisites_of_calc=inputs)
+        self.pull = self.DeclareVectorOutputPort("pull", 3 * LEGS, self._calc, prerequisites_of_calc=inputs)
 
     def _calc(self, context: Context, output: Any) -> None:
-        angles = self.plant_state.Eval(context)[self.cranks]
-        before = Bristles(*self.bristles.Eval(context).reshape(2, LEGS))
-        now = moved(self._law, before, angles, self._step)
-        output.SetFromVector(np.concatenate([*now, relief(self._law, now.slip)]))
-
-    def _compiled_calc(self) -> Callable[[Context, Any], None]:
-        # numba takes half a second to import, and compiles on first use.
-        from stewart_drake.compiled.friction import pull
-
-        law, cranks, step = np.stack(self._law), self.cranks, self._step
-
-        def calc(context: Context, output: Any) -> None:
-            state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
-            pull(law, before, state, cranks, step, output.get_mutable_value())
-
-        return calc
+        state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
+        _pull(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())
 
 
-def add_friction_actuators(plant: MultibodyPlant, law: FrictionLaw) -> None:
+@njit
+def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
+    """Anchors, slips and relief (18,): the torques that take friction's from break-away to its level, along the slips.
+
+    Args:
+        frictions: `FRICTION` record.
+        before: (12,) anchors and slips at the step's beginning.
+        state: With the angles at its end.
+        cranks: (6,) where these are.
+        step: [s].
+        out: (18,).
+    """
+    friction = record(frictions)
+    out[:12] = before
+    drag_anchors(friction, state[cranks], step, out[:6], out[6:12])
+    for i in range(6):
+        slip = out[6 + i]
+        out[12 + i] = np.sign(slip) * (friction.break_away[i] - level(friction, i, slip))
+
+
+def add_friction_actuators(plant: MultibodyPlant, law: np.ndarray) -> None:
     """Adds the servos, before the plant is finalised; of motors without dry friction none."""
     for leg in _with_friction(law):
         joint = plant.GetJointByName(f"motor_{leg}")
-        actuator = plant.AddJointActuator(f"friction_{leg}", joint, law.break_away[leg])
+        actuator = plant.AddJointActuator(f"friction_{leg}", joint, law["break_away"][0, leg])
         # Drake takes the rotor of a joint from its last actuator alone.
         actuator.set_default_rotor_inertia(plant.GetJointActuatorByName(f"motor_{leg}").default_rotor_inertia())
-        actuator.set_controller_gains(PdControllerGains(p=law.stiffness[leg], d=law.damping[leg]))
+        actuator.set_controller_gains(PdControllerGains(p=law["stiffness"][0, leg], d=law["damping"][0, leg]))
 
 
-def wire_friction(
-    builder: DiagramBuilder, plant: MultibodyPlant, law: FrictionLaw, compiled: bool = False
-) -> tuple[InputPort, Relax]:
+def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, Relax]:
     """Feeds motors and servos of a finalised plant.
 
     Returns:
@@ -92,12 +95,12 @@ def wire_friction(
         A=np.zeros((held, held)), B=np.eye(held, pulled), C=np.eye(held), D=[], time_period=plant.time_step()
     )
     memory = builder.AddNamedSystem("friction_memory", store)
-    friction = builder.AddNamedSystem("friction", MotorFriction(plant, law, compiled))
+    friction = builder.AddNamedSystem("friction", MotorFriction(plant, law))
     builder.Connect(plant.get_state_output_port(), friction.plant_state)
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
     home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-    memory.configure_default_state(np.concatenate(at_rest(home[friction.cranks])))
+    memory.configure_default_state(_at_rest(home[friction.cranks]))
     actuators = plant.num_actuators()
     torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
     force = np.zeros((plant.num_velocities(), 3 * LEGS))
@@ -121,11 +124,16 @@ def wire_friction(
         builder.Connect(gain.get_output_port(), target)
 
     def relax(context: Context, state: np.ndarray) -> None:
-        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.concatenate(at_rest(state[friction.cranks])))
+        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(_at_rest(state[friction.cranks]))
 
     port: InputPort = both.get_input_port(0)
     return port, relax
 
 
-def _with_friction(law: FrictionLaw) -> list[int]:
-    return [leg for leg in range(LEGS) if law.break_away[leg] > 0.0]
+def _with_friction(law: np.ndarray) -> list[int]:
+    return [leg for leg in range(LEGS) if law["break_away"][0, leg] > 0.0]
+
+
+def _at_rest(angles: np.ndarray) -> np.ndarray:
+    """Anchors and slips (12,) without tension at crank angles (6,) [rad]."""
+    return np.concatenate([angles, np.zeros(LEGS)])

@@ -115,7 +115,6 @@ def add_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
-    compiled: bool = False,
 ) -> StewartPlant:
     """Adds the robot's plant to a Diagram under construction; its default state is the home pose at rest.
 
@@ -128,7 +127,6 @@ def add_plant(
         options: What else is modelled; None takes the defaults.
         gravity: [m/s^2] magnitude, along -z.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
-        compiled: See `Scenario.compiled`.
 
     Returns:
         The plant and its ports. The torque port must be connected or fixed.
@@ -165,14 +163,14 @@ def add_plant(
         Parser(plant).AddModelsFromString(text, "sdf")
         plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
         law = options.friction_law(robot)
-        _add_damping(plant, robot, options, law.viscous)
+        _add_damping(plant, robot, options, law["viscous"][0])
         add_friction_actuators(plant, law)
         if options.payload_mass > 0.0:
             _add_payload(plant, options)
         plant.Finalize()
         torque_input_port, relax = plant.get_actuation_input_port(), None
-        if law.break_away.any():
-            torque_input_port, relax = wire_friction(builder, plant, law, compiled)
+        if law["break_away"].any():
+            torque_input_port, relax = wire_friction(builder, plant, law)
     return StewartPlant(robot, options, float(gravity), plant, scene_graph, torque_input_port, relax)
 
 
@@ -182,7 +180,6 @@ def build_plant(
     gravity: float = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
-    compiled: bool = False,
 ) -> tuple[Diagram, StewartPlant]:
     """A Diagram that holds the plant and nothing else, with its ports exported as `torque` and `state`.
 
@@ -191,13 +188,12 @@ def build_plant(
         options: As in `add_plant`.
         gravity: As in `add_plant`.
         visuals: As in `add_plant`.
-        compiled: As in `add_plant`.
 
     Raises:
         ConfigurationError, DrakeCheckError: As in `add_plant`.
     """
     builder = DiagramBuilder()
-    stewart = add_plant(builder, robot, options, gravity, visuals=visuals, compiled=compiled)
+    stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
     with drake_guard("building the plant"):
         builder.ExportInput(stewart.torque_input_port, "torque")
         builder.ExportOutput(stewart.state_output_port, "state")

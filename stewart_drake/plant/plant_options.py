@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.friction import FrictionLaw, friction_law
+from stewart_drake.mechanics.friction import friction_law
 from stewart_drake.plant.sdf_model import RodJoint
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.friction_options import FrictionOptions, Moderate
@@ -76,8 +77,8 @@ class PlantOptions(Section, key="plant"):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0 where `friction` is given, which has this value")
 
-    def friction_law(self, robot: RobotParameters) -> FrictionLaw:
-        """Friction of the motors of a robot, with the bristles that the time step carries."""
+    def friction_law(self, robot: RobotParameters) -> np.ndarray:
+        """`FRICTION` record of the motors of a robot, with the bristles that the time step carries."""
         said = self.friction
         if said is None:
             said = FrictionOptions.from_dict({"coulomb": self.motor_friction, "viscous": self.motor_damping})

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.motion_envelope import crank_rates
-from stewart_drake.planning.workspace_region import Survey
+from stewart_drake.planning.workspace import Survey
 from stewart_drake.plotting import panels as look
 from stewart_drake.plotting.workspace_plots import COLORS, WORDS, Slice, limit_keys, line_keys, use_bar
 

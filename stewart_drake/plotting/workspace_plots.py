@@ -1,11 +1,11 @@
-"""Figures of workspaces: slices, maps of what the robot can do, the boundary in space, what each limit takes.
+"""Figures of workspaces: slices, and maps of what the robot can do.
 
 One colour means one limit in all of them; serial singularities are red, parallel ones blue.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,9 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped] # this part has no types
 
-from stewart_drake.mechanics.kinematics import leg_geometry
-from stewart_drake.planning import workspace_region
-from stewart_drake.planning.workspace_boundary import Boundary
-from stewart_drake.planning.workspace_region import LIMIT_NAMES, Loss, Survey, governing_limit
+from stewart_drake.planning.workspace import LIMIT_NAMES, Survey, governing_limit
 from stewart_drake.plotting import panels as look
-from stewart_drake.robot import RobotParameters
 
 SERIAL, PARALLEL = "#C2270A", "#0B4FB3"
 """Colours of the two kinds of singularity."""
@@ -189,104 +183,6 @@ def plot_capability(found: Survey) -> Figure:
     return figure
 
 
-def plot_boundaries(boundaries: Sequence[Boundary], robot: RobotParameters) -> Figure:
-    """The surfaces on which straight ways from the centre first break a limit, in space; a panel each.
-
-    Args:
-        boundaries: One or two.
-        robot: Drawn at the centre, below the surface of the positions.
-    """
-    figure = Figure(figsize=(12.0, 6.4), facecolor="white")
-    seen: set[str] = set()
-    for column, surface in enumerate(boundaries):
-        share = 1.0 / len(boundaries)
-        place = (column * share - 0.005, 0.09, share - 0.02, 0.87)
-        panel: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
-        columns = workspace_region.COORDINATES[surface.kind]
-        points = look.SCALES[list(columns)] * surface.points
-        low, high = points.min(axis=0), points.max(axis=0)
-        if surface.kind == "position":
-            ends = np.concatenate(_draw_robot(panel, robot, surface.center))
-            low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
-        margin = 0.08 * max((high - low).max(), 1e-9)
-        low, high = low - margin, high + margin
-        corners = points[surface.triangles]
-        limit = surface.limit[surface.triangles]
-        cause = np.where(limit[:, 1] == limit[:, 2], limit[:, 1], limit[:, 0])
-        seen |= {LIMIT_NAMES[i] for i in np.unique(cause[cause >= 0])}
-        base = np.array([to_rgb(COLORS[LIMIT_NAMES[i]] if i >= 0 else look.QUIET) for i in cause])
-        shadow = corners.copy()
-        shadow[..., 2] = low[2]
-        for order, polygons, colors in ((1, shadow, to_rgb("#E2E2E2")), (3, corners, _shade(corners, base))):
-            style = {"facecolor": colors, "edgecolor": colors, "linewidth": 0.3, "zorder": order}
-            panel.add_collection3d(Poly3DCollection(polygons, **style))
-        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        panel.set_box_aspect(high - low)
-        panel.view_init(elev=22.0, azim=-55.0)
-        for axis, coordinate in zip((panel.xaxis, panel.yaxis, panel.zaxis), columns, strict=True):
-            axis.set_label_text("{} [{}]".format(*look.COORDINATES[coordinate]), color=look.TEXT)
-            axis.labelpad = 5.0
-            axis.set_pane_color((0.97, 0.97, 0.97, 1.0))
-            axis.set_major_locator(MaxNLocator(5))
-        panel.grid(False)
-        panel.tick_params(labelsize=8.5, pad=1, colors=look.TEXT)
-        what = "Positions at the fixed orientation", "Orientations at the fixed position"
-        title = what[0] if surface.kind == "position" else what[1]
-        figure.text(place[0] + 0.5 * share, 0.95, title, ha="center", fontsize=12, fontweight="bold", color=look.TEXT)
-    handles = [Patch(color=COLORS[name], label=f"first cut by {WORDS[name]}") for name in LIMIT_NAMES if name in seen]
-    figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=10)
-    return figure
-
-
-def _draw_robot(panel: Any, robot: RobotParameters, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base, cranks, rods and platform at a pose, behind the surface; shafts and crank tips (6, 3) [mm]."""
-    legs = leg_geometry(robot, pose)
-    shafts = 1e3 * robot.shaft_positions
-    tips = shafts + 1e3 * robot.crank_lengths[:, None] * legs.crank
-    joints = 1e3 * (legs.arm + pose[3:])
-    for ring in (shafts, joints):
-        panel.plot(*np.concatenate([ring, ring[:1]]).T, color="#9A9A9A", linewidth=1.2, zorder=2)
-    for shaft, tip, joint in zip(shafts, tips, joints, strict=True):
-        panel.plot(*np.stack([tip, joint]).T, color="#5F6B76", linewidth=2.0, zorder=2)
-        panel.plot(*np.stack([shaft, tip]).T, color=look.TEXT, linewidth=3.0, zorder=2)
-    return shafts, tips
-
-
-def plot_losses(rows: Sequence[tuple[str, Sequence[Loss], Mapping[str, float]]]) -> Figure:
-    """What each limit takes, a panel for each workspace.
-
-    Args:
-        rows: Title, losses on the grid, and share of the directions in which each limit cuts first.
-    """
-    figure, (panels,) = look.wide(1, len(rows), 4.4, sharey=True)
-    kinds = (
-        (0.27, 0.0, "poses that break it and no other"),
-        (0.0, 0.55, "poses that break it"),
-        (-0.27, 1.0, "directions from the centre in which it cuts first"),
-    )
-    for panel, (title, lost, first) in zip(panels, rows, strict=True):
-        height = np.arange(len(lost))[::-1]
-        values = [[loss.alone, loss.broken, first.get(loss.limit, 0.0)] for loss in lost]
-        for (shift, tint, _), shares in zip(kinds, zip(*values, strict=True), strict=True):
-            for y, share, loss in zip(height + shift, shares, lost, strict=True):
-                if share > 0.0:
-                    color = COLORS[loss.limit]
-                    bar = panel.barh(y, 100.0 * share, 0.24, color=_tint(color, tint), edgecolor=color, linewidth=0.8)
-                    shown = f"{100.0 * share:.2g} %" if share >= 0.001 else "< 0.1 %"
-                    panel.bar_label(bar, [shown], padding=3, fontsize=8.5, color=look.TEXT)
-        for y, of_limit in zip(height, values, strict=True):
-            if not any(of_limit):
-                panel.text(0.8, y, "nothing", va="center", fontsize=8.5, color=look.QUIET)
-        panel.set_yticks(height, [WORDS[loss.limit] for loss in lost])
-        panel.set_xlim(0.0, 112.0)
-        panel.set_xlabel("share [%]")
-        look.headline(panel, title)
-        look.plain(panel, grid=False)
-    keys = [Patch(facecolor=_tint(look.TEXT, tint), edgecolor=look.TEXT, label=what) for _, tint, what in kinds]
-    look.legend_below(figure, keys, 3)
-    return figure
-
-
 def line_keys() -> list[Line2D]:
     """Legend of what `Slice.lines` draws."""
     return [
@@ -317,14 +213,3 @@ def _tint(color: str, white: float) -> tuple[float, float, float]:
 
 def _pale(color: str) -> tuple[float, float, float]:
     return _tint(color, 0.55)
-
-
-def _shade(corners: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """Colours (k, 3) of triangles (k, 3, 3) lit from above and from the viewer's left."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    light = np.array([0.1, -0.65, 0.75])
-    lit = np.clip(normal @ (light / np.linalg.norm(light)), -1.0, 1.0)
-    strength = 0.62 + 0.38 * lit
-    shine = 0.22 * np.clip(lit, 0.0, 1.0) ** 8
-    return np.clip(base * strength[:, None] + shine[:, None], 0.0, 1.0)

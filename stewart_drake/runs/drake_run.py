@@ -8,15 +8,15 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.primitives import VectorLog
 
-from stewart_drake.errors import StewartDrakeError, drake_guard
+from stewart_drake.errors import RunFailure, StewartDrakeError, drake_guard
 from stewart_drake.runs.engine import quiet, signals_of
+from stewart_drake.safety import first_trip
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
-from stewart_drake.systems.stepped import integrate_in_substeps, refuse_early_end, release
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -71,7 +71,11 @@ class DrakeRun:
 
     def first_trip(self) -> dict[str, Any] | None:
         """See `Engine`."""
-        return None if self._loop.safety is None else self._loop.safety.first_trip(self._context)
+        options = self._scenario.safety
+        if options is None:
+            return None
+        state = self._loop.systems["safety"].state(self._context)
+        return first_trip(state, self._scenario.controller.period, options.monitor_names)
 
     def graph(self) -> str | None:
         """See `Engine`."""
@@ -87,7 +91,7 @@ def _compile(loop: ClosedLoop) -> None:
 
     It takes half a minute on a new machine, and is no part of what the run costs.
     """
-    if not loop.scenario.compiled or loop.scenario.controller.code is not None:
+    if loop.scenario.controller.code is not None:
         return
     # What is wrong with the first tick shows in the run itself, with a log.
     with suppress(StewartDrakeError), drake_guard("compiling"), quiet():
@@ -118,3 +122,42 @@ def _signals(loop: ClosedLoop, logs: Mapping[str, VectorLog], rows: int) -> dict
     }
     steps = np.round(logs["plant_state"].sample_times()[:rows] / loop.scenario.plant.time_step)
     return signals_of(loop.scenario, steps, values | true)
+
+
+SUBSTEPS = 10
+"""Parts of the plant's step in which continuous state of a user's controller is integrated."""
+_PEERS = "_pydrake_internal_ref_cycle_peers"
+
+
+def release(system: Any) -> None:
+    """Lets go of a system that nobody will use again, which Python's garbage collector would keep for ever.
+
+    pydrake ties systems, ports and diagrams together in cycles. Where a system is written in Python, CPython visits the
+    dictionary of its attributes twice, once for each base, and takes the cycle for one that is held from outside: each
+    run would leave its diagram, some megabytes, behind.
+    """
+    waiting: list[Any] = [system]
+    while waiting:
+        peers: set[Any] = getattr(waiting.pop(), _PEERS, set())
+        waiting.extend(peers)
+        peers.clear()
+
+
+def integrate_in_substeps(simulator: Simulator, time_step: float) -> None:
+    """Fixed steps for continuous state, which only a controller of the user's has.
+
+    Steps as error control wants them would end nowhere once a derivative is not a number.
+    """
+    if simulator.get_system().num_continuous_states() == 0:
+        return
+    integrator = simulator.get_mutable_integrator()
+    integrator.set_fixed_step_mode(True)
+    # The step wanted at first comes before the largest one: Drake refuses it where it is larger.
+    integrator.request_initial_step_size_target(time_step / SUBSTEPS)
+    integrator.set_maximum_step_size(time_step / SUBSTEPS)
+
+
+def refuse_early_end(status: SimulatorStatus) -> None:
+    """A run that a user's system ended did not complete."""
+    if status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition:
+        raise RunFailure(" ".join(status.FormatMessage().split()), reason="controller_stopped")

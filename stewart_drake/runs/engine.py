@@ -67,9 +67,9 @@ def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
     """
     # The closed form needs no Drake, which takes seconds to import.
     if scenario.plant.engine == "reduced":
-        from stewart_drake.runs.reduced_run import ReducedRun
+        from stewart_drake.runs.fast_run import FastRun
 
-        return ReducedRun(scenario, meshcat)
+        return FastRun(scenario, meshcat)
     from stewart_drake.runs.drake_run import DrakeRun
 
     return DrakeRun(scenario, meshcat)

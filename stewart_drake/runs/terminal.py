@@ -42,26 +42,47 @@ class ProgressBar:
         self._task = self._bar.add_task(title, total=total)
 
     def __enter__(self) -> Any:
-        self._bar.start()
         return self._advance
 
     def _advance(self, completed: float, title: str | None = None) -> None:
+        # Only now: what is compiled first has a line of its own.
+        self._bar.start()
         self._bar.update(self._task, completed=completed, description=title, refresh=True)
 
     def __exit__(self, *details: object) -> None:
         self._bar.stop()
 
 
-def announce_compilation(scenario: Any) -> None:
-    """Says why nothing moves for half a minute, where that lies ahead."""
-    if not (scenario.compiled and scenario.controller.compiles):
+@contextmanager
+def shown_compiling(quiet: bool) -> Iterator[None]:
+    """A line that moves with every law that numba compiles, where the cache does not have it; nothing where it has."""
+    if quiet:
+        yield
         return
-    # numba takes half a second to import.
-    from stewart_drake.compiled.control import lqi_tick
-    from stewart_drake.compiled.jit import is_kept
+    # numba takes half a second to import; what is run needs it too.
+    from numba.core import event
+    from rich.status import Status
 
-    if not is_kept(lqi_tick):
-        console(stderr=True).print("compiling: half a minute, once on this machine", highlight=False)
+    class Line(event.Listener):
+        compiled = depth = 0
+        status = Status("", console=console(stderr=True))
+
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            self.compiled, self.depth = self.compiled + 1, self.depth + 1
+            self.status.update(f"compiling, once on this machine: {self.compiled} laws")
+            self.status.start()
+
+        def on_end(self, event: Any) -> None:  # noqa: ARG002
+            self.depth -= 1
+            if self.depth == 0:
+                self.status.stop()
+
+    line = Line()
+    with event.install_listener("numba:compile", line):
+        try:
+            yield
+        finally:
+            line.status.stop()
 
 
 @contextmanager

@@ -1,228 +1,394 @@
-"""The monitors of the safety layer: what each sees in a measurement or in a message; pure.
+"""The monitors of the safety layer, compiled: what each finds in a measurement, in a message, or in readings.
 
-A monitor is an object here and a line in the registry. One of what is measured says by which margin its limit is kept,
-of one pose or of a whole motion: a tick and what is refused before a run ask the same function.
+Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
+command is held.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import numpy as np
 
 from stewart_drake.errors import failure_code
-from stewart_drake.mechanics import kinematics_core as core
-from stewart_drake.mechanics.arrays import arrays_of, last
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
-from stewart_drake.registry import BUILT_IN_MONITORS
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    conditioning,
+    crank_rates,
+    legs_at,
+    rotation,
+    twist_of,
+)
+from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.memory import HOLD, MONITORS, RAMP, SafetyInputs, Trip
 from stewart_drake.safety.safety_options import SafetyOptions
 
-_ABSURD = 10.0
+(
+    QUIET, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED, FOLLOWING,
+    TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING,
+) = range(15)  # fmt: skip
+"""Places in `MONITORS`."""
+
+LIMITS = (
+    (WORKSPACE, "workspace"),
+    (CRANK_SPEED, "crank_speed"),
+    (SERIAL, "transmission"),
+    (PARALLEL, "conditioning"),
+    (FOLLOWING, "following_error"),
+)
+"""Monitors of what is measured and their keys of `safety`, in the order in which they are asked: what the first see
+explains the others. The rows of margins."""
+OF_LEGS = (False, True, True, False, False)
+"""Whether a limit is one of each leg, or the robot's as a whole."""
+_MONITOR_OF_ROW = np.array([monitor for monitor, _ in LIMITS])
+
+FROZEN = failure_code("frozen")
+ABSURD = 10.0
 """A command of so many times the limit is an error of the controller and no wish for torque."""
-_SMALLEST = 1e-9
+SMALLEST = 1e-9
 """Transmission at a dead centre, for the speed of that crank."""
 
+SETUP = fields(
+    period=(), gravity=(), horizon=(), home=6,
+    finite=(), failures=(), deadline=(), frozen_encoder=(), frozen_pose=6, innovation=(), innovation_noise=(),
+    innovation_scale=(), innovation_time=(), torque_limit=6, torque_limit_time=(), torque_change=(),
+    torque_rate_time=(), workspace=2, transmission=(), conditioning=(), crank_speed=(), following_error=2,
+    budget=(), ramp_time=(), safe_hold_time=(), damping=(), most_torque=6, most_speed=(),
+)  # fmt: skip
+"""`SafetyOptions` as numbers, infinite for a limit that is off; beside these home pose [rad, m], what the innovation's
+noise is [rad] and what an acceleration leaves in it [s^2], torque_change: in a tick [N m], budget: ticks that may be
+held, most_torque: of a robot that stops [N m], most_speed: at which it is given up [rad/s]."""
 
-class Seen(NamedTuple):
-    """What measurements mean, led ahead; where that is out of reach, speeds are those of the pose itself.
-
-    Attributes:
-        legs: Leg vectors, see `kinematics_core.Legs`.
-        reached: (...) whether the pose led ahead is within reach.
-        from_home: (2, ...) [rad, m] angle of the rotation and distance from the home pose.
-        transmission: (..., 6) [-] sizes; 0 where a rod does not span.
-        conditioning: (...) [-]; negative where the rods' determinant has changed its sign, infinite out of reach.
-        side: (...) sign of the rods' determinant.
-        speed: (..., 6) [rad/s] of the cranks; 0 where the pose itself is out of reach.
-        from_reference: (2, ...) [rad, m] likewise, of the pose itself.
-    """
-
-    legs: core.Legs
-    reached: np.ndarray
-    from_home: np.ndarray
-    transmission: np.ndarray
-    conditioning: np.ndarray
-    side: np.ndarray
-    speed: np.ndarray
-    from_reference: np.ndarray
+SEEN = fields(reached=(), from_home=2, transmission=6, conditioning=(), side=(), speed=6, from_reference=2)
+"""What a measurement means, led ahead; where that is out of reach, speeds are those of the pose itself. reached:
+whether the pose led ahead is within reach. from_home: angle of the rotation and distance [rad, m]. transmission: sizes,
+0 where a rod does not span. conditioning: negative where the rods' determinant has changed its sign, infinite out of
+reach. side: sign of the rods' determinant. speed: of the cranks [rad/s], 0 where the pose itself is out of reach.
+from_reference: as `from_home`, of the pose itself."""
 
 
-def see(
-    robot: RobotParameters, horizon: float, pose: np.ndarray, rate: np.ndarray, reference: np.ndarray, side: float = 0.0
-) -> Seen:
-    """What finite measurements mean.
-
-    Args:
-        robot: As believed.
-        horizon: [s] by which poses are led ahead.
-        pose: (..., 6) [rad, m].
-        rate: (..., 6) [rad/s, m/s].
-        reference: (..., 6) [rad, m].
-        side: Sign of the rods' determinant at the start; 0 if that is now.
-    """
-    ahead, own = pose + horizon * rate, arrays_of(robot, pose)
-    reach = last(np, core.reach_margin(own, ahead), 1)
-    reached = (reach >= 0.0).all(axis=-1)
-    here = (core.reach_margin(own, pose) >= 0.0).all(axis=0)
-    # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
-    legs = core.legs_at(own, np.where(reached[..., None], ahead, np.where(here[..., None], pose, robot.home_pose)))
-    lines, signed = last(np, core.rod_lines(legs), 2), last(np, legs.transmission, 1)
-    sigma = np.linalg.svd(lines / np.repeat([robot.characteristic_length, 1.0], 3), compute_uv=False)
-    now = np.sign(np.linalg.det(lines))
-    crossed = np.where((side != 0.0) & (now != side), -1.0, 1.0)
-    along = (lines @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
-    speed = along / (robot.crank_lengths * np.maximum(np.abs(signed), _SMALLEST))
-    return Seen(
-        legs,
-        reached,
-        _apart(rotation_matrix(ahead[..., :3]), ahead[..., 3:] - robot.home_pose[3:]),
-        np.where(reach >= 0.0, np.abs(signed), 0.0),
-        np.where(reached, crossed * sigma[..., -1] / sigma[..., 0], np.inf),
-        np.where(reached, now, side),
-        np.where((reached | here)[..., None], speed * np.where(signed < 0.0, -1.0, 1.0), 0.0),
-        _apart(
-            rotation_matrix(pose[..., :3]) @ np.swapaxes(rotation_matrix(reference[..., :3]), -1, -2),
-            pose[..., 3:] - reference[..., 3:],
-        ),
+def setup_of(
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: float,
+    period: float,
+    quantum: float = 0.0,
+    innovation_scale: tuple[float, float] = (0.0, 1.0),
+) -> np.ndarray:
+    """`SETUP` record, see `layer.safety_part` for the arguments."""
+    given = {name: getattr(options, name) for name in _PLAIN}
+    numbers = {name: _OFF.get(name, math.inf) if value is None else value for name, value in given.items()}
+    pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
+    fastest = 15.0 if options.crank_speed is None else options.crank_speed
+    return new_record(
+        SETUP,
+        **numbers,
+        period=period,
+        gravity=gravity,
+        home=robot.home_pose,
+        # A reading in counts stays the same for longer.
+        frozen_encoder=math.inf if options.frozen_encoder is None else options.frozen_encoder + 50.0 * quantum,
+        frozen_pose=math.inf if pose is None else np.repeat(pose, 3),
+        innovation_noise=innovation_scale[0],
+        innovation_scale=innovation_scale[1],
+        torque_limit=(math.inf if share is None else share) * robot.effort_limits,
+        torque_change=math.inf if rate is None else rate * period,
+        budget=options.budget(period),
+        damping=0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping,
+        most_torque=(1.0 if share is None else share) * robot.effort_limits,
+        most_speed=options.runaway * fastest,
     )
 
 
-def _apart(rotation: np.ndarray, way: np.ndarray) -> np.ndarray:
-    return np.stack([rotation_angle(rotation), np.linalg.norm(way, axis=-1)])
+_PLAIN = (
+    "horizon", "finite", "failures", "deadline", "innovation", "innovation_time", "torque_limit_time",
+    "torque_rate_time", "workspace", "transmission", "conditioning", "crank_speed", "following_error", "ramp_time",
+    "safe_hold_time",
+)  # fmt: skip
+_OFF = {"transmission": -math.inf, "conditioning": -math.inf}
 
 
-class Monitor(NamedTuple):
-    """A monitor, of what is measured or of messages; neither for what `tick` sees as it cuts commands.
+# --- what is measured -------------------------------------------------------------------------------------------------
 
-    Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
-    command is held.
 
-    Attributes:
-        key: Of `safety`, the value of the limit; null there switches it off.
-        margin: (...) or (..., 6) for each leg, of the value of `key` and of `Seen`; negative where the limit is broken.
-        rank: Lower ones are asked first: what they see explains the others.
-        trips: Leg or -1, and cause, see `Trip`, of the options, `SafetyInputs` and the torque limit [N m]; None where
-            nothing is wrong.
-        meaning: What the name leaves open, for the message of a run that it ends.
+@njit
+def see(
+    robot: Any, home: Any, horizon: float, pose: Any, rate: Any, reference: Any, side: float, legs: Any, seen: Any
+) -> None:
+    """What a finite measurement means.
+
+    Args:
+        robot: `ROBOT` record.
+        home: (6,) [rad, m] home pose.
+        horizon: [s] by which the pose is led ahead.
+        pose: (6,) [rad, m].
+        rate: (6,) [rad/s, m/s].
+        reference: (6,) [rad, m].
+        side: Sign of the rods' determinant at the start; 0 if that is now.
+        legs: `LEGS` record out: of the pose led ahead; where that is out of reach of the pose, or else of home.
+        seen: `SEEN` record, out.
     """
+    ahead, twist, turn, wanted = pose + horizon * rate, np.empty(6), np.empty((3, 3)), np.empty((3, 3))
+    reached = legs_at(robot, ahead, legs) < 0
+    within, reach = reached, legs.reach.copy()
+    seen.from_home[0] = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
+    seen.from_home[1] = _distance(ahead, home)
+    rotation(pose[:3], turn)
+    rotation(reference[:3], wanted)
+    seen.from_reference[0] = _angle((turn * wanted).sum())
+    seen.from_reference[1] = _distance(pose, reference)
+    if not reached:
+        # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
+        within = legs_at(robot, pose, legs) < 0
+        if not within:
+            legs_at(robot, home, legs)
+    seen.reached = 1.0 if reached else 0.0
+    seen.conditioning, seen.side = np.inf, side
+    if reached:
+        seen.side = _side(legs)
+        crossed = side != 0.0 and seen.side != side
+        seen.conditioning = conditioning(robot, legs) * (-1.0 if crossed else 1.0)
+    twist_of(pose, rate, twist)
+    for i in range(6):
+        size = abs(legs.transmission[i])
+        if size < SMALLEST:
+            legs.lever[i] = SMALLEST * robot.crank_length[i] * (-1.0 if legs.transmission[i] < 0.0 else 1.0)
+        seen.transmission[i] = size if reach[i] >= 0.0 else 0.0
+    crank_rates(legs, twist, seen.speed)
+    if not within:
+        seen.speed[:] = 0.0
 
-    key: str = ""
-    margin: Callable[[Any, Seen], np.ndarray] | None = None
-    rank: int = 1
-    trips: Callable[[SafetyOptions, SafetyInputs, np.ndarray], tuple[int, int] | None] | None = None
-    meaning: str = ""
+
+@njit
+def _side(legs: Any) -> float:
+    """Sign of the determinant of the rods' lines."""
+    return solve(legs.line.copy(), np.empty((6, 1)))
 
 
-def _nearer(limit: tuple[float, float], apart: np.ndarray) -> np.ndarray:
+@njit
+def _angle(trace: float) -> float:
+    """Angle [rad] of a rotation with this trace."""
+    return np.arccos(min(1.0, max(-1.0, 0.5 * (trace - 1.0))))
+
+
+@njit
+def _distance(pose: Any, other: Any) -> float:
+    return np.sqrt(((pose[3:6] - other[3:6]) ** 2).sum())
+
+
+@njit
+def _below(limit: float, value: float) -> float:
+    """Margin to an upper limit; infinite where that is off."""
+    return limit - value if limit < np.inf else np.inf
+
+
+@njit
+def _above(limit: float, value: float) -> float:
+    """Margin to a lower limit; infinite where that is off."""
+    return value - limit if limit > -np.inf else np.inf
+
+
+@njit
+def margins(setup: Any, seen: Any, out: Any) -> None:
+    """By which each of `LIMITS` is kept, negative where it is broken, infinite where it is off.
+
+    Args:
+        setup: `SETUP` record.
+        seen: `SEEN` record.
+        out: (5, 6) for each leg; six times the same where a limit is the robot's as a whole.
+    """
+    out[0] = _nearer(setup.workspace, seen.from_home)
+    out[4] = _nearer(setup.following_error, seen.from_reference)
+    out[3] = _above(setup.conditioning, seen.conditioning)
+    for i in range(6):
+        out[1, i] = _below(setup.crank_speed, abs(seen.speed[i]))
+        out[2, i] = _above(setup.transmission, seen.transmission[i])
+
+
+@njit
+def _nearer(limit: Any, apart: Any) -> float:
+    if limit[0] == np.inf:
+        return np.inf
     return np.minimum(limit[0] - apart[0], limit[1] - apart[1])
 
 
-WORKSPACE = Monitor("workspace", lambda limit, seen: _nearer(limit, seen.from_home), rank=0)
-CRANK_SPEED = Monitor("crank_speed", lambda limit, seen: limit - np.abs(seen.speed), rank=0)
-SERIAL = Monitor("transmission", lambda limit, seen: seen.transmission - limit)
-PARALLEL = Monitor("conditioning", lambda limit, seen: seen.conditioning - limit)
-FOLLOWING = Monitor("following_error", lambda limit, seen: _nearer(limit, seen.from_reference))
+@njit
+def broken(setup: Any, seen: Any) -> tuple[int, int]:
+    """Monitor of the first limit that a measurement breaks, or `QUIET`; its leg or -1."""
+    by = np.empty((5, 6))
+    margins(setup, seen, by)
+    for row in range(5):
+        leg = 0
+        for i in range(1, 6):
+            if not by[row, i] >= by[row, leg]:
+                leg = i
+        if not by[row, leg] >= 0.0:
+            return _MONITOR_OF_ROW[row], leg if OF_LEGS[row] else -1
+    return QUIET, -1
 
 
-def limits(options: SafetyOptions, seen: Seen) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Name, key and margin of each limit that is on, in the order in which they are asked."""
-    named = sorted(((name, BUILT_IN_MONITORS[name]) for name in BUILT_IN_MONITORS.names), key=lambda each: each[1].rank)
-    for name, monitor in named:
-        value = getattr(options, monitor.key) if monitor.margin is not None else None
-        if value is not None:
-            yield name, monitor.key, monitor.margin(value, seen)
+@njit
+def margins_along(
+    robots: Any, setups: Any, horizon: float, poses: Any, rates: Any, references: Any, side: float, out: Any
+) -> float:
+    """`margins` of poses (n, 6) [rad, m] with their rates (n, 6) and the poses that are wanted; out (n, 5, 6).
+
+    Returns:
+        Sign of the rods' determinant at the last.
+    """
+    robot, setup, scratch, seens = record(robots), record(setups), np.empty(1, LEGS), np.empty(1, SEEN)
+    return _along(robot, setup, horizon, poses, rates, references, side, out, scratch, seens)
 
 
-def broken(options: SafetyOptions, seen: Seen) -> Trip | None:
-    """The first limit that one measurement breaks."""
-    for name, _, margin in limits(options, seen):
-        if not margin.min() >= 0.0:
-            return Trip(MONITORS.index(name), RAMP, int(margin.argmin()) if margin.ndim else -1)
-    return None
+@njit
+def _along(
+    robot: Any, setup: Any, horizon: float, poses: Any, rates: Any, references: Any, side: float, out: Any,
+    scratch: Any, seens: Any,
+) -> float:  # fmt: skip
+    legs, seen = record(scratch), record(seens)
+    for row in range(len(poses)):
+        see(robot, setup.home, horizon, poses[row], rates[row], references[row], side, legs, seen)
+        margins(setup, seen, out[row])
+    return seen.side
 
 
-def measured(options: SafetyOptions, inputs: SafetyInputs) -> bool:
+# --- messages ---------------------------------------------------------------------------------------------------------
+
+
+@njit
+def measured(setup: Any, measurement: Any) -> bool:
     """Whether the measurement is one, and can be led ahead."""
-    with np.errstate(all="ignore"):
-        ahead = inputs.pose + options.horizon * inputs.pose_rate
-    return bool(np.isfinite(ahead).all() and np.isfinite(inputs.pose_rate).all())
+    for k in range(6):
+        if not (np.isfinite(measurement[k] + setup.horizon * measurement[6 + k]) and np.isfinite(measurement[6 + k])):
+            return False
+    return True
 
 
-def failed(options: SafetyOptions, health: tuple[float, float]) -> bool:
+@njit
+def failed(setup: Any, cause: float) -> bool:
     """Whether a sensor or controller has failed; a reading that is stuck has switches of its own."""
-    return _stuck(health) or (options.failures and health[0] != 0.0)
+    return cause == FROZEN or (setup.failures != 0.0 and cause != 0.0)
 
 
-def _stuck(health: tuple[float, float]) -> bool:
-    return health[0] == failure_code("frozen")
+@njit
+def unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
+    """What is wrong with this tick's messages, apart from what they say.
+
+    Args:
+        setup: `SETUP` record.
+        command: (6,) [N m].
+        is_measured: See `measured`.
+        age: [ticks] of the command.
+        sensor: (2,) cause as `errors.FAILURES` counts it and leg, 0 and -1 for nothing.
+        controller: (2,) likewise.
+
+    Returns:
+        Monitor or `QUIET`, leg or -1, cause or 0.
+    """
+    if setup.finite != 0.0 and not is_measured:
+        return MEASUREMENT, -1, 0
+    stuck = sensor[0] == FROZEN
+    if not stuck and failed(setup, sensor[0]):
+        return SENSOR, _whole(sensor[1]), _whole(sensor[0])
+    if failed(setup, controller[0]):
+        return CONTROLLER, _whole(controller[1]), _whole(controller[0])
+    largest, leg = 0.0, 0
+    for i in range(6):
+        if setup.finite != 0.0 and not np.isfinite(command[i]):
+            return COMMAND, i, 0
+        share = abs(command[i]) / setup.torque_limit[i]
+        if share > largest:
+            largest, leg = share, i
+    if not age <= setup.deadline:
+        return DEADLINE, -1, 0
+    if largest > ABSURD:
+        return TORQUE_LIMIT, leg, 0
+    if stuck:
+        return READING, int(sensor[1]), 0
+    return QUIET, -1, 0
 
 
-def _failure(options: SafetyOptions, health: tuple[float, float]) -> tuple[int, int] | None:
-    cause, leg = (int(x) if np.isfinite(x) else -1 for x in health)
-    return (leg, cause) if failed(options, health) and not _stuck(health) else None
+@njit
+def _whole(value: float) -> int:
+    return int(value) if np.isfinite(value) else -1
 
 
-def _unmeasured(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    return (-1, 0) if options.finite and not measured(options, inputs) else None
+@njit
+def unexplained(setup: Any, innovation: Any) -> float:
+    """[rad/s^2] acceleration of a crank that the largest innovation (6,) [rad] of an observer speaks of, beyond noise.
+
+    NaN where there is no observer counts as nothing.
+    """
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, abs(innovation[i])) if innovation[i] == innovation[i] else largest
+    return (largest - setup.innovation_noise) / setup.innovation_scale
 
 
-def _no_number(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    finite = np.isfinite(inputs.command)
-    return (int(finite.argmin()), 0) if options.finite and not finite.all() else None
+# --- frozen sensors ---------------------------------------------------------------------------------------------------
+
+NOTHING_FROZEN = -2
 
 
-def _absurd(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    share = np.abs(inputs.command) / limit
-    return (int(share.argmax()), 0) if share.max() > _ABSURD else None
+@njit
+def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state: Any, legs: Any) -> int:
+    """Looks for a reading that stays the same while things move.
+
+    Its sensor is frozen, or friction holds the crank, or the platform, that it reads: six encoders measure six degrees
+    of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
+    stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
+
+    Args:
+        robot: `ROBOT` record.
+        setup: `SETUP` record.
+        angles: (6,) [rad] readings of encoders; NaN from the start where there are none.
+        pose: (6,) [rad, m] that is read.
+        reference: (6,) [rad, m].
+        state: With `readings` (6,) of the tick before, for each of the six in `anchors` (6, 6) what it is compared with
+            as it was when the reading changed, and whether there are `encoders`; NaN before the first tick.
+        legs: `LEGS` record, overwritten.
+
+    Returns:
+        Leg whose reading is stuck, -1 for the pose as a whole, or `NOTHING_FROZEN`.
+    """
+    if state.encoders == 0.0 and np.isfinite(angles).any():
+        state.encoders = 1.0
+    if state.encoders == 0.0:
+        return _frozen_pose(setup, pose, reference, state)
+    limit, leg, farthest = setup.frozen_encoder, NOTHING_FROZEN, 0.0
+    for i in range(6):
+        # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
+        if angles[i] != state.readings[i]:
+            state.anchors[i] = angles
+        # How far the last but one has turned: one that jumps would make all that stand still look frozen.
+        most, travel = 0.0, 0.0
+        for k in range(6):
+            moved = abs(angles[k] - state.anchors[i, k])
+            moved = moved if moved < np.inf else np.inf
+            most, travel = max(most, moved), max(travel, min(most, moved))
+        if limit < travel < np.inf and travel > farthest and not _stands_near(robot, angles, i, reference, limit, legs):
+            leg, farthest = i, travel
+    state.readings[:] = angles
+    return leg
 
 
-def _late(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    return (-1, 0) if options.deadline is not None and not inputs.age <= options.deadline else None
+@njit
+def _stands_near(robot: Any, angles: Any, leg: int, reference: Any, limit: float, legs: Any) -> bool:
+    """Whether a crank is within a quarter of the limit [rad] of where it is wanted; out of reach nobody can say."""
+    legs_at(robot, reference, legs)
+    off = angles[leg] - np.arctan2(legs.sine[leg], legs.cosine[leg])
+    return legs.reach[leg] >= 0.0 and abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= 0.25 * limit
 
 
-def _still(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> tuple[int, int] | None:  # noqa: ARG001
-    return (int(inputs.sensor[1]), 0) if _stuck(inputs.sensor) else None
-
-
-def surprising(options: SafetyOptions, inputs: SafetyInputs) -> bool:
-    """Whether the robot does what the model of its observer does not explain."""
-    return options.innovation is not None and inputs.surprise > options.innovation
-
-
-def surprise(innovation: np.ndarray, scale: tuple[float, float]) -> float:
-    """See `SafetyInputs.surprise`, for innovations (6,) [rad] and `Observer.surprise_scale`."""
-    return (float(np.abs(innovation).max()) - scale[0]) / scale[1]
-
-
-MEASUREMENT = Monitor(trips=_unmeasured)
-SENSOR = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.sensor))
-CONTROLLER = Monitor(trips=lambda options, inputs, _: _failure(options, inputs.controller))
-COMMAND = Monitor(trips=_no_number)
-DEADLINE = Monitor(trips=_late)
-TORQUE_LIMIT = Monitor(trips=_absurd)
-"""What is at the limit for too long `tick` sees, which cuts it; likewise what comes after this."""
-TORQUE_RATE = Monitor()
-INNOVATION = Monitor()
-READING = Monitor(trips=_still, meaning="a sensor repeats itself, or friction holds what it reads")
-
-
-def unusable(options: SafetyOptions, inputs: SafetyInputs, limit: np.ndarray) -> Trip | None:
-    """What is wrong with this tick's messages, apart from what they say."""
-    for name in BUILT_IN_MONITORS.names:
-        monitor = BUILT_IN_MONITORS[name]
-        found = None if monitor.trips is None else monitor.trips(options, inputs, limit)
-        if found is not None:
-            return Trip(MONITORS.index(name), HOLD, *found)
-    return None
-
-
-def further(options: SafetyOptions, inputs: SafetyInputs) -> Trip | None:
-    """What the user's own monitors say of a finite measurement."""
-    for index, monitor in enumerate(options.monitors):
-        leg = monitor.look(inputs)
-        if leg is not None:
-            return Trip(len(MONITORS) + index, RAMP, leg)
-    return None
+@njit
+def _frozen_pose(setup: Any, pose: Any, reference: Any, state: Any) -> int:
+    same = (pose == state.readings).all()
+    state.readings[:] = pose
+    if not same:
+        state.anchors[0] = reference
+    for k in range(6):
+        if abs(reference[k] - state.anchors[0, k]) > setup.frozen_pose[k]:
+            return -1
+    return NOTHING_FROZEN

@@ -9,10 +9,12 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.memory import MONITORS, SafetyInputs
-from stewart_drake.safety.monitors import broken, further, limits, see
-from stewart_drake.safety.safety_options import SafetyOptions
+from stewart_drake.safety.layer import further
+from stewart_drake.safety.monitors import LIMITS, OF_LEGS, margins_along, setup_of
+from stewart_drake.safety.safety_options import MONITORS, SafetyOptions
+from stewart_drake.safety.user_monitor import SafetyInputs
 
 _SAMPLES = 4000
 
@@ -39,22 +41,24 @@ def refuse_motion(
     """
     pose, rate, _ = motion
     inverse_kinematics(robot, pose)
-    start = float(see(robot, 0.0, pose[0], rate[0], pose[0]).side)
+    _, start = _margins(robot, options, 0.0, pose[:1], rate[:1], pose[:1])
     # The poses themselves, and what the layer looks at: the poses led ahead.
     for horizon in (0.0, options.horizon):
-        for name, key, margin in limits(options, see(robot, horizon, pose, rate, pose, start)):
+        by, _ = _margins(robot, options, horizon, pose, rate, pose, start)
+        for row, (monitor, key) in enumerate(LIMITS):
+            margin = by[:, row] if OF_LEGS[row] else by[:, row, :1]
             if horizon == 0.0:
                 _refuse(key, getattr(options, key), margin, time)
             else:
-                allowed = f"one that does not trip {name} along the reference, as it does"
+                allowed = f"one that does not trip {MONITORS[monitor]} along the reference, as it does"
                 _refuse("horizon", options.horizon, margin, time, allowed)
     torque = inverse_dynamics(robot, *motion, gravity)
     for row in range(len(time) if options.monitors else 0):
         trip = further(options, SafetyInputs(torque[row], pose[row], rate[row], pose[row]))
         if trip is not None:
-            key = f"monitors.{trip.monitor - len(MONITORS)}"
+            key = f"monitors.{trip[0] - len(MONITORS)}"
             allowed = "one that the reference does not trip, as it does"
-            _refuse(key, options.monitor_names[trip.monitor], np.full(1, -1.0), time[row : row + 1], allowed)
+            _refuse(key, options.monitor_names[trip[0]], np.full(1, -1.0), time[row : row + 1], allowed)
     if options.torque_limit is not None:
         step = np.diff(time, prepend=time[0] - (time[1] - time[0] if len(time) > 1 else 0.0))
         limit = options.torque_limit * robot.effort_limits
@@ -102,9 +106,9 @@ def refuse_start(
     Raises:
         ConfigurationError: Names the monitor.
     """
-    trip = broken(options, see(robot, options.horizon, pose, pose_rate, reference))
+    trip = broken_at_start(robot, options, pose, pose_rate, reference)
     if trip is not None:
-        name = options.monitor_names[trip.monitor]
+        name = MONITORS[trip]
         if np.array_equal(pose, reference):
             # The motion itself has been looked at: it is the look ahead that leads out of bounds.
             raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")
@@ -114,6 +118,31 @@ def refuse_start(
         allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
+
+
+def broken_at_start(
+    robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, pose_rate: np.ndarray, reference: np.ndarray
+) -> int | None:
+    """Number of the first monitor that a measurement in the very first tick trips; None for none."""
+    by, _ = _margins(robot, options, options.horizon, pose[None], pose_rate[None], reference[None])
+    trips = [monitor for (monitor, _), margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
+    return trips[0] if trips else None
+
+
+def _margins(
+    robot: RobotParameters,
+    options: SafetyOptions,
+    horizon: float,
+    pose: np.ndarray,
+    rate: np.ndarray,
+    reference: np.ndarray,
+    side: float = 0.0,
+) -> tuple[np.ndarray, float]:
+    """Margins (n, 5, 6) of `LIMITS` along a motion led ahead by a horizon [s], and the side at its end."""
+    # Of these limits none asks for gravity or period.
+    by, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
+    pose, rate, reference = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, reference))
+    return by, margins_along(robot_record(robot), setup, horizon, pose, rate, reference, side, by)
 
 
 def sample_times(duration: float, period: float) -> np.ndarray:

@@ -11,8 +11,28 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
-from stewart_drake.safety.memory import MONITORS
 from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
+
+MONITORS = (
+    "none",
+    "measurement_not_finite",
+    "sensor_failed",
+    "controller_failed",
+    "command_not_finite",
+    "deadline",
+    "workspace",
+    "serial_singularity",
+    "parallel_singularity",
+    "crank_speed",
+    "following_error",
+    "torque_limit",
+    "torque_rate",
+    "innovation",
+    "reading_stuck",
+)
+"""Stable names of the monitors, by their number in the log: new ones come last."""
+MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
+"""What a name leaves open, for the message of a run that the monitor ends."""
 
 
 class SafetyOptions(Section, key="safety"):

@@ -3,11 +3,35 @@
 from __future__ import annotations
 
 import reprlib
+from typing import NamedTuple
 
 import numpy as np
 
 from stewart_drake.families import UserMade
-from stewart_drake.safety.memory import SafetyInputs
+
+
+class SafetyInputs(NamedTuple):
+    """What a monitor of the user's own gets.
+
+    Attributes:
+        command: (6,) [N m].
+        pose: (6,) [rad, m] measured.
+        pose_rate: (6,) [rad/s, m/s] measured.
+        reference: (6,) [rad, m] pose that is wanted.
+        age: [ticks] of the command.
+        sensor: What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
+        controller: What is wrong with the controller, likewise.
+        surprise: [rad/s^2] acceleration of a crank that the largest innovation of an observer speaks of.
+    """
+
+    command: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    reference: np.ndarray
+    age: float = 0.0
+    sensor: tuple[float, float] = (0.0, -1.0)
+    controller: tuple[float, float] = (0.0, -1.0)
+    surprise: float = 0.0
 
 
 class UserMonitor(UserMade, key="safety.monitors"):

@@ -2,8 +2,8 @@
 
 u is what the motors give beyond holding still, y what they are told to: u = y closes the loop. The robot is the exact
 model without friction under torques held over a control period, discretised exactly; estimator and controller are the
-functions that a run calls, linearised by central differences at the point where the loop stands still. Saturation,
-counts of encoders and friction are not in it; weights stay as the tuner has them at the start.
+parts that a run has, linearised by central differences at the point where the loop stands still. Saturation, counts of
+encoders and friction are not in it; weights stay as the tuner has them at the start.
 """
 
 from __future__ import annotations
@@ -11,18 +11,28 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
+from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
+from stewart_drake.control.joint_pid import PidOptions, pid_part
+from stewart_drake.control.lqi import lqi_part
+from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
-from stewart_drake.mechanics.arrays import AnyRobot
-from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.hardware.estimator import difference_part
+from stewart_drake.hardware.observer import ObserverOptions, observer_part
+from stewart_drake.jit import njit, record
+from stewart_drake.mechanics import dynamics
+from stewart_drake.mechanics.dynamics_laws import forward_dynamics, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at
+from stewart_drake.part import Part
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plant.closed_chain import loaded
+from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import Scenario
-from stewart_drake.stability.loop_parts import ESTIMATORS, READINGS, Part, controller_part, part_of
 
 _STEP = 1e-5
 """Of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
@@ -67,6 +77,39 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
     return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity).poses
 
 
+def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
+    """The loop of a scenario at poses; where a part of it refuses a pose, that is left out.
+
+    Args:
+        scenario: Robot, sensors, estimator, controller, weights, delay; its motion says nothing here.
+        poses: (m, 6) [rad, m].
+
+    Raises:
+        ConfigurationError: A kind of part that has no linear loop; no pose is left.
+        UnreachablePoseError: A pose is out of reach.
+    """
+    controller, results, kept, left_out = controller_of(scenario), [], [], []
+    for k, ground in enumerate(grounds(scenario, poses)):
+        try:
+            results.append(LoopAt(ground, estimator_at(scenario, ground), controller, scenario.command_delay).loop())
+            kept.append(k)
+        except (RunFailure, UnreachablePoseError) as error:
+            left_out.append(str(error))
+    if not results:
+        raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
+    a, b, c = (np.stack(each) for each in zip(*results, strict=True))
+    return trimmed(LinearLoops(a, b, c, scenario.controller.period, poses[kept], tuple(left_out)))
+
+
+def trimmed(loops: LinearLoops) -> LinearLoops:
+    """The loops without states that no output ever hears of."""
+    heard = _heard(loops.a, loops.c)
+    return loops._replace(a=loops.a[:, heard][:, :, heard], b=loops.b[:, heard], c=loops.c[:, :, heard])
+
+
+# --- the robot -------------------------------------------------------------------------------------------------------
+
+
 class PlantAt(NamedTuple):
     """The robot near poses at rest; its state is pose and rate less those of the point.
 
@@ -81,11 +124,11 @@ class PlantAt(NamedTuple):
     torque: np.ndarray
 
 
-def plant_at(robot: AnyRobot, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
+def plant_at(robots: np.ndarray, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
     """The robot under torques that are held over a period.
 
     Args:
-        robot: The true one, with what it carries.
+        robots: `ROBOT` record of the true one, with what it carries, see `closed_chain.loaded`.
         poses: (m, 6) [rad, m].
         gravity: [m/s^2].
         period: [s].
@@ -93,56 +136,37 @@ def plant_at(robot: AnyRobot, poses: np.ndarray, gravity: float, period: float) 
     Raises:
         UnreachablePoseError: A pose is out of reach.
     """
-    torque = static_torque(robot, poses, gravity)
-    steps = _STEP * np.concatenate([np.eye(6), -np.eye(6)])
-    moved = poses[:, None] + steps
-    found = forward_dynamics(robot, moved, np.zeros_like(moved), np.broadcast_to(torque[:, None], moved.shape), gravity)
-    stiffness = ((found[:, :6] - found[:, 6:]) / (2.0 * _STEP)).swapaxes(-1, -2)
-    whole = np.zeros((len(poses), 18, 18))
+    torque, legs, whole = np.empty((len(poses), 6)), np.empty(1, LEGS), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12] = np.eye(6)
-    whole[:, 6:12, :6] = stiffness
-    whole[:, 6:12, 12:] = pose_acceleration_map(robot, poses)
+    for pose, held, matrix in zip(poses, torque, whole, strict=True):
+        bad = _plant(robots, pose, gravity, legs, held, matrix[6:12])
+        if bad >= 0:
+            raise UnreachablePoseError(pose, bad, float(legs["reach"][0, bad]))
     moves = expm(period * whole)
     return PlantAt(moves[:, :12, :12], moves[:, :12, 12:], torque)
 
 
-def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
-    """The loop of a scenario at poses; where a part of it refuses a pose, that is left out.
-
-    Args:
-        scenario: Robot, sensors, estimator, controller, weights, delay; its motion says nothing here.
-        poses: (m, 6) [rad, m].
-
-    Raises:
-        ConfigurationError: A kind of part that has no linear loop; no pose is left.
-        UnreachablePoseError: A pose is out of reach.
-    """
-    controller, estimator_of = controller_part(scenario), part_of(ESTIMATORS, "estimator", scenario.estimator.kind)
-    found, kept, left_out = [], [], []
-    for k, ground in enumerate(grounds(scenario, poses)):
-        try:
-            estimator = estimator_of(scenario, ground.pose, ground.reading)
-            found.append(Site(ground, estimator, controller, scenario.command_delay).loop())
-            kept.append(k)
-        except (RunFailure, UnreachablePoseError) as error:
-            left_out.append(str(error))
-    if not found:
-        raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
-    a, b, c = (np.stack(each) for each in zip(*found, strict=True))
-    return trimmed(LinearLoops(a, b, c, scenario.controller.period, poses[kept], tuple(left_out)))
-
-
-def trimmed(loops: LinearLoops) -> LinearLoops:
-    """The loops without states that no output ever hears of."""
-    heard = _heard(loops.a, loops.c)
-    return loops._replace(a=loops.a[:, heard][:, :, heard], b=loops.b[:, heard], c=loops.c[:, :, heard])
-
-
-class Derived(NamedTuple):
-    """What a part says and remembers after a tick (k,), and its derivative (k, n)."""
-
-    value: np.ndarray
-    by: np.ndarray
+@njit
+def _plant(robots: Any, pose: Any, gravity: float, leg_records: Any, torque: Any, rows: Any) -> int:
+    """Torque (6,) at rest, and the derivatives (6, 18) of the acceleration by pose, rate and torque; -1 or a leg."""
+    robot, legs, nothing = record(robots), record(leg_records), np.zeros(6)
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
+        return bad
+    static_torque(robot, legs, gravity, torque)
+    by_torque, acceleration = np.empty((6, 6)), np.empty(6)
+    pose_acceleration_map(robot, legs, pose, by_torque)
+    rows[:, 12:] = by_torque
+    for k in range(6):
+        for sign in (-1.0, 1.0):
+            moved = pose.copy()
+            moved[k] += sign * _STEP
+            bad = legs_at(robot, moved, legs)
+            if bad >= 0:
+                return bad
+            forward_dynamics(robot, legs, moved, nothing, torque, nothing, gravity, acceleration)
+            rows[:, k] += sign / (2.0 * _STEP) * acceleration
+    return -1
 
 
 class Ground(NamedTuple):
@@ -162,20 +186,144 @@ class Ground(NamedTuple):
 
 
 def grounds(scenario: Scenario, poses: np.ndarray) -> Iterator[Ground]:
-    """What a loop of the scenario stands on at each of the poses (m, 6) [rad, m]; see `linear_loops`."""
-    said = part_of(READINGS, "sensors", scenario.sensors.kind)(scenario.robot, poses)
+    """What a loop of the scenario stands on at each of the poses (m, 6) [rad, m].
+
+    Raises:
+        ConfigurationError: Sensors that have no linear loop.
+        UnreachablePoseError: A pose is out of reach.
+    """
+    readings, by_state = _sensed(scenario.sensors.kind, scenario.robot, poses)
     robot, period = loaded(scenario.robot, scenario.plant), scenario.controller.period
     plants = plant_at(robot, poses, scenario.gravity, period)
     for k, pose in enumerate(poses):
-        yield Ground(pose, PlantAt(*(each[k] for each in plants)), said.value[k], said.by_state[k])
+        yield Ground(pose, PlantAt(*(each[k] for each in plants)), readings[k], by_state[k])
 
 
-class Site(NamedTuple):
-    """A pose and what stands there."""
+def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What exact sensors say at poses (m, 6), and its derivative (m, k, 12) by pose and pose rate."""
+    if kind == "ideal":
+        rest = np.concatenate([poses, np.zeros_like(poses)], axis=-1)
+        return rest, np.broadcast_to(np.eye(12), (len(poses), 12, 12))
+    if kind == "encoders":
+        turned = pose_jacobian(robot, poses)
+        return inverse_kinematics(robot, poses), np.concatenate([turned, np.zeros_like(turned)], axis=-1)
+    raise ConfigurationError("sensors.kind", kind, "ideal or encoders, for a linear loop")
+
+
+# --- estimator and controller ----------------------------------------------------------------------------------------
+
+
+class Linearised(NamedTuple):
+    """A part of the loop, to be asked near a standstill.
+
+    Attributes:
+        tick: Inputs, and its state as a flat vector, changed in place.
+        memory: (n,) its state there.
+        kept: Places in it on which the next tick depends.
+        says: Places that the rest of the loop gets.
+    """
+
+    tick: Callable[..., None]
+    memory: np.ndarray
+    kept: np.ndarray
+    says: np.ndarray
+
+    def __call__(self, inputs: tuple[np.ndarray, ...], state: np.ndarray) -> np.ndarray:
+        """What it says, then what it keeps after a tick, from inputs and what it kept before."""
+        memory = self.memory.copy()
+        memory[self.kept] = state
+        self.tick(*inputs, memory)
+        return memory[np.concatenate([self.says, self.kept])]
+
+
+def _linearised(
+    part: Part, outputs: tuple[str, ...], keeps: tuple[str, ...], more: tuple[np.ndarray, ...] = ()
+) -> Linearised:
+    """A part as it is made; `more` inputs always stay as they are."""
+    dtype = part.initial.dtype
+
+    def tick(*arguments: np.ndarray) -> None:
+        part.tick(*arguments[:-1], *more, arguments[-1].view(dtype))
+
+    memory = part.initial.view(float).copy()
+    places = np.arange(len(memory)).view(np.dtype([(name, int, dtype[name].shape) for name in dtype.names or ()]))
+    kept, says = (np.concatenate([places[name][0].ravel() for name in names]) for names in (keeps, outputs))
+    return Linearised(tick, memory, kept, says)
+
+
+def estimator_at(scenario: Scenario, ground: Ground) -> Linearised | None:
+    """The estimator at a pose, of reading and last command; None where the reading is the measurement.
+
+    Raises:
+        ConfigurationError: Another kind.
+        RunFailure: It refuses the pose.
+    """
+    robot, sensors, period, pose = scenario.believed_robot, scenario.sensors, scenario.controller.period, ground.pose
+    options, still = scenario.estimator, dynamics.static_torque(scenario.believed_robot, ground.pose, scenario.gravity)
+    if isinstance(options, ObserverOptions):
+        part = observer_part(
+            robot,
+            options,
+            scenario.gravity,
+            period,
+            sensors.reading_noise,
+            pose,
+            np.zeros(6),
+            still,
+            command_delay=scenario.command_delay,
+            size=len(ground.reading),
+        )
+        # Without friction the reference says nothing to it.
+        more = np.concatenate([pose, np.zeros(12)]), np.array([options.expected * scenario.tuner.levels.start])
+        linear = _linearised(part, ("ahead", "compensation"), ("measurement", "disturbance", "commands"), more)
+        # Of the commands it has place for more than are under way.
+        linear = linear._replace(kept=linear.kept[: 18 + 6 * (1 + options.ahead(scenario.command_delay))])
+    elif options.kind == "difference" and len(ground.reading) == 12:
+        return None
+    elif options.kind == "difference":
+        part = difference_part(robot, sensors, period, pose, np.zeros(6))  # type: ignore[arg-type]
+        linear = _linearised(part, ("measurement",), ("angles", "crank_rate"))
+        of_reading = linear.tick
+        linear = linear._replace(tick=lambda reading, sent, state: of_reading(reading, state))  # noqa: ARG005
+    else:
+        raise ConfigurationError("estimator.kind", options.kind, "difference or observer, for a linear loop")
+    linear.tick(ground.reading, still, linear.memory)
+    return linear
+
+
+def controller_of(scenario: Scenario) -> Linearised:
+    """The controller, of measurement (12,) and reference (18,), with the split solution of the Riccati equation.
+
+    Raises:
+        ConfigurationError: It is a user's own, which may keep its state where nobody sees it.
+    """
+    options, robot, weights = scenario.controller, scenario.believed_robot, np.array(scenario.tuner.weights)
+    if isinstance(options, LqiOptions):
+        part = lqi_part(options, robot, scenario.gravity, len(weights), "split")
+        return _linearised(part, ("torque",), ("integral",), (weights,))
+    if isinstance(options, PidOptions):
+        return _linearised(pid_part(options, robot, scenario.gravity), ("torque",), ("crank_integral",))
+    if isinstance(options, ComputedTorqueOptions):
+        return _linearised(computed_torque_part(options, robot, scenario.gravity), ("torque",), ("integral",))
+    raise ConfigurationError("controller.kind", options.kind, "lqi, pid or computed_torque, for a linear loop")
+
+
+# --- the loop --------------------------------------------------------------------------------------------------------
+
+
+class Derived(NamedTuple):
+    """What a part says and remembers after a tick (k,), and its derivative (k, n)."""
+
+    value: np.ndarray
+    by: np.ndarray
+
+
+class LoopAt(NamedTuple):
+    """A pose and what stands there; its state is plant, estimator, controller, last command, older ones."""
 
     ground: Ground
-    estimator: Part
-    controller: Part
+    estimator: Linearised | None
+    controller: Linearised
     delay: int
 
     def loop(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -190,12 +338,12 @@ class Site(NamedTuple):
         Raises:
             RunFailure: There is none.
         """
-        estimated, remembered = self.estimator.memory[self.estimator.state], np.zeros(len(self.controller.state))
+        remembered = [each.memory[each.kept] for each in (self.estimator, self.controller) if each is not None]
         sent = np.tile(self.ground.plant.torque, max(1, self.delay))
-        x = np.concatenate([np.zeros(12), estimated, remembered, sent])
+        x = np.concatenate([np.zeros(12), *remembered, sent])
         for _ in range(_NEWTON_STEPS):
-            told = self.estimated(x)
-            (a, b, c), change = self.joined(x, told, self.controlled(x, told))
+            estimated = self.estimated(x)
+            (a, b, c), change = self.joined(x, estimated, self.controlled(x, estimated))
             # An integral that nobody hears, its gain zero, need not stand still.
             heard = _heard(a[None], c[None])
             if np.abs(change[heard]).max() < STILL:
@@ -208,43 +356,45 @@ class Site(NamedTuple):
 
     def estimated(self, x: np.ndarray) -> Derived:
         """What the estimator does at a state, by the state of the loop."""
-        (_, _, value, by_state), (plant, estimated, _, sent) = self.ground, self.places()
-        n, r, n_e = len(x), len(value), len(self.estimator.state)
-        says, by = _derivatives(
-            lambda v: _ticked(self.estimator, (v[:r], v[r : r + 6]), v[r + 6 :]),
-            np.concatenate([value + by_state @ x[plant], x[sent], x[estimated]]),
+        plant, own, _, sent = self.places()
+        reading = self.ground.reading + self.ground.by_state @ x[plant]
+        r, n, k = len(reading), len(x), own.stop - own.start
+        into = np.zeros((r + 6 + k, n))
+        into[:r, plant], into[r : r + 6, sent], into[r + 6 :, own] = self.ground.by_state, np.eye(6), np.eye(k)
+        if self.estimator is None:
+            return Derived(reading, into[:r])
+        estimator = self.estimator
+        value, by = _derivatives(
+            lambda v: estimator((v[:r], v[r : r + 6]), v[r + 6 :]), np.concatenate([reading, x[sent], x[own]])
         )
-        into = np.zeros((r + 6 + n_e, n))
-        into[:r, plant], into[r : r + 6, sent], into[r + 6 :, estimated] = by_state, np.eye(6), np.eye(n_e)
-        return Derived(says, by @ into)
+        return Derived(value, by @ into)
 
-    def controlled(self, x: np.ndarray, told: Derived) -> Derived:
+    def controlled(self, x: np.ndarray, estimated: Derived) -> Derived:
         """What the controller does at a state, by what the estimator tells it and what it remembers."""
         reference = np.concatenate([self.ground.pose, np.zeros(12)])
-        at = np.concatenate([told.value[:12], x[self.places()[2]]])
-        return Derived(*_derivatives(lambda v: _ticked(self.controller, (v[:12], reference), v[12:]), at))
+        at = np.concatenate([estimated.value[:12], x[self.places()[2]]])
+        return Derived(*_derivatives(lambda v: self.controller((v[:12], reference), v[12:]), at))
 
     def joined(
-        self, x: np.ndarray, told: Derived, answer: Derived
+        self, x: np.ndarray, estimated: Derived, answer: Derived
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         """A, B, C at a state, and by how much the closed loop's state changes in a tick there."""
-        plant, estimated, remembered, sent = self.places()
-        says, of_estimator = told
-        n, n_c = len(x), len(self.controller.state)
-        into = np.zeros((12 + n_c, n))
-        into[:12], into[12:, remembered] = of_estimator[:12], np.eye(n_c)
-        answers, of_controller = answer.value, answer.by @ into
-
-        added = sum(map(len, self.estimator.says[1:]))
-        command, of_command = answers[:6].copy(), of_controller[:6].copy()
-        if added:
-            command, of_command = command + says[12:18], of_command + of_estimator[12:18]
+        plant, own, remembered, sent = self.places()
+        n, k = len(x), remembered.stop - remembered.start
+        into = np.zeros((12 + k, n))
+        into[:12], into[12:, remembered] = estimated.by[:12], np.eye(k)
+        by = answer.by @ into
+        # Behind what it says of the platform an observer has a compensation for the command.
+        said = len(estimated.value) - (own.stop - own.start)
+        command, of_command = answer.value[:6].copy(), by[:6].copy()
+        if said > 12:
+            command, of_command = command + estimated.value[12:said], of_command + estimated.by[12:said]
 
         a, b, c, after = np.zeros((n, n)), np.zeros((n, 6)), np.zeros((6, n)), np.zeros(n)
         robot = self.ground.plant
         a[plant, plant], b[plant] = robot.a, robot.b
-        a[estimated], after[estimated] = of_estimator[12 + added :], says[12 + added :]
-        a[remembered], after[remembered] = of_controller[6:], answers[6:]
+        a[own], after[own] = estimated.by[said:], estimated.value[said:]
+        a[remembered], after[remembered] = by[6:], answer.value[6:]
         a[sent], after[sent] = of_command, command
         older = np.arange(sent.stop, n)
         a[older, older - 6], after[older] = 1.0, x[older - 6]
@@ -257,16 +407,9 @@ class Site(NamedTuple):
 
     def places(self) -> tuple[slice, ...]:
         """Of plant, estimator, controller and last command in the state."""
-        ends = np.cumsum([0, 12, len(self.estimator.state), len(self.controller.state), 6])
-        return tuple(slice(*pair) for pair in itertools.pairwise(ends))
-
-
-def _ticked(part: Part, inputs: tuple[np.ndarray, ...], state: np.ndarray) -> np.ndarray:
-    """What a part says, then its state after a tick, from inputs and its state before."""
-    memory = part.memory.copy()
-    memory[part.state] = state
-    after = part.tick(*inputs, memory)
-    return np.concatenate([*(after[each] for each in part.says), after[part.state]])
+        estimator = 0 if self.estimator is None else len(self.estimator.kept)
+        ends = np.cumsum([0, 12, estimator, len(self.controller.kept), 6])
+        return tuple(slice(*pair) for pair in itertools.pairwise(ends.tolist()))
 
 
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

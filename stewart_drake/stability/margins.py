@@ -190,8 +190,9 @@ def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         left = np.flatnonzero(~done[rows, peak])
         if not len(left):
             return 1.0 / bound, logs, peak
+        for place in zip(left, peak[left], strict=True):
+            logs[place] = refined(matrices[place], logs[place])
         at = left, peak[left]
-        logs[at] = refined(matrices[at], logs[at])
         bound[at], done[at] = upper_bound(matrices[at], logs[at]), True
 
 

@@ -2,27 +2,21 @@
 
 mu(M) = 1 / min{|Delta| : det(I - M Delta) = 0, Delta diagonal}. Above it lies sigma_max(D M D^-1) for every positive
 diagonal D, below it the spectral radius of Q M for every diagonal unitary Q. The upper bound is convex in log D.
-Source: A. Packard, J. Doyle, "The complex structured singular value" (Automatica 29, 1993). All functions take stacks
-(..., n, n).
+Source: A. Packard, J. Doyle, "The complex structured singular value" (Automatica 29, 1993).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import minimize
 
 _SWEEPS = 5
-_POWERS = (4.0, 32.0, 256.0)
-"""Of the singular values whose sum stands for the largest one, from smooth to sharp."""
-_NEWTON_STEPS = 4
-_DIFFERENCE = 1e-4
-_SHARES = np.array([1.0, 0.5, 0.2, 0.05])
-"""Lengths of a step that are tried."""
-CLOSE = 1e-4
-"""Bounds that are nearer to each other than this, as a share, need no more work."""
+_POWER = 32.0
+"""Of the singular values whose sum stands for the largest one: that alone has corners."""
 
 
 def balanced(matrices: np.ndarray) -> np.ndarray:
-    """The log D (..., n) that makes the Frobenius norm of D M D^-1 as small as it gets, nearly.
+    """The log D (..., n) that makes the Frobenius norm of D M D^-1 small, nearly the best for sigma_max too.
 
     E. Osborne, "On pre-conditioning of matrices" (J. ACM 7, 1960), row by row.
 
@@ -42,55 +36,27 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
             factor = np.exp(2.0 * step)[..., None]
             squares[..., i, :] *= factor
             squares[..., i] /= factor
-    return logs - logs.mean(axis=-1, keepdims=True)
+    return logs
+
+
+def refined(matrix: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """The log D (n,) at which `upper_bound` of one matrix (n, n) is smallest, from one near it; never worse."""
+
+    def smooth(d: np.ndarray) -> tuple[float, np.ndarray]:
+        """log(sum sigma^2p) / 2p of D M D^-1, and its derivative by log D."""
+        left, sigma, right = np.linalg.svd(_scaled(matrix, d))
+        share = (sigma / sigma[0]) ** (2.0 * _POWER)
+        value = np.log(sigma[0]) + np.log(share.sum()) / (2.0 * _POWER)
+        share /= share.sum()
+        return float(value), (np.abs(left) ** 2) @ share - share @ (np.abs(right) ** 2)
+
+    best: np.ndarray = minimize(smooth, logs, jac=True, method="BFGS", options={"gtol": 1e-4}).x
+    return best if upper_bound(matrix, best) < upper_bound(matrix, logs) else logs
 
 
 def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """sigma_max(D M D^-1) (...) for log D (..., n); no mu is above it, whatever D."""
-    largest: np.ndarray = np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
-    return largest
-
-
-def refined(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """The log D (..., n) at which `upper_bound` is smallest, nearly; never worse than at the start.
-
-    Newton's method on log(sum sigma^2p) / 2p, which is convex and smooth, and comes near to log sigma_max as p grows;
-    it ends where the lower bound is met.
-
-    Args:
-        matrices: (..., n, n) M.
-        logs: (..., n) to start from, see `balanced`.
-    """
-    shape, n = logs.shape, logs.shape[-1]
-    m, best = matrices.reshape(-1, n, n), logs.reshape(-1, n).copy()
-    least = upper_bound(m, best)
-    for power in _POWERS:
-        left = np.flatnonzero(least > (1.0 + CLOSE) * lower_bound(m, best))
-        d = best[left]
-        for _ in range(_NEWTON_STEPS if len(left) else 0):
-            d = _newton_step(m[left], d, power)
-            now = upper_bound(m[left], d)
-            better = now < least[left]
-            best[left[better]], least[left[better]] = d[better], now[better]
-    return best.reshape(shape)
-
-
-def _newton_step(matrices: np.ndarray, logs: np.ndarray, power: float) -> np.ndarray:
-    """The next log D (k, n), the best of several lengths of the step; where none is better, the same again."""
-    n = logs.shape[-1]
-    value, slope = _smooth(matrices, logs, power)
-    sides = _DIFFERENCE * np.concatenate([np.eye(n), -np.eye(n)])
-    slopes = _smooth(matrices[:, None], logs[:, None] + sides, power)[1]
-    curvature = (slopes[:, :n] - slopes[:, n:]) / (2.0 * _DIFFERENCE)
-    curvature = 0.5 * (curvature + curvature.swapaxes(-1, -2))
-    # A common factor of all D changes nothing: without what is added the matrix would be singular.
-    size = 1e-9 + np.abs(np.trace(curvature, axis1=-2, axis2=-1))[:, None, None] / n
-    curvature = curvature + size * (1e-6 * np.eye(n) + 1.0 / n)
-    step = -np.linalg.solve(curvature, slope[..., None])[..., 0]
-    step /= np.maximum(1.0, np.abs(step).max(axis=-1, keepdims=True))
-    tried = np.concatenate([logs[:, None], logs[:, None] + _SHARES[:, None] * step[:, None]], axis=1)
-    values = np.concatenate([value[:, None], _smooth(matrices[:, None], tried[:, 1:], power)[0]], axis=1)
-    return tried[np.arange(len(logs)), values.argmin(axis=1)]
+    """sigma_max(D M D^-1) (...) of matrices (..., n, n) for log D (..., n); no mu is above it, whatever D."""
+    return np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
 
 
 def lower_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
@@ -110,22 +76,8 @@ def lower_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    scaled: np.ndarray = np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
-    return scaled
+    return np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
 
 
 def _radius(matrices: np.ndarray) -> np.ndarray:
-    largest: np.ndarray = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
-    return largest
-
-
-def _smooth(matrices: np.ndarray, logs: np.ndarray, power: float) -> tuple[np.ndarray, np.ndarray]:
-    """log(sum sigma^2p) / 2p of D M D^-1, and its derivative (..., n) by log D."""
-    left, sigma, right = np.linalg.svd(_scaled(matrices, logs))
-    parts = (sigma / np.maximum(sigma[..., :1], 1e-300)) ** (2.0 * power)
-    total = parts.sum(axis=-1)
-    value = np.log(np.maximum(sigma[..., 0], 1e-300)) + np.log(total) / (2.0 * power)
-    share = (parts / total[..., None])[..., None, :]
-    rows = (share * np.abs(left) ** 2).sum(axis=-1)
-    columns = (share.swapaxes(-1, -2) * np.abs(right) ** 2).sum(axis=-2)
-    return value, rows - columns
+    return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)

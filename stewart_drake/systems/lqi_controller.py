@@ -8,22 +8,21 @@ from stewart_drake.control.lqi import lqi_part
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
-from stewart_drake.systems.tracking_controller import TrackingController
+from stewart_drake.systems.part_system import PartSystem
 
 
-class LqiController(TrackingController):
+class LqiController(PartSystem):
     """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
 
-    The torque answers within the tick (no added delay) and is held until the next; see `TickedSystem`. z, and what
-    bridges a failed tick, live in the Context.
+    The torque answers within the tick (no added delay) and is held until the next; see `PartSystem`. z, and what
+    bridges a failed tick, live in the Context. The gain comes from Drake's `DiscreteAlgebraicRiccatiEquation`, or with
+    `solver: split` from the compiled split solution.
 
     Args:
         robot: As the controller believes it to be.
         options: See `LqiOptions`.
         gravity: [m/s^2].
         weights: Size of the port: 2, or 4 for block weights.
-        guarded: See `TickedSystem`.
-        compiled: See `Scenario.compiled`.
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
@@ -34,20 +33,14 @@ class LqiController(TrackingController):
         integral: out (6,) [rad s, m s], z after the tick.
     """
 
-    part = staticmethod(lqi_part)
+    measurement: InputPort
+    reference: InputPort
     weights: InputPort
+    torque: OutputPort
     error: OutputPort
     integral: OutputPort
 
-    def __init__(
-        self,
-        robot: RobotParameters,
-        options: LqiOptions,
-        gravity: float,
-        weights: int = 2,
-        guarded: bool = False,
-        compiled: bool = False,
-    ) -> None:
+    def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        super().__init__(robot, options, gravity, weights, guarded, compiled)
+        super().__init__(lqi_part(options, robot, gravity, weights), options.period)

@@ -1,1 +1,1 @@
-"""The tuner's training: the nine experiments, and back-propagation. The only place that imports torch."""
+"""Training of the paper's network (`train`, the only place that imports torch) and of the policy, and the verdict."""

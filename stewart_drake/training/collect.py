@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.engine import Work, carry_out
+from stewart_drake.campaigns.engine import carry_out
 from stewart_drake.campaigns.executors import SerialExecutor, Workplace
 from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.control.density import DensityKind, density
@@ -42,11 +42,6 @@ def feasible_amplitudes(
     robot: RobotParameters, limits: Limits, gravity: float
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
     """Amplitudes at each of `FREQUENCIES`.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        gravity: [m/s^2] along -z of B.
 
     Returns:
         (n_f, 6) [rad, m] largest feasible amplitude of each axis alone, and (n_f, 6) the largest common share of these
@@ -88,15 +83,7 @@ def _bursts(
 
 
 def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
-    """The nine experiments: every pair of `OMEGAS` held fixed, on `experiment_reference`.
-
-    Args:
-        base: Robot, plant, controller, limits and density settings.
-        samples: Samples (ticks) per experiment.
-
-    Raises:
-        ConfigurationError: A key of `base` does not go with the experiments.
-    """
+    """The nine experiments of so many ticks: every pair of `OMEGAS` held fixed, on `experiment_reference`."""
     reference = experiment_reference(base)
     return [
         Scenario(
@@ -118,29 +105,20 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
 def dataset_from_logs(
     logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, Any]
 ) -> Dataset:
-    """Densities of logged errors and torques, one row a tick.
-
-    Args:
-        logs: One per experiment, a row a tick, fixed weights.
-        samples: Rows to take of each.
-        kind: Kind of density.
-        window: m of (35), (36) [ticks].
-        metadata: Goes into the dataset.
+    """Densities of logged errors and torques, one row a tick; a log per experiment.
 
     Raises:
         RunFailure: A run ended before its last sample; it says which.
     """
-    inputs, outputs, runs, times = [], [], [], []
+    inputs, outputs = [], []
     for index, log in enumerate(logs):
         _refuse_part(index, log, samples)
         signals = np.concatenate([log["error"], log["torque"]], axis=1)[:samples]
         inputs.append([density(signals[max(0, k - window) : k + 1], kind) for k in range(samples)])
         outputs.append(log["weights"][:samples])
-        runs.append(np.full(samples, index))
-        times.append(log.time[:samples])
-    return Dataset(
-        np.concatenate(inputs), np.concatenate(outputs), np.concatenate(runs), np.concatenate(times), metadata
-    )
+    run = np.repeat(np.arange(len(logs)), samples)
+    times = np.concatenate([log.time[:samples] for log in logs])
+    return Dataset(np.concatenate(inputs), np.concatenate(outputs), run, times, metadata)
 
 
 def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
@@ -177,12 +155,8 @@ def collect_dataset(
 ) -> Dataset:
     """Runs the nine experiments in the Diagram and gathers their densities.
 
-    Args:
-        base: Robot, plant, controller, limits and density settings; None takes the defaults (gravity on, `feedforward:
-            gravity`, 5 ms).
-        progress: Called with the number of experiments done.
-        samples: Samples per experiment.
-        where: Where the runs go; None runs them in this process, one after the other.
+    None for `base` takes the defaults (gravity on, `feedforward: gravity`, 5 ms); None for `where` runs them here, one
+    after the other. `progress` is called with the number of experiments done.
 
     Raises:
         ConfigurationError: The tuner of `base` is fixed, or a key of it does not go with the experiments.
@@ -191,9 +165,8 @@ def collect_dataset(
     """
     base = Scenario() if base is None else base
     if not isinstance(base.tuner, AnnTuner):
-        raise ConfigurationError(
-            "tuner.kind", base.tuner.kind, "paper: its density and window settings are those of the data"
-        )
+        allowed = "paper: its density and window settings are those of the data"
+        raise ConfigurationError("tuner.kind", base.tuner.kind, allowed)
     scenarios = experiment_scenarios(base, samples)
     reference = scenarios[0].reference
     assert isinstance(reference, SineBurstsReference)
@@ -205,12 +178,9 @@ def collect_dataset(
         if progress is not None:
             progress(float(len(logs)))
 
-    def work(index: int) -> Work:
-        return simulate, (scenarios[index],)
-
-    carry_out(range(len(scenarios)), work, keep, where or SerialExecutor())
-    metadata = dataset_metadata(base, reference)
+    carry_out(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, where or SerialExecutor())
     ordered = [logs[index] for index in sorted(logs)]
+    metadata = dataset_metadata(base, reference)
     return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)
 
 

@@ -33,14 +33,14 @@ Changes = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Site:
-    """A robot with its sensors, motors and bus, as it stands where nothing else is said.
+class Setup:
+    """A robot with its sensors, motors and bus, before anything is drawn.
 
     Attributes:
         scenario: Name of a shipped one.
         changes: What of it is otherwise.
         duration: [s] of a run.
-        friction: [N m] dry friction of its motors, and [N m s/rad] viscous, as believed.
+        viscous: [N m s/rad] friction of its motors.
         beyond: [N m] lowest and highest dry friction that nobody believes.
         push: [-] size of pushes beside those of the paper's robot, once torques and lengths are counted.
     """
@@ -48,7 +48,7 @@ class Site:
     scenario: str
     changes: Changes
     duration: float
-    friction: tuple[float, float]
+    viscous: float
     beyond: tuple[float, float]
     push: float
 
@@ -61,19 +61,19 @@ class Site:
 
 
 ROBOTS = {
-    "paper": Site("exact_breathing", {}, 1.8, (0.01, 0.0), (0.04, 0.1), 1.0),
+    "paper": Setup("exact_breathing", {}, 1.8, 0.0, (0.04, 0.1), 1.0),
     # Its counts alone would not change at rest.
-    "reachy_mini": Site("reachy_nod", {"sensors.noise": 3e-4}, 3.0, (0.058, 0.095), (0.062, 0.08), 0.7),
+    "reachy_mini": Setup("reachy_nod", {"sensors.noise": 3e-4}, 3.0, 0.095, (0.062, 0.08), 0.7),
 }
 
 
 class Draw:
     """Numbers of one situation, in the size of its robot; all from one generator."""
 
-    def __init__(self, rng: np.random.Generator, site: Site, robot: RobotParameters) -> None:
-        self.rng, self.site, self.robot = rng, site, robot
+    def __init__(self, rng: np.random.Generator, setup: Setup, robot: RobotParameters) -> None:
+        self.rng, self.setup, self.robot = rng, setup, robot
         self.length = robot.characteristic_length / PAPER.characteristic_length
-        self._torque = site.push * robot.effort_limit / PAPER.effort_limit
+        self._torque = setup.push * robot.effort_limit / PAPER.effort_limit
 
     def between(self, low: float, high: float) -> float:
         """Uniform in the logarithm."""
@@ -81,7 +81,7 @@ class Draw:
 
     def time(self, low: float, high: float) -> float:
         """[s] by shares of the run, on a millisecond."""
-        return round(self.site.duration * float(self.rng.uniform(low, high)), 3)
+        return round(self.setup.duration * float(self.rng.uniform(low, high)), 3)
 
     def any_of(self, choices: Sequence[Callable[[Draw], Changes]]) -> Changes:
         """What one of them draws."""
@@ -193,8 +193,8 @@ def _loaded(draw: Draw) -> Changes:
 
 
 def _sticking(draw: Draw) -> Changes:
-    coulomb = draw.between(*draw.site.beyond)
-    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.site.friction[1]}
+    coulomb = draw.between(*draw.setup.beyond)
+    more = {"break_away": coulomb * float(draw.rng.uniform(1.0, 1.4)), "viscous": draw.setup.viscous}
     return {"plant.motor_friction": 0.0, "plant.motor_damping": 0.0, "plant.friction": {"coulomb": coulomb, **more}}
 
 
@@ -212,7 +212,7 @@ def _bursts(draw: Draw, before: bool, after: bool) -> Changes:
         "amplitude": [(size * moves).tolist() for moves in (before, after)],
         "center": draw.place(0.2).tolist(),
         "burst_duration": draw.time(0.6, 0.75),
-        "fade": 0.1 * draw.site.duration,
+        "fade": 0.1 * draw.setup.duration,
     }
     return {"reference": reference}
 
@@ -242,7 +242,7 @@ class Kind:
     """A kind of situations.
 
     Attributes:
-        draw: One of them, as changes of a `Site.base`.
+        draw: One of them, as changes of a `Setup.base`.
         robots: Names of those that it is for.
         trained: Whether tuners may be made on it; of the others they see nothing before they are judged.
     """
@@ -280,11 +280,6 @@ def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
 def situation(kind: str, robot: str, seed: int) -> Scenario:
     """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant.
 
-    Args:
-        kind: One of `KINDS`.
-        robot: One of its robots.
-        seed: See `TRAINING`, `VALIDATION`, `HELD_OUT`.
-
     Raises:
         ConfigurationError: A kind that there is not, or not for this robot; a seed below 0.
     """
@@ -294,10 +289,10 @@ def situation(kind: str, robot: str, seed: int) -> Scenario:
         raise ConfigurationError("robot", robot, f"one of {', '.join(KINDS[kind].robots)}, for {kind}")
     if seed < 0:
         raise ConfigurationError("seed", seed, "a whole number from 0 on")
-    site = ROBOTS[robot]
-    base = site.base
+    setup = ROBOTS[robot]
+    base = setup.base
     rng = np.random.default_rng([zlib.crc32(kind.encode()), zlib.crc32(robot.encode()), seed])
-    draw = Draw(rng, site, base.robot)
+    draw = Draw(rng, setup, base.robot)
     for left in reversed(range(_TRIES)):
         changes = {"sensors.noise_seed": int(rng.integers(2**31)), **KINDS[kind].draw(draw)}
         scenario = base.replace({"name": f"{kind} {robot} {seed}", **changes})

@@ -56,9 +56,9 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
         ConfigurationError: One side of the split is empty.
     """
     rng = np.random.default_rng(options.seed)
-    groups = np.arange(len(dataset.run)) if options.split == "samples" else np.unique(dataset.run)
-    chosen = rng.permutation(groups)[: round(options.training_share * len(groups))]
-    mask = np.isin(np.arange(len(dataset.run)) if options.split == "samples" else dataset.run, chosen)
+    group_of = np.arange(len(dataset.run)) if options.split == "samples" else dataset.run
+    groups = rng.permutation(np.unique(group_of))
+    mask = np.isin(group_of, groups[: round(options.training_share * len(groups))])
     if mask.all() or not mask.any():
         raise ConfigurationError("training.training_share", options.training_share, "a share that leaves no side empty")
     return mask

@@ -1,4 +1,4 @@
-"""What a contest says: costs of contestants over those of one of them, with intervals; and the page that tells it."""
+"""Costs of candidates over those of the best fixed setting, with intervals; and the page that says so."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.tables import Row, markdown, to_arrow, write_table
+from stewart_drake.campaigns.tables import markdown, to_arrow, write_table
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import locked_folder, write_atomically
 from stewart_drake.logs.metric_table import Column
-from stewart_drake.training.baselines import Baselines, always, with_pair
-from stewart_drake.training.contest import (
+from stewart_drake.training.baselines import Baselines
+from stewart_drake.training.benchmark import (
     MEASURED,
+    Benchmark,
+    Candidate,
     Case,
     Cell,
-    Contest,
-    Contestant,
+    always,
     cases_of,
     cells_for,
     cells_of,
     log_cost,
+    with_pair,
     with_setting,
 )
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes
@@ -34,10 +36,10 @@ from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes
 CONFIDENCE = 0.95
 RESAMPLES = 4999
 SEEDS = 14
-"""Of each kind of each robot: 308 runs of each contestant."""
+"""Of each kind of each robot: 308 runs of each candidate."""
 BEST_FIXED = "best fixed"
 COLUMNS = (
-    Column("contestant", "", "its name", "text"),
+    Column("candidate", "", "its name", "text"),
     Column("kind", "", "of situations", "text"),
     Column("robot", "", "its name", "text"),
     Column("seed", "", "of the situation", "whole"),
@@ -49,6 +51,12 @@ COLUMNS = (
     Column("rmse_norm_mm", "mm", "likewise in position"),
     Column("torque_change_rms", "N m", "RMS change of a motor's torque from tick to tick over the second half"),
 )
+GROUPS: Mapping[str, Callable[[Cell], bool]] = {
+    "all kinds": lambda _: True,
+    "without hold": lambda cell: cell[0] != "hold",
+    "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
+    **{f"{robot} alone": lambda cell, robot=robot: cell[1] == robot for robot in ROBOTS},  # type: ignore[misc]
+}
 
 
 class Estimate(NamedTuple):
@@ -63,13 +71,9 @@ class Estimate(NamedTuple):
 
 
 def geometric_mean(logs: Sequence[np.ndarray], seed: int = 0) -> Estimate:
-    """Geometric mean over cells of the geometric means in them, each cell counting alike.
+    """Geometric mean over cells of the geometric means in them, each cell counting alike; of logarithms (n,) by cell.
 
     The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
-
-    Args:
-        logs: For each cell, logarithms (n,).
-        seed: Of the bootstrap.
     """
     return _estimate(logs, lambda *runs, axis=-1: np.mean([each.mean(axis=axis) for each in runs], axis=0), seed)
 
@@ -101,13 +105,13 @@ def _estimate(logs: Sequence[np.ndarray], statistic: Callable[..., Any], seed: i
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Runs of contestants in the same situations.
+    """Runs of candidates in the same situations.
 
     Attributes:
-        names: Of the contestants, `BEST_FIXED` among them.
+        names: Of the candidates, `BEST_FIXED` among them.
         cases: Of the runs.
-        logs: (contestants, cases) logarithms of J.
-        failed: (contestants, cases) whether a run was not completed.
+        logs: (candidates, cases) logarithms of J.
+        failed: (candidates, cases) whether a run was not completed.
     """
 
     names: tuple[str, ...]
@@ -116,53 +120,39 @@ class Verdict:
     failed: np.ndarray
 
     def ratios(self, over: str = BEST_FIXED) -> np.ndarray:
-        """(contestants, cases) logarithms of J over that of one of them."""
+        """(candidates, cases) logarithms of J over that of one of them."""
         return self.logs - self.logs[self.names.index(over)]
 
     def of(
         self, name: str, within: Callable[[Cell], bool] = lambda _: True, over: str = BEST_FIXED
     ) -> list[np.ndarray]:
-        """Logarithms of ratios of a contestant, an array for each cell that counts."""
+        """Logarithms of ratios of a candidate, an array for each cell that counts."""
         row = self.ratios(over)[self.names.index(name)]
         return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
 
     def worst_cell(self, name: str) -> tuple[Cell, float]:
         """The cell with the largest geometric mean of ratios, and that."""
-        cells = list(cells_of(self.cases))
         means = [float(np.exp(each.mean())) for each in self.of(name)]
         worst = int(np.argmax(means))
-        return cells[worst], means[worst]
+        return list(cells_of(self.cases))[worst], means[worst]
 
 
-GROUPS: Mapping[str, Callable[[Cell], bool]] = {
-    "all kinds": lambda _: True,
-    "without hold": lambda cell: cell[0] != "hold",
-    "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
-    **{f"{robot} alone": lambda cell, robot=robot: cell[1] == robot for robot in ROBOTS},  # type: ignore[misc]
-}
-
-
-def contestants(found: Baselines, more: Mapping[str, Changes]) -> dict[str, Contestant]:
-    """Those of a verdict by name: fixed ones, those that the paper has, an oracle, and more.
-
-    Args:
-        found: What a search has found.
-        more: Name -> changes of the scenario, such as `{"tuner": {"kind": "policy"}}`.
-    """
-    paper = {**with_setting(found.best)(Case("", "", 0), ROBOTS["paper"].base), "tuner": {"kind": "paper"}}
+def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
+    """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
+    fixed = with_setting(baselines.best)
     return {
-        BEST_FIXED: with_setting(found.best),
+        BEST_FIXED: fixed,
         **{name: always(changes) for name, changes in more.items()},
-        "best of the nine pairs": lambda case, scenario: with_pair(found.pair[case.robot], found.best)(case, scenario),
-        "the paper's tuner": always(paper),
-        "oracle of each kind": lambda case, scenario: with_setting(found.best_of_kind[case.robot][case.kind])(
-            case, scenario
+        "best of the nine pairs": lambda case, base: with_pair(baselines.pair[case.robot], baselines.best)(case, base),
+        "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
+        "oracle of each kind": lambda case, base: with_setting(baselines.best_of_kind[case.robot][case.kind])(
+            case, base
         ),
     }
 
 
 def judge(
-    entered: Mapping[str, Contestant],
+    entered: Mapping[str, Candidate],
     folder: Path,
     seeds: int = SEEDS,
     engine: Literal["drake", "reduced"] = "drake",
@@ -172,97 +162,82 @@ def judge(
 ) -> Verdict:
     """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
 
-    Args:
-        entered: Contestants by name, `BEST_FIXED` among them.
-        folder: For the rows and the tables.
-        seeds: Of each kind of each robot.
-        engine: See `PlantOptions.engine`.
-        where: Where the runs go; None for processes of this machine.
-        tell: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-
-    Raises:
-        ConfigurationError, StewartDrakeError, KeyboardInterrupt: See `Contest`.
+    `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
     """
-    cases = cases_of(cells_for(), HELD_OUT[:seeds])
-    scales = CostScales()
-    with Contest(folder, engine, where, tell, restart) as contest:
-        rows = contest.rows([(contestant, case) for contestant in entered.values() for case in cases])
+    cases, scales = cases_of(cells_for(), HELD_OUT[:seeds]), CostScales()
+    with Benchmark(folder, engine, where, tell, restart) as benchmark:
+        rows = benchmark.run(list(entered.values()), cases)
     shape = (len(entered), len(cases))
-    verdict = Verdict(
-        tuple(entered),
-        tuple(cases),
-        np.reshape([log_cost(row, scales) for row in rows], shape),
-        np.reshape([row["status"] != "completed" for row in rows], shape),
-    )
-    flat = table_rows(verdict, rows)
+    logs = np.reshape([log_cost(row, scales) for row in rows], shape)
+    failed = np.reshape([row["status"] != "completed" for row in rows], shape)
+    verdict = Verdict(tuple(entered), tuple(cases), logs, failed)
+    table = [
+        {
+            "candidate": name,
+            **case._asdict(),
+            **{key: row.get(key) for key in ("status", "reason", *MEASURED)},
+            "cost": np.exp(log),
+            "ratio": np.exp(ratio),
+        }
+        for (name, case), row, log, ratio in zip(
+            [(name, case) for name in entered for case in cases], rows, logs.flat, verdict.ratios().flat, strict=True
+        )
+    ]
     about = {"seeds": seeds, "engine": engine, "scales": scales.to_dict()}
-    write_table(to_arrow(COLUMNS, flat, "verdict", about), folder, "verdict")
+    write_table(to_arrow(COLUMNS, table, "verdict", about), folder, "verdict")
     write_atomically(folder / "verdict.md", page(verdict).encode())
     return verdict
 
 
-def table_rows(verdict: Verdict, rows: Sequence[Row]) -> list[Row]:
-    """A row of the table for each run, given those of `Contest.rows`, contestant by contestant."""
-    places = [(name, case) for name in verdict.names for case in verdict.cases]
-    numbers = zip(places, rows, np.exp(verdict.logs).ravel(), np.exp(verdict.ratios()).ravel(), strict=True)
-    return [
-        {
-            "contestant": name,
-            **case._asdict(),
-            "status": row["status"],
-            "reason": row["reason"],
-            "cost": cost,
-            "ratio": ratio,
-            **{key: row.get(key) for key in MEASURED},
-        }
-        for (name, case), row, cost, ratio in numbers
-    ]
-
-
 def page(verdict: Verdict) -> str:
-    """The tables as Markdown; the contestant after `BEST_FIXED` is set against all others."""
+    """The tables as Markdown; the candidate after `BEST_FIXED` is set against all others."""
+    first, *rivals = others = [name for name in verdict.names if name != BEST_FIXED]
     groups = {name: within for name, within in GROUPS.items() if any(map(within, cells_of(verdict.cases)))}
-    whole = []
-    for name in verdict.names:
-        (kind, robot), mean = verdict.worst_cell(name)
-        whole.append(
-            [
-                name,
-                *(str(geometric_mean(verdict.of(name, within))) for within in groups.values()),
-                str(median(verdict.of(name))),
-                f"{mean:.2f}, {kind}, {robot}",
-                str(int(verdict.failed[verdict.names.index(name)].sum())),
-            ]
-        )
-    header = ["contestant", *groups, "median of runs", "worst kind", "failed"]
-    others = [name for name in verdict.names if name != BEST_FIXED]
-    first, *rivals = others
-    duels = [
-        [name, *(str(geometric_mean(verdict.of(first, within, over=rival))) for rival in rivals)]
-        for name, within in groups.items()
-    ]
-    cells = []
-    for (kind, robot), places in cells_of(verdict.cases).items():
-        own = [verdict.of(name, lambda cell, at=(kind, robot): cell == at) for name in others]  # type: ignore[misc]
-        base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), places].mean())
-        named = kind if KINDS[kind].trained else f"{kind} (never trained on)"
-        cells.append(
-            [named, robot, f"{base:.3g}", *(f"{geometric_mean(each)}; {median(each).value:.2f}" for each in own)]
-        )
     lines = [
         f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
-        f"{len(verdict.cases)} runs of each contestant, each kind of each robot counting alike, with intervals of "
+        f"{len(verdict.cases)} runs of each candidate, each kind of each robot counting alike, with intervals of "
         f"{100 * CONFIDENCE:.0f} % (bootstrap).",
         "",
-        *markdown(header, whole),
+        *markdown(
+            ["candidate", *groups, "median of runs", "worst kind", "failed"],
+            [_whole_row(verdict, name, groups.values()) for name in verdict.names],
+        ),
         "",
-        *([f"J of `{first}` over that of", "", *markdown(["", *rivals], duels), ""] if rivals else []),
+    ]
+    if rivals:
+        duels = [
+            [name, *(str(geometric_mean(verdict.of(first, within, over=rival))) for rival in rivals)]
+            for name, within in groups.items()
+        ]
+        lines += [f"J of `{first}` over that of", "", *markdown(["", *rivals], duels), ""]
+    lines += [
         "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
         "",
-        *markdown(["kind", "robot", BEST_FIXED, *others], cells),
+        *markdown(
+            ["kind", "robot", BEST_FIXED, *others],
+            [_cell_row(verdict, cell, others) for cell in cells_of(verdict.cases)],
+        ),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _whole_row(verdict: Verdict, name: str, groups: Any) -> list[str]:
+    (kind, robot), mean = verdict.worst_cell(name)
+    return [
+        name,
+        *(str(geometric_mean(verdict.of(name, within))) for within in groups),
+        str(median(verdict.of(name))),
+        f"{mean:.2f}, {kind}, {robot}",
+        str(int(verdict.failed[verdict.names.index(name)].sum())),
+    ]
+
+
+def _cell_row(verdict: Verdict, cell: Cell, names: Sequence[str]) -> list[str]:
+    kind, robot = cell
+    base = np.exp(verdict.logs[verdict.names.index(BEST_FIXED), cells_of(verdict.cases)[cell]].mean())
+    own = [verdict.of(name, lambda each: each == cell) for name in names]
+    ratios = [f"{geometric_mean(each)}; {median(each).value:.2f}" for each in own]
+    return [kind if KINDS[kind].trained else f"{kind} (never trained on)", robot, f"{base:.3g}", *ratios]
 
 
 def write_picture(verdict: Verdict, folder: Path) -> str | None:

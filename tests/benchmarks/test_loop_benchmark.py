@@ -1,5 +1,6 @@
 """What the loop costs, as ratios measured in one run: `make bench`."""
 
+import itertools
 import subprocess
 import sys
 import time
@@ -8,23 +9,14 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import RobotParameters, build_diagram, build_plant, load_network, load_scenario
-from stewart_drake.compiled import control
-from stewart_drake.control.lqi import MEMORY_SIZE, flat_tick
-from stewart_drake.control.lqi_options import LqiOptions
-from stewart_drake.control.riccati import riccati_gain
+from stewart_drake import Controller, RobotParameters, build_diagram, build_plant, load_scenario
+from stewart_drake.control.riccati import riccati_gain, split_solution
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, STATES, discretize, input_matrix, state_matrix
-from stewart_drake.hardware.estimator import flat_estimate, initial_memory
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation, flat_feedforward
-from stewart_drake.hardware.observer import Observer, ObserverOptions, flat_observer
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.parts import loop_of
 from stewart_drake.sampling import on_grid
-from stewart_drake.systems.density_features import DensityFeatures
-from stewart_drake.systems.lqi_controller import LqiController
-from stewart_drake.systems.motor_encoders import MotorEncoders
-from stewart_drake.systems.pose_estimator import PoseEstimator
-from stewart_drake.systems.reference_source import ReferenceSource
+from stewart_drake.systems import ReferenceSource, diagram
 
 ROBOT = RobotParameters()
 STEP = on_grid(0.001)
@@ -107,74 +99,38 @@ def test_closed_loop(compare):
 
 def test_the_same_systems_doing_nothing(compare, monkeypatch):
     """What the Diagram costs: the same systems, ports, events and log, their mathematics left out."""
-    angles = inverse_kinematics(ROBOT, ROBOT.home_pose)
+    hold = static_torque(ROBOT, ROBOT.home_pose)
+
+    def idle(part):
+        start = part.initial.copy()
+        if part.name == "controller":
+            start["torque"] = hold
+        return part._replace(initial=start, tick=lambda *_: None)
+
+    def idle_loop(scenario):
+        loop = loop_of(scenario)
+        return loop._replace(parts=tuple(map(idle, loop.parts)))
+
     wanted = np.concatenate([ROBOT.home_pose, np.zeros(12)])
-    hold = np.zeros(MEMORY_SIZE)
-    hold[:6] = static_torque(ROBOT, ROBOT.home_pose)
-
-    def idle(*ports, answer=None):
-        def tick(self, context, previous):
-            for port in ports:
-                getattr(self, port).Eval(context)
-            return previous if answer is None else answer
-
-        return tick
-
-    def encoders(self, context, output):
-        self.plant_state.Eval(context)
-        output.SetFromVector(angles)
-
-    monkeypatch.setattr(PoseEstimator, "tick", idle("angles"))
-    monkeypatch.setattr(LqiController, "tick", idle("measurement", "reference", "weights", answer=hold))
-    monkeypatch.setattr(DensityFeatures, "tick", idle("error", "torque"))
-    monkeypatch.setattr(MotorEncoders, "_calc", encoders)
+    monkeypatch.setattr(diagram, "loop_of", idle_loop)
     monkeypatch.setattr(ReferenceSource, "_calc", lambda _self, _context, output: output.SetFromVector(wanted))
-    monkeypatch.setattr(
-        "stewart_drake.control.network.TunerNetwork.compiled_weights", lambda _self: lambda _densities: np.ones(2)
-    )
     loop = Loop("reference={kind: hold}", *ALL)
     compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
 
 @pytest.mark.parametrize("observed", [False, True], ids=["differences", "observer"])
-def test_mathematics_of_a_tick(compare, observed):
-    """All that the loop computes in a tick, called one after the other without a Diagram; the observer a tick late."""
-    options = load_scenario("exact_fig7").controller
-    scenario = load_scenario("exact_fig7", ALL)
-    estimate = flat_estimate(ROBOT, scenario.sensors, options.period, compiled=True)
-    tick = flat_tick(ROBOT, options, scenario.gravity, compiled=True)
-    network = load_network()
-    answer = network.compiled_weights()
-    features = DensityFeatures(scenario.tuner.window, options.period, scenario.tuner.density, compiled=True)
-    # The reference is evaluated some hundred ticks at a time, as `ReferenceSource` does.
-    count = 256
-    times = np.arange(count) * options.period
-    home, still = inverse_kinematics(ROBOT, ROBOT.home_pose), static_torque(ROBOT, ROBOT.home_pose)
-    observer = Observer(ROBOT, ObserverOptions(), scenario.gravity, options.period, 2e-5, friction=0.01)
-    expected = np.array([observer.options.disturbance])
-    observe = flat_observer(observer, lambda _, guess: guess, compiled=True)
-    oppose = flat_feedforward(ROBOT, FrictionCompensation(coulomb=0.01), compiled=True)
+def test_a_tick_of_the_controller(compare, observed):
+    """The controller's side without a Diagram: estimator, reference, regulator, densities, network."""
+    changes = ["estimator={kind: observer}", "friction_compensation={coulomb: 0.01}"] if observed else []
+    scenario = load_scenario("exact_fig7", [*ALL, "reference={kind: breathing}", *changes])
+    controller, torque, count = Controller(scenario), np.empty(6), 256
+    home, tick = inverse_kinematics(ROBOT, scenario.start()[0]), itertools.count()
 
     def block():
-        seen, memory = initial_memory(ROBOT.home_pose), np.zeros(MEMORY_SIZE)
-        if observed:
-            seen = observer.initial(ROBOT.home_pose, np.zeros(6), still, 1)
-        window = np.concatenate([np.ones(12), [0.0], np.zeros(12 * (scenario.tuner.window + 1))])
-        weights = np.ones(2)
-        reference = np.concatenate(scenario.reference.evaluate(times), axis=-1)
         for k in range(count):
-            read = scenario.sensors.read(home + 1e-4 * (k % 7))
-            if observed:
-                seen = observe(read, still, reference[k], expected, seen)
-                memory = tick(seen[12:24], reference[k], weights, memory)
-                memory[:6] += seen[24:30] + oppose(reference[k])
-            else:
-                seen = estimate(read, seen)
-                memory = tick(seen[:12], reference[k], weights, memory)
-            window = features._tick(memory[6:12], memory[:6], window)
-            weights = answer(window[:12])
+            controller.step(scenario.sensors.read(home + 1e-4 * (k % 7)), next(tick) * controller.period, torque)
 
-    name = "mathematics of a tick with an observer" if observed else "mathematics of a tick"
+    name = "tick with an observer" if observed else "tick"
     compare(name, block, "plant step", Loop().plant_alone, per=count, base_per=STEPS)
 
 
@@ -188,11 +144,10 @@ def test_riccati_equation(compare):
     for states, weight in zip((POSITION, RATE, INTEGRAL), BLOCKS[:3], strict=True):
         q[states] = weight * np.array([0.11**2] * 3 + [1.0] * 3)
     q, r = np.diag(q), np.eye(6)
-    work, gain = np.empty((6, 6)), np.empty((6, 18))
+    gain = np.empty((6, 18))
 
     def split():
-        work[:] = acceleration_map.T
-        return control.split_gain(work, 0.11, 0.001, BLOCKS, True, gain)
+        return split_solution(acceleration_map, 0.11, 0.001, BLOCKS, True, gain)
 
     assert split()
     expected = riccati_gain(a, b, r, DiscreteAlgebraicRiccatiEquation(a, b, q, r))
@@ -202,24 +157,6 @@ def test_riccati_equation(compare):
         lambda: [split() for _ in range(20)],
         "DARE of Drake",
         lambda: seconds(lambda: DiscreteAlgebraicRiccatiEquation(a, b, q, r)),
-        per=20,
-        inverse=True,
-    )
-
-
-def test_numpy_reference_of_a_tick(compare):
-    """What compiling gains."""
-    home = np.concatenate([ROBOT.home_pose, np.zeros(12)])
-    options = LqiOptions(period=0.001, solver="split", model="exact", feedforward="full", weight_length=0.11)
-    memory, calls = np.zeros(MEMORY_SIZE), {}
-    for compiled in (True, False):
-        tick = flat_tick(ROBOT, options, 9.81, compiled)
-        calls[compiled] = lambda tick=tick: tick(home[:12], home, BLOCKS, memory)
-    compare(
-        "compiled LQI",
-        lambda: [calls[True]() for _ in range(20)],
-        "numpy LQI",
-        lambda: seconds(calls[False]),
         per=20,
         inverse=True,
     )
@@ -244,8 +181,8 @@ def test_numpy_reference_of_a_tick(compare):
     ],
 )
 def test_start_up(benchmark, what, code, needs):
-    """Seconds over those of the pydrake modules that it needs; neither torch nor numba may be among the rest."""
-    check = "\nimport sys; assert not {'torch', 'numba'} & set(sys.modules)"
+    """Seconds over those of the pydrake modules that it needs; torch may not be among the rest."""
+    check = "\nimport sys; assert 'torch' not in sys.modules"
 
     def fastest(text):
         def once():

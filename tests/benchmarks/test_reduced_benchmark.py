@@ -8,7 +8,6 @@ import pytest
 from stewart_drake import load_scenario, run
 
 ENCODERS = (
-    "compiled=true",
     "sensors={kind: encoders, resolution_bits: 17, noise: 2.0e-5, rate_cutoff: 150}",
     "command_delay=1",
     "plant.motor_friction=0.01",

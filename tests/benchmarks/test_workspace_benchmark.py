@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import measure_poses, smallest_reach
-from stewart_drake.planning.workspace_region import spanning_grid
+from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.workspace import spanning_grid
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
@@ -28,7 +29,7 @@ def within_reach(count):
     """Poses of which every rod can span, so that none is spared the costly measures."""
     spread = np.array([0.4, 0.4, 0.4, 0.06, 0.06, 0.05])
     pose = ROBOT.home_pose + np.random.default_rng(0).uniform(-1.0, 1.0, (2 * count, 6)) * spread
-    pose = pose[smallest_reach(ROBOT, pose) >= 0.0][:count]
+    pose = pose[reach_margin(ROBOT, pose).min(axis=1) >= 0.0][:count]
     assert len(pose) == count
     return pose
 
@@ -44,12 +45,6 @@ def test_a_million_poses_of_a_workspace(per_second, kind):
     per_second(f"{kind} workspace", lambda: measure_poses(ROBOT, pose), len(pose), rounds=2)
 
 
-def test_one_thread(per_second):
-    pose = within_reach(100_000)
-    per_second("one thread", lambda: measure_poses(ROBOT, pose, workers=1), len(pose), rounds=3)
-
-
-def test_the_reference_functions(per_second):
-    """What the fast measures are compared with in the tests; it lacks force and moment."""
-    pose, still = within_reach(5_000), np.zeros((5_000, 6))
+def test_margins_of_a_motion(per_second):
+    pose, still = within_reach(100_000), np.zeros((100_000, 6))
     per_second("limit_margins", lambda: limit_margins(ROBOT, Limits(), pose, still, still, 9.81), len(pose), rounds=3)

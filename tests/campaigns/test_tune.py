@@ -21,7 +21,7 @@ from stewart_drake.runs.simulation import run
 FILE = {
     "name": "small",
     "scenario": "paper_fig7",
-    "set": {"duration": 0.12, "compiled": True, "plant": {"engine": "reduced"}, "reference": {"kind": "hold"}},
+    "set": {"duration": 0.12, "plant": {"engine": "reduced"}, "reference": {"kind": "hold"}},
     "cost": {"position": 0.01},
     "controllers": {
         "pid": {"controller": {"kind": "pid", "kp": 4.0, "ki": 30.0, "kd": 0.02}},

@@ -1,30 +1,30 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from strategies import ROBOT, poses, vectors
+from ticks import GRAVITY, REST, standing, ticked
 
-from stewart_drake.control.computed_torque import ComputedTorqueMemory, ComputedTorqueOptions, computed_torque_tick
-from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
+from stewart_drake.control.inputs import Setpoint
 from stewart_drake.control.lqi import lqi_gain
 from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 
-GRAVITY = 9.81
 HOME = np.array(ROBOT.home_pose)
-START = ComputedTorqueMemory(np.zeros(6), np.zeros(6), np.zeros(6))
+
+
+def tick(pose, rate, setpoint, integral=REST, **options):
+    part = computed_torque_part(ComputedTorqueOptions(**options), ROBOT, GRAVITY)
+    return ticked(part, pose, rate, setpoint, integral=integral)
 
 
 @settings(max_examples=40)
 @given(poses(0.6), vectors(6, 0.3), vectors(6, 0.02), vectors(6, 1.0), vectors(6, 0.01))
 def test_the_robot_accelerates_as_the_linear_loop_says(pose, rate, away, wanted_acceleration, integral):
-    options = ComputedTorqueOptions(natural_frequency=30.0, damping=0.7, integral_frequency=4.0, saturation="none")
-    setpoint = Setpoint(pose + away, 0.5 * rate, wanted_acceleration)
-    memory = START._replace(integral=integral)
-    got = computed_torque_tick(ROBOT, options, GRAVITY, Measurement(pose, rate), setpoint, memory)
+    options = {"natural_frequency": 30.0, "damping": 0.7, "integral_frequency": 4.0, "saturation": "none"}
+    got = tick(pose, rate, Setpoint(pose + away, 0.5 * rate, wanted_acceleration), integral, **options)
     expected = wanted_acceleration - 2.0 * 0.7 * 30.0 * 0.5 * rate - 900.0 * (-away + 4.0 * integral)
     np.testing.assert_allclose(forward_dynamics(ROBOT, pose, rate, got.torque, GRAVITY), expected, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(got.error, -away, atol=1e-15)
@@ -32,14 +32,11 @@ def test_the_robot_accelerates_as_the_linear_loop_says(pose, rate, away, wanted_
 
 
 def test_clamped_torque_stops_the_integral():
-    measurement = Measurement(HOME + [0, 0, 0, 0, 0, -0.02], np.zeros(6))
-    setpoint = Setpoint(HOME, np.zeros(6), np.zeros(6))
-    options = ComputedTorqueOptions(natural_frequency=300.0)
-    got = computed_torque_tick(ROBOT, options, GRAVITY, measurement, setpoint, START)
+    at = HOME + [0, 0, 0, 0, 0, -0.02], REST, standing(HOME)
+    got = tick(*at, natural_frequency=300.0)
     assert np.abs(got.torque).max() == ROBOT.effort_limit
-    np.testing.assert_array_equal(got.integral, np.zeros(6))
-    free = dataclasses.replace(options, saturation="none")
-    got = computed_torque_tick(ROBOT, free, GRAVITY, measurement, setpoint, START)
+    np.testing.assert_array_equal(got.integral, REST)
+    got = tick(*at, natural_frequency=300.0, saturation="none")
     assert np.abs(got.torque).max() > ROBOT.effort_limit
     assert got.integral[5] == pytest.approx(-2e-5)
 
@@ -58,9 +55,9 @@ def test_the_default_loop_is_that_of_the_exact_lqi_on_heave_at_home():
     )
 
 
-def test_a_rate_that_is_not_finite_ends_the_run():
-    setpoint = Setpoint(HOME, np.zeros(6), np.zeros(6))
-    with pytest.raises(NotFiniteError):
-        computed_torque_tick(
-            ROBOT, ComputedTorqueOptions(), GRAVITY, Measurement(HOME, np.full(6, np.inf)), setpoint, START
-        )
+@pytest.mark.parametrize("place", ["pose", "rate", "reference"])
+def test_numbers_that_are_not_finite_end_the_run(place):
+    bad = np.full(6, np.inf)
+    given_ = {"pose": HOME, "rate": REST, "reference": HOME} | {place: bad}
+    with pytest.raises(NotFiniteError, match={"reference": "torque"}.get(place, place)), np.errstate(all="ignore"):
+        tick(given_["pose"], given_["rate"], standing(given_["reference"]))

@@ -4,11 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stewart_drake.compiled.constants import MEAN_FLOOR
-from stewart_drake.control.density import density, push
+from stewart_drake.control.density import MEAN_FLOOR, density, density_part
 from stewart_drake.errors import ConfigurationError
 
-KINDS = ["magnitude", "signed"]
 # Away from the floor: zero itself, or a size at which a mean of one sample in fifty is still far above it.
 sizes = st.one_of(st.just(0.0), st.floats(1e-3, 1e6))
 signals = st.builds(lambda size, sign: size * sign, sizes, st.sampled_from([-1.0, 1.0]))
@@ -37,30 +35,30 @@ def test_density_is_the_last_sample_over_the_mean_of_the_window(window):
     assert [density((base + [0.0, 0.0, x])[:, None], "signed")[0] for x in (1e-6, -1e-6)] == [3.0, -3.0]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_window_at_rest_has_density_one_and_the_floor_is_relative_to_the_scale(kind):
+@pytest.mark.parametrize("kind", ["magnitude", "signed"])
+def test_a_window_at_rest_has_density_one_from_the_floor_down(kind):
     np.testing.assert_array_equal(density(np.zeros((5, 2)), kind), [1.0, 1.0])
-    sample = np.array([[0.0], [0.0], [3e-9]])
-    assert density(sample, kind, scale=0.99)[0] == pytest.approx(3.0)  # mean 1e-9 is above the floor
-    assert density(sample, kind, scale=1.01)[0] == 1.0  # and below it
-    both = density(np.repeat(sample, 2, axis=1), kind, scale=np.array([0.99, 1.01]))
-    np.testing.assert_allclose(both, [3.0, 1.0])
+    samples = np.array([[0.0, 0.0], [0.0, 0.0], [3.03e-9, 2.97e-9]])
+    np.testing.assert_allclose(density(samples, kind), [3.0, 1.0])
 
 
-@given(st.integers(1, 6), st.lists(st.floats(-10, 10), min_size=0, max_size=20))
-def test_a_window_holds_the_latest_samples_oldest_first(length, history):
-    window, count = np.zeros((length, 2)), 0
+@given(
+    st.integers(1, 6), st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.sampled_from(["magnitude", "signed"])
+)
+def test_a_part_has_the_density_of_the_latest_samples(window, history, kind):
+    part = density_part(window, kind)
+    state = part.initial.copy()
+    np.testing.assert_array_equal(state["density"][0], np.ones(12))
     for value in history:
-        before = window.copy()
-        new, count = push(window, count, np.array([value, -value]))
-        np.testing.assert_array_equal(window, before)  # the caller's window is not written to
-        window = new
-    latest = history[-length:]
-    assert count == len(latest)
-    np.testing.assert_array_equal(window[length - count :, 0], latest)
-    np.testing.assert_array_equal(window[length - count :, 1], [-v for v in latest])
+        part.tick(np.full(6, value), np.full(6, 1.0 - value), state)
+    latest = np.array(history[-(window + 1) :])[:, None]
+    expected = density(np.hstack([np.tile(latest, 6), np.tile(1.0 - latest, 6)]), kind)
+    np.testing.assert_allclose(state["density"][0], expected, rtol=1e-12)
 
 
-def test_another_kind_is_refused():
-    with pytest.raises(ConfigurationError, match="magnitude or signed"):
-        density(np.ones((3, 2)), "loud")
+def test_another_kind_and_no_window_are_refused():
+    for refused in (lambda: density(np.ones((3, 2)), "loud"), lambda: density_part(4, "loud")):
+        with pytest.raises(ConfigurationError, match="magnitude or signed"):
+            refused()
+    with pytest.raises(ConfigurationError, match="at least 1 tick"):
+        density_part(0, "signed")

@@ -3,15 +3,11 @@ import sys
 import mpmath
 import numpy as np
 import pytest
-import scipy.linalg
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses
 
-from stewart_drake.compiled import control
-from stewart_drake.compiled.constants import SMALLEST_SINGULAR_VALUE
-from stewart_drake.compiled.riccati import chain_gain
-from stewart_drake.control.riccati import chain_gains, riccati_gain, solve_drake, split_gain
+from stewart_drake.control.riccati import SMALLEST_SINGULAR_VALUE, chain_gain, riccati_gain, solve_drake, split_gain
 from stewart_drake.control.state_space import (
     INTEGRAL,
     POSITION,
@@ -69,34 +65,12 @@ def test_drakes_solution_satisfies_the_equation_and_stabilises(acceleration_map,
     assert spectral_radius(a - b @ gain) < 1.0
 
 
-@settings(max_examples=40)
-@given(acceleration_map=maps, exponents=st.tuples(*[st.floats(-4.0, 4.0)] * 4), method=st.sampled_from(METHODS))
-def test_split_gain_is_optimal_by_one_policy_iteration_without_drake(acceleration_map, exponents, method):
-    q_e, q_v, q_z, r = 10.0 ** np.array(exponents)
-    a, b = system(acceleration_map, method)
-    gain = split_gain(acceleration_map, PERIOD, (q_e, q_v, q_z, r), method)
-    closed = a - b @ gain
-    assert spectral_radius(closed) < 1.0
-    # The cost of this very controller; the gain that is greedy for it is the gain itself.
-    cost = state_cost(q_e, q_v, q_z) + r * gain.T @ gain
-    p = scipy.linalg.solve_discrete_lyapunov(closed.T, cost)
-    assert_same(riccati_gain(a, b, r * np.eye(6), p), gain, 1e-6)
-
-
 # --- beyond the paper's weights ------------------------------------------------------------------------------------
 
 
 def logs(low, high):
     """10^low .. 10^high, evenly in the exponent, both ends likely."""
     return st.floats(low, high).map(lambda exponent: 10.0**exponent)
-
-
-def compiled_gain(acceleration_map, period, blocks, method, length):
-    gain = np.empty((6, 18))
-    done = control.split_gain(
-        np.ascontiguousarray(acceleration_map.T), length, period, np.array(blocks, float), method == "exact", gain
-    )
-    return gain if done else None
 
 
 def made_map(seed, condition, largest):
@@ -121,7 +95,6 @@ def assert_split_is_drakes(acceleration_map, blocks, method, length, period, rto
     cost = r * np.eye(6)
     expected = riccati_gain(a, b, cost, solve_drake(a, b, state_cost(q_e * scale, q_v * scale, q_z * scale), cost))
     assert_same(split_gain(acceleration_map, period, blocks, method, length), expected, rtol)
-    assert_same(compiled_gain(acceleration_map, period, blocks, method, length), expected, rtol)
 
 
 @settings(max_examples=150)
@@ -176,10 +149,11 @@ def worst_digit(gains, expected):
     return max(float(abs(mpmath.mpf(float(k)) / exact - 1)) for k, exact in zip(gains, expected, strict=True))
 
 
-def both_chain_gains(s, period, blocks, method):
-    compiled = np.empty(3)
-    assert chain_gain(s, period, *blocks, method == "exact", compiled)
-    return chain_gains(np.array([s]), period, blocks, method)[0], compiled
+def gain_of_chain(s, period, blocks, method):
+    gain = np.empty(3)
+    with np.errstate(all="ignore"):
+        done = chain_gain(np.float64(s), period, np.array(blocks), method == "exact", gain)
+    return gain if done else None
 
 
 @pytest.mark.slow
@@ -199,8 +173,7 @@ def both_chain_gains(s, period, blocks, method):
 def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, method):
     blocks = (q_e, q_v, q_z, r)
     expected = gain_at_many_digits(s, period, blocks, method)
-    for gains in both_chain_gains(s, period, blocks, method):
-        assert worst_digit(gains, expected) < 1e-13
+    assert worst_digit(gain_of_chain(s, period, blocks, method), expected) < 1e-13
 
 
 @pytest.mark.slow
@@ -212,16 +185,9 @@ def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, me
     method=st.sampled_from(METHODS),
 )
 def test_no_weights_give_silent_garbage(s, period, exponents, method):
-    """A gain of a digit or more, or an error: between 1e-12 and 1e12 both, and numpy and numba agree which."""
     blocks = tuple((10.0 ** np.array(exponents)).tolist())
-    gains = chain_gains(np.array([s]), period, blocks, method)[0]
-    compiled = np.empty(3)
-    done = chain_gain(s, period, *blocks, method == "exact", compiled)
-    assert done == bool(np.isfinite(gains).all())
-    if done:
-        expected = gain_at_many_digits(s, period, blocks, method)
-        assert worst_digit(gains, expected) < 1e-13
-        assert worst_digit(compiled, expected) < 1e-13
+    gain = gain_of_chain(s, period, blocks, method)
+    assert gain is None or worst_digit(gain, gain_at_many_digits(s, period, blocks, method)) < 1e-13
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -236,29 +202,19 @@ def test_poles_that_coincide_keep_their_digits(method, root, other):
     blocks = (q_e, q_v, q_z, 1.0)
     assert min(blocks) > 0.0
     expected = gain_at_many_digits(1.0, t, blocks, method)
-    for gains in both_chain_gains(1.0, t, blocks, method):
-        assert worst_digit(gains, expected) < 1e-13
+    assert worst_digit(gain_of_chain(1.0, t, blocks, method), expected) < 1e-13
 
 
-def test_a_map_is_singular_from_the_same_share_on_compiled_or_not():
+def test_a_map_is_singular_from_a_share_on():
     turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
     for factor, usable in ((0.0, False), (1e-3, False), (1e3, True)):
         singular = np.array([1.0, 1.0, 1.0, 1.0, 1.0, factor * SMALLEST_SINGULAR_VALUE])
         acceleration_map = singular[:, None] * turn
-        assert (compiled_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0), "exact", 1.0) is not None) == usable
         if usable:
             assert np.isfinite(split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))).all()
         else:
             with pytest.raises(RiccatiError, match="singular"):
                 split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))
-
-
-def test_equal_and_widely_spread_singular_values_have_a_gain_too():
-    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
-    for singular in (np.ones(6), np.logspace(0, -6, 6)):
-        acceleration_map = turn * singular @ turn.T
-        a, b = system(acceleration_map)
-        assert spectral_radius(a - b @ split_gain(acceleration_map, PERIOD, (1.0, 1.0, 1.0, 1.0))) < 1.0
 
 
 def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):

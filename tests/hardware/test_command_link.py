@@ -1,27 +1,21 @@
 import numpy as np
 import pytest
 
-from stewart_drake.hardware.command_link import MEMORY_SIZE, Command, CommandFault, LinkOptions, link_step
+from stewart_drake.hardware.command_link import LinkOptions, delay_part, link_part
+from stewart_drake.hardware.faults import CommandFault
 
 STEPS = 4
 
 
 def arrivals(options, ticks=8, steps=STEPS):
     """Command in force and its age at every step; tick k sends k + 1 to all motors, and says so until the next."""
-    memory, told = np.zeros(MEMORY_SIZE), []
+    part = link_part(options, steps, np.zeros(6))
+    state, said = part.initial.copy(), []
     for step in range(ticks * steps):
-        command = np.full(6, step // steps + 1.0)
-        memory = link_step(options, steps, step, 0.001 * step, command, memory)
-        told.append((memory[0], memory[6]))
-        assert (memory[:6] == memory[0]).all()
-    return np.array(told).reshape(ticks, steps, 2)
-
-
-def test_every_command_arrives_at_once():
-    assert LinkOptions().perfect
-    told = arrivals(LinkOptions())
-    np.testing.assert_array_equal(told[..., 0], np.arange(1.0, 9.0)[:, None] * np.ones(STEPS))
-    np.testing.assert_array_equal(told[..., 1], 0.0)
+        part.tick(np.full(6, step // steps + 1.0), np.array([0.001 * step]), state)
+        assert np.ptp(state["torque"]) == 0.0
+        said.append((state["torque"][0, 0], state["age"][0, 0]))
+    return np.array(said).reshape(ticks, steps, 2)
 
 
 def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
@@ -42,10 +36,6 @@ def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
     np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
     all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
     np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
-
-
-def test_a_tick_that_is_both_is_dropped():
-    np.testing.assert_array_equal(arrivals(LinkOptions(dropped=(2,), late=(2,)))[2, :, 0], 2.0)
 
 
 def test_from_its_stop_time_nothing_arrives():
@@ -76,13 +66,19 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
         (CommandFault(kind="nan", duration=0.1), [0, 1, 2, 3, 4, 5]),
     ],
 )
-def test_commands_are_spoilt_as_told(fault, expected):
-    command = np.arange(6.0)
-    fault.spoil(0.1, Command(command, 7))
-    np.testing.assert_array_equal(command, expected)
+def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(fault, expected):
+    part, command, time = link_part(LinkOptions(faults=(fault,)), 1, np.zeros(6)), np.arange(6.0), np.array([0.1])
+    state = part.initial.copy()
+    for _ in range(8):
+        part.tick(command, time, state)
+    np.testing.assert_array_equal(state["torque"][0], expected)
+    np.testing.assert_array_equal(command, np.arange(6.0))
 
 
-def test_a_spoilt_command_leaves_the_controllers_own_alone():
-    command = np.ones(6)
-    link_step(LinkOptions(faults=(CommandFault(kind="nan"),)), 1, 0, 0.0, command, np.zeros(MEMORY_SIZE))
-    np.testing.assert_array_equal(command, 1.0)
+def test_a_constant_delay_says_what_was_so_many_ticks_ago():
+    part = delay_part(3, np.full(6, -1.0))
+    state, said = part.initial.copy(), []
+    for tick in range(6):
+        part.tick(np.full(6, float(tick)), state)
+        said.append(state["torque"][0, 5])
+    assert said == [-1.0, -1.0, -1.0, 0.0, 1.0, 2.0]

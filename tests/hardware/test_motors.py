@@ -7,7 +7,8 @@ from scipy.optimize import linprog
 from strategies import ROBOT, poses
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.motors import DeadMotor, MotorFault, MotorOptions, holdable_load
+from stewart_drake.hardware.faults import MotorFault
+from stewart_drake.hardware.motors import DeadMotor, MotorOptions, holdable_load, motor_part
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 
@@ -17,7 +18,10 @@ ANGLES = np.linspace(-1.0, 1.0, 6)
 
 def test_by_default_a_motor_gives_what_is_asked_for():
     assert MotorOptions().perfect
-    np.testing.assert_array_equal(MotorOptions().torque(WANTED, ANGLES, 1.0), WANTED)
+    part = motor_part(MotorOptions())
+    state = part.initial.copy()
+    part.tick(WANTED, np.ones(1), np.concatenate([ANGLES, np.zeros(6)]), state)
+    np.testing.assert_array_equal(state["torque"][0], WANTED)
 
 
 def test_an_amplifier_gives_whole_steps():
@@ -109,12 +113,3 @@ def test_without_weight_the_largest_force_is_a_corner_that_no_direction_surpasse
         direction = np.random.default_rng(seed).normal(size=3)
         corner = largest_along(np.zeros(6), per_load, ROBOT.effort_limit, dead, direction)
         assert np.linalg.norm(corner) <= largest * (1.0 + 1e-6)
-
-
-def test_the_largest_force_is_reached():
-    jacobian = twist_jacobian(ROBOT, ROBOT.home_pose)
-    load = holdable_load(np.zeros(6), jacobian, ROBOT.effort_limit, 0)
-    per_load = -np.linalg.inv(jacobian.T)[:, 3:]
-    rng = np.random.default_rng(0)
-    found = [largest_along(np.zeros(6), per_load, ROBOT.effort_limit, 0, rng.normal(size=3)) for _ in range(200)]
-    assert max(map(np.linalg.norm, found)) == pytest.approx(load.force, rel=1e-6)

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.sensor_faults import EncoderFault, PoseFault, faulty_reading, kept_readings
+from stewart_drake.hardware.faults import EncoderFault, PoseFault
+from stewart_drake.hardware.sensors import faulty_sensor_part
 
 READINGS = np.arange(60.0).reshape(10, 6)
 PERIOD = 0.001
@@ -13,11 +14,12 @@ PERIOD = 0.001
 
 def says(*faults, readings=READINGS):
     """What a sensor says over ten ticks of 1 ms."""
-    memory, told = np.tile(readings[0], (kept_readings(faults, PERIOD), 1)), []
+    part = faulty_sensor_part(faults, 6, PERIOD)
+    state, said = part.initial.copy(), []
     for tick, reading in enumerate(readings):
-        spoilt, memory = faulty_reading(faults, reading, PERIOD * tick, PERIOD, memory)
-        told.append(spoilt)
-    return np.array(told)
+        part.tick(reading, np.array([PERIOD * tick]), state)
+        said.append(state["reading"][0].copy())
+    return np.array(said)
 
 
 def test_a_frozen_encoder_repeats_its_last_good_reading_until_it_is_well():
@@ -28,18 +30,6 @@ def test_a_frozen_encoder_repeats_its_last_good_reading_until_it_is_well():
     # From the start it shows the start; one that is well says what is.
     np.testing.assert_array_equal(says(EncoderFault(kind="freeze", leg=0))[:, 0], READINGS[0, 0])
     np.testing.assert_array_equal(says(), READINGS)
-
-
-def test_nan_and_jump_last_as_long_as_they_say():
-    told = says(
-        EncoderFault(kind="nan", leg=1, time=0.002, duration=0.001),
-        EncoderFault(kind="jump", leg=4, time=0.005, size=0.3),
-    )
-    assert np.isnan(told[2, 1])
-    told[2, 1] = READINGS[2, 1]
-    expected = READINGS.copy()
-    expected[5:, 4] += 0.3
-    np.testing.assert_array_equal(told, expected)
 
 
 def test_a_pose_sensor_fails_as_a_whole():

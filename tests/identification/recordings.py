@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stewart_drake.hardware.estimator import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.identification.simulated_logs import deviating, recorded
 from stewart_drake.references.basic import SineReference
 from stewart_drake.references.combined import SumReference

@@ -94,18 +94,18 @@ def test_what_a_kill_left_half_written_does_not_hide_the_rows_before_it(tmp_path
     [(MemoryError(), "out_of_memory"), (np.linalg.LinAlgError("Singular matrix"), "singular_matrix")],
 )
 def test_what_stops_a_tick_ends_the_run_with_its_log(monkeypatch, error, reason):
-    from stewart_drake.systems.lqi_controller import LqiController
+    from stewart_drake.systems.part_system import PartSystem
 
-    tick, calls = LqiController.tick, []
+    tick, calls = PartSystem._ticked, []
 
-    def hungry(self, context, previous):
-        calls.append(1)
-        if len(calls) > 20:
+    def hungry(self, *arguments):
+        calls.append(self.part.name == "controller")
+        if sum(calls) > 20:
             raise error
-        return tick(self, context, previous)
+        return tick(self, *arguments)
 
-    monkeypatch.setattr(LqiController, "tick", hungry)
-    log = run(scenario(compiled=False))
+    monkeypatch.setattr(PartSystem, "_ticked", hungry)
+    log = run(scenario())
     assert (log.status, log.reason) == ("failed", reason)
     assert len(log.time) > 10
 

@@ -15,8 +15,8 @@ from stewart_drake.paper.study import Study
 from stewart_drake.paper.visited_region import controlled_motions
 from stewart_drake.paper.workspace_section import sizes
 from stewart_drake.planning.limits import Limits
-from stewart_drake.planning.workspace import measure_poses
-from stewart_drake.planning.workspace_region import COORDINATES, poses_at, utilisation
+from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.workspace import COORDINATES, poses_at, utilisation
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.scenario import Scenario

@@ -3,19 +3,16 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL
+from strategies import ROBOT, ROBOTS
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.force_map import force_map
-from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, reach_margin, rod_lines
+from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.workspace import PoseMeasures, _invert, _strength, measure_poses, smallest_reach
-from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays, icosphere, split_edges
-from stewart_drake.planning.workspace_region import (
+from stewart_drake.planning.measures import PoseMeasures, measure_poses
+from stewart_drake.planning.workspace import (
     COORDINATES,
     LIMIT_NAMES,
     Grid,
@@ -28,9 +25,9 @@ from stewart_drake.planning.workspace_region import (
     survey,
     utilisation,
 )
+from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays, spread_directions
 
 HOME = ROBOT.home_pose
-OTHER = ROBOT.replace(branch=1, home_height=0.25, rod_length=0.42)
 LIMITS = Limits()
 WIDE = np.array([1.2, 1.55, 1.6, 0.1, 0.1, 0.08])
 
@@ -49,33 +46,19 @@ def home_survey():
     return {kind: survey(ROBOT, LIMITS, spanning_grid(ROBOT, kind, HOME, 20_000)) for kind in COORDINATES}
 
 
-@pytest.mark.parametrize(
-    "robot",
-    [
-        UNEQUAL,
-        *(pytest.param(robot, marks=pytest.mark.slow) for robot in (ROBOT, OTHER, TANGENTIAL, ALTERNATING)),
-    ],
-    ids=["unequal", "own", "other", "tangential", "alternating"],
-)
-def test_measures_equal_the_reference_functions(robot):
-    pose = reachable(wide_poses(20_000, robot=robot), robot)
-    assert len(pose) > 1000
-    measures = measure_poses(robot, pose)
-    every = Limits(euler_pitch=None, crank_speed=None)
-    margins = limit_margins(robot, every, pose, np.zeros_like(pose), np.zeros_like(pose), 9.81)
-    legs = leg_geometry(robot, pose)
-    swing = every.joint_swing - margins["joint_swing"]
-    regular = np.abs(measures.conditioning)
-    assert regular.min() < 1e-3  # the comparison covers what the eigenvalues alone could not resolve
-    np.testing.assert_allclose(measures.reach, reach_margin(robot, pose).min(axis=1), rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(measures.transmission, np.abs(legs.transmission).min(axis=1), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(np.abs(measures.conditioning), conditioning(robot, pose), rtol=0.0, atol=1e-11)
-    np.testing.assert_allclose(measures.ball_swing, swing[:, :6].max(axis=1), rtol=0.0, atol=1e-8)
-    np.testing.assert_allclose(measures.universal_swing, swing[:, 6:].max(axis=1), rtol=0.0, atol=1e-8)
-    clearance = margins["clearance"].min(axis=1) + every.clearance
-    np.testing.assert_allclose(measures.clearance, clearance, rtol=0.0, atol=1e-12)
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+def test_measures_are_the_extremes_of_what_mechanics_gives(robot):
+    pose = reachable(wide_poses(3000, robot=robot), robot)
+    shares = []
+    measures = measure_poses(robot, pose, progress=shares.append)
+    legs, home = leg_geometry(robot, pose), rod_lines(leg_geometry(robot, robot.home_pose))
+    side = np.sign(np.linalg.det(rod_lines(legs)) * np.linalg.det(home))
+    assert (side < 0.0).any()
+    np.testing.assert_allclose(measures.transmission, np.abs(legs.transmission).min(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(measures.conditioning, side * line_conditioning(robot, legs), rtol=0.0, atol=1e-13)
     torque = np.abs(static_torque(robot, pose)).max(axis=1)
-    assert (np.abs(measures.holding_torque / torque - 1.0) * regular < 1e-14).all()
+    assert (np.abs(measures.holding_torque / torque - 1.0) * np.abs(measures.conditioning) < 1e-14).all()
+    assert shares == [1.0]
 
 
 def test_force_and_moment_are_the_inscribed_balls_of_the_statics_map():
@@ -119,34 +102,6 @@ def test_out_of_reach_is_nan_but_for_reach():
         values = getattr(measures, field.name)
         assert np.isfinite(values[0]), field.name
         assert np.isnan(values[1]), field.name
-
-
-def test_exactly_at_a_parallel_singularity_no_torque_holds():
-    legs = leg_geometry(ROBOT, HOME)
-    lines = np.moveaxis(np.stack([rod_lines(legs)] * 2), 0, -1).swapaxes(0, 1).copy()
-    lines[:, 3, 1] = 0.0  # in the second pose one rod bears nothing
-
-    class Home:
-        side = 1.0
-
-    ratio, inverse = _invert(ROBOT, Home, lines)
-    assert ratio[1] == 0.0 < ratio[0]
-    wrench = np.outer([0.1, -0.1, 0.0, 0.0, 0.0, 12.0], np.ones(2))
-    held = wrench, np.full((6, 2), 0.1)
-    torque, force, moment = _strength(np.full((6, 2), 0.1), held, inverse, 5.0, np.ones((6, 1)))
-    assert np.isfinite([torque[0], force[0], moment[0]]).all()
-    assert torque[1] == np.inf
-    assert force[1] == moment[1] == 0.0
-
-
-def test_threads_change_nothing_and_report_progress():
-    pose = wide_poses(5000, 3)
-    shares = []
-    one, two = (measure_poses(ROBOT, pose, workers=n, progress=shares.append) for n in (1, 2))
-    for field in fields(PoseMeasures):
-        np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name))
-    assert shares[-1] == 1.0
-    assert all(0.0 < share <= 1.0 for share in shares)
 
 
 @pytest.mark.parametrize("pose", [np.zeros(6), np.zeros((2, 5)), np.full((1, 6), np.nan)])
@@ -207,7 +162,7 @@ def test_the_grid_covers_all_that_can_be_reached(kind):
     point = rng.uniform(-1.0, 1.0, (200_000, 3)) * side
     if kind == "position":
         point = point[point[:, 2] > ROBOT.shaft_height]
-    inside = smallest_reach(ROBOT, poses_at(COORDINATES[kind], HOME, point)) >= 0.0
+    inside = reach_margin(ROBOT, poses_at(COORDINATES[kind], HOME, point)).min(axis=1) >= 0.0
     assert inside.sum() > 1000
     assert ((grid.low <= point[inside]) & (point[inside] <= grid.high)).all()
 
@@ -287,32 +242,6 @@ def test_a_center_outside_the_limits_is_joined_to_nothing():
     assert found.size(found.feasible) == 0.0
 
 
-def is_closed(triangles):
-    """Whether every edge belongs to two triangles that run along it in opposite directions."""
-    sides = [tuple(t[[i, (i + 1) % 3]]) for t in triangles for i in range(3)]
-    return len(set(sides)) == len(sides) and all((b, a) in set(sides) for a, b in sides)
-
-
-@settings(max_examples=10)
-@given(st.integers(0, 2**32 - 1))
-def test_the_icosphere_is_a_sphere_and_split_edges_leave_it_closed(seed):
-    rng = np.random.default_rng(seed)
-    for subdivisions in (2, 0):
-        vertices, triangles = icosphere(subdivisions)
-        assert vertices.shape == (10 * 4**subdivisions + 2, 3)
-        np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0)
-        assert (np.linalg.det(vertices[triangles]) > 0.0).all()
-        assert is_closed(triangles)
-    for _ in range(2):
-        edges = len(triangles) * 3 // 2
-        vertices, triangles = split_edges(vertices, triangles, rng.random(edges) < 0.4)
-    assert is_closed(triangles)
-    unit = Boundary("position", HOME, vertices, triangles, np.ones(len(vertices)), np.full(len(vertices), -1))
-    assert unit.weight.sum() == pytest.approx(1.0)
-    assert unit.volume <= 4.0 / 3.0 * np.pi
-    assert unit.first() == {}
-
-
 @pytest.mark.parametrize("kind", ["position", "orientation"])
 def test_rays_end_where_the_named_limit_is_met(kind):
     rng = np.random.default_rng(6)
@@ -341,12 +270,17 @@ def test_ranges_along_an_axis_agree_with_the_largest_amplitude_at_rest(axis):
     assert radius.min() == pytest.approx(largest_amplitude(ROBOT, LIMITS, axis, 0.0, 9.81), rel=3e-4)
 
 
-@pytest.mark.slow
-def test_surface_and_grid_agree_on_the_volume(home_survey):
-    surface = boundary(ROBOT, LIMITS, "position", HOME, subdivisions=3, refinements=1)
-    found = home_survey["position"]
+def test_directions_stand_for_equal_parts_of_the_sphere():
+    directions = spread_directions(2000)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(directions.mean(axis=0), 0.0, atol=1e-3)
+    np.testing.assert_allclose(directions.T @ directions / 2000, np.eye(3) / 3.0, atol=1e-3)
+    ball = Boundary(np.full(2000, 2.0), np.full(2000, -1))
+    assert ball.volume == pytest.approx(32.0 / 3.0 * np.pi)
+    assert ball.first() == {}
+
+
+def test_ways_and_grid_agree_on_the_volume(home_survey):
+    surface, found = boundary(ROBOT, LIMITS, "position", HOME, 500), home_survey["position"]
     assert surface.volume == pytest.approx(found.size(found.connected), rel=0.03)
     assert sum(surface.first().values()) == pytest.approx(1.0)
-    box = found.bounding_box(found.connected)
-    assert (surface.points >= box[0] - found.grid.width).all()
-    assert (surface.points <= box[1] + found.grid.width).all()

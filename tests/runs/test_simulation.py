@@ -5,7 +5,7 @@ import traceback
 import numpy as np
 import pytest
 
-from stewart_drake.control.inputs import Measurement, Setpoint
+from stewart_drake.controller import Controller
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, NotFiniteError, UnreachablePoseError
 from stewart_drake.logs.log import OPTIONAL, SIGNALS, load_log
 from stewart_drake.logs.metrics import run_metrics
@@ -13,12 +13,11 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, leg_geometry
 from stewart_drake.runs import simulation
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems import lqi_controller
 from stewart_drake.systems.diagram import ClosedLoop, build_diagram
-from stewart_drake.systems.lqi_controller import LqiController
+from stewart_drake.systems.part_system import PartSystem
 
-FASTER = ("controller.solver=split", "compiled=true")
-"""The same gains and ticks; other tests hold them equal."""
+FASTER = ("controller.solver=split",)
+"""The same gains; other tests hold them equal."""
 BRIEF = {"duration": 0.05, "tuner": {"kind": "fixed"}}
 
 
@@ -72,18 +71,14 @@ def test_the_robot_starts_assembled_at_the_references_pose_and_velocity_and_an_o
     np.testing.assert_allclose(log["crank_angle"][0], inverse_kinematics(log.scenario.robot, pose + offset), atol=1e-12)
 
 
-def test_every_row_is_one_tick_of_the_control_law(main_job):
-    """What the Diagram did is what the pure function, which a port to hardware would run, says."""
-    law = main_job.scenario.control_law()
-    state = law.initial_state()
-    for row in range(len(main_job.time)):
-        np.testing.assert_allclose(main_job["weights"][row], state.weights, rtol=1e-9)
-        measurement = Measurement(main_job["pose"][row], main_job["pose_rate"][row])
-        setpoint = Setpoint(*(main_job[f"reference{of}"][row] for of in ("", "_rate", "_acceleration")))
-        torque, state = law(measurement, setpoint, state)
+def test_every_row_is_one_tick_of_the_controller(main_job):
+    """What the Diagram did, by Drake's Riccati equation, is what a port to hardware says, by the split solution."""
+    controller, torque = Controller(main_job.scenario), np.empty(6)
+    for row, time in enumerate(main_job.time):
+        controller.step(np.concatenate([main_job["pose"][row], main_job["pose_rate"][row]]), time, torque)
         np.testing.assert_allclose(main_job["torque"][row], torque, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(main_job["integral"][row], state.integral, atol=1e-15)
-        np.testing.assert_allclose(main_job["error"][row], measurement.pose - setpoint.pose, atol=1e-15)
+        np.testing.assert_allclose(main_job["integral"][row], controller.signal("integral"), atol=1e-15)
+        np.testing.assert_allclose(main_job["error"][row], controller.signal("error"), atol=1e-15)
 
 
 def test_a_finer_log_shows_the_same_run_and_torques_held_between_ticks():
@@ -193,16 +188,27 @@ def test_a_run_that_breaks_at_its_first_tick_has_a_log_without_rows(tmp_path):
     assert run_metrics(log)["torque_rms"] is None
 
 
-def breaking_at(monkeypatch, tick, error):
-    """Makes the controller raise at a tick."""
-    real, count = lqi_controller.LqiController.tick, itertools.count()
+def counting(monkeypatch, called):
+    """Calls `called(time)` before each tick of the controller."""
+    real = PartSystem._ticked
 
-    def broken(*args):
+    def ticked(self, context, *rest):
+        if self.part.name == "controller":
+            called(context.get_time())
+        return real(self, context, *rest)
+
+    monkeypatch.setattr(PartSystem, "_ticked", ticked)
+
+
+def breaking_at(monkeypatch, tick, error):
+    """Makes the controller raise at a tick of the run; the first of all is taken before, in which numba compiles."""
+    count = itertools.count(-1)
+
+    def called(_time):
         if next(count) == tick:
             raise error
-        return real(*args)
 
-    monkeypatch.setattr(lqi_controller.LqiController, "tick", broken)
+    counting(monkeypatch, called)
 
 
 @pytest.mark.parametrize(
@@ -356,13 +362,7 @@ def test_what_is_no_scenario_is_a_type_error_that_says_what_to_do(call):
 
 def test_what_numba_compiles_is_no_part_of_the_run(monkeypatch):
     ticks = []
-    real = LqiController.tick
-
-    def tick(self, context, previous):
-        ticks.append(context.get_time())
-        return real(self, context, previous)
-
-    monkeypatch.setattr(LqiController, "tick", tick)
+    counting(monkeypatch, ticks.append)
     # A clock that counts ticks: the first of all, in which numba compiles, is taken before it starts.
     monkeypatch.setattr(simulation.time, "perf_counter", lambda: float(len(ticks)))
     log = run(load_scenario("exact_fig7", ["duration=0.01"]))

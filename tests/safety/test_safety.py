@@ -1,5 +1,6 @@
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,27 +18,23 @@ from stewart_drake.mechanics.kinematics import (
     pose_rate_to_twist,
     twist_jacobian,
 )
+from stewart_drake.part import WELL
 from stewart_drake.safety import (
-    FROZEN_SIZE,
     HOLD,
     LEVELS,
     MONITORS,
     NONE,
+    NOT_THERE,
     RAMP,
     SAFE_HOLD,
-    SafetyInputs,
-    SafetyMemory,
     SafetyOptions,
     first_trip,
-    flat_tick,
-    frozen_tick,
-    initial_memory,
     refuse_motion,
     refuse_start,
-    safety_tick,
+    safety_part,
 )
-from stewart_drake.safety.frozen import flat_frozen
-from stewart_drake.safety.monitors import broken, see
+from stewart_drake.safety import monitors as numbers
+from stewart_drake.safety.refusals import broken_at_start
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -47,23 +44,35 @@ OPTIONS = SafetyOptions()
 
 
 def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
+    """A tick: `rest` are age, sensor, controller, surprise, angles and pose_reading."""
     reference = pose if reference is None else reference
-    return SafetyInputs(np.asarray(command, dtype=float), np.asarray(pose), np.asarray(rate), reference, **rest)
+    more = {"age": 0.0, "sensor": WELL, "controller": WELL, "surprise": 0.0, "angles": None, "pose_reading": None}
+    command = np.asarray(command, dtype=float)
+    return SimpleNamespace(
+        command=command, pose=np.asarray(pose), rate=np.asarray(rate), reference=reference, **(more | rest)
+    )
 
 
-def tick(one, memory, options=OPTIONS):
-    return safety_tick(ROBOT, options, STANDARD_GRAVITY, PERIOD, one, memory)
-
-
-def run(sequence, options=OPTIONS):
-    """Memories after each tick, and how it ended."""
-    memory, done = initial_memory(WEIGHT), []
+def run(sequence, options=OPTIONS, period=PERIOD, quantum=0.0):
+    """What the layer says after each tick, and how it ended."""
+    part = safety_part(ROBOT, options, STANDARD_GRAVITY, period, WEIGHT, quantum)
+    state, done = part.initial.copy(), []
     for one in sequence:
+        angles = NOT_THERE["angles"] if one.angles is None else one.angles
+        read = NOT_THERE["pose_reading"] if one.pose_reading is None else np.concatenate([one.pose_reading, STILL])
+        health = (np.array(each, dtype=float) for each in (one.sensor, one.controller))
+        measured, wanted = np.concatenate([one.pose, one.rate]), np.concatenate([one.reference, np.zeros(12)])
+        odd = np.eye(6)[3] * one.surprise
         try:
-            memory = tick(one, memory, options)
+            part.tick(one.command, measured, wanted, np.array([one.age]), *health, angles, odd, read, state)
         except SafetyStop as stop:
             return done, stop
-        done.append(memory)
+        (level, monitor, leg), said = (
+            state["safety"][0].copy(),
+            {name: state[name][0].copy() for name in ("torque", "worst")},
+        )
+        trip = first_trip(state, period, options.monitor_names)
+        done.append(SimpleNamespace(level=level, monitor=monitor, leg=leg, trip=trip, **said))
     return done, None
 
 
@@ -96,8 +105,8 @@ TRIPS = [
     ("serial_singularity", inputs(pose=at(z=-0.119)), RAMP, "transmission"),
     ("parallel_singularity", inputs(pose=TILTED), RAMP, "conditioning"),
     ("crank_speed", inputs(rate=FAST), RAMP, "crank_speed"),
-    ("following_error", inputs(reference=at(x=0.021)), RAMP, "following_error"),
-    ("following_error", inputs(reference=at(roll=0.11)), RAMP, "following_error"),
+    ("following_error", inputs(pose=at(y=1e-9), reference=at(x=0.021)), RAMP, "following_error"),
+    ("following_error", inputs(pose=at(y=1e-9), reference=at(roll=0.11)), RAMP, "following_error"),
     ("following_error", inputs(reference=np.full(6, np.nan)), RAMP, "following_error"),
 ]
 
@@ -113,7 +122,7 @@ def off(switch):
 def test_a_monitor_trips_by_name_and_level_and_not_where_it_is_off(monitor, bad, level, switch):
     done, _ = run([GOOD, bad])
     assert (MONITORS[int(done[-1].monitor)], done[-1].level) == (monitor, level)
-    trip = first_trip(done[-1], PERIOD)
+    trip = done[-1].trip
     assert (trip["monitor"], trip["level"], trip["time"], trip["worst"]) == (
         monitor,
         LEVELS[level],
@@ -130,7 +139,7 @@ def test_innovations_may_be_large_for_a_blow_and_no_longer():
     done, stop = run([GOOD, *[odd] * 10, *[GOOD] * 20, *[odd] * 11])
     assert stop is None
     assert all(memory.level == 0.0 for memory in done[:-1])
-    trip = first_trip(done[-1], PERIOD)
+    trip = done[-1].trip
     assert (trip["monitor"], trip["level"], trip["leg"], trip["time"]) == ("innovation", "ramp", None, 0.041)
     for options in (SafetyOptions(innovation=None), SafetyOptions(innovation=102.0)):
         done, _ = run([GOOD, *[odd] * 50], options)
@@ -139,6 +148,8 @@ def test_innovations_may_be_large_for_a_blow_and_no_longer():
 
 def test_every_monitor_is_tested_here():
     assert {t[0] for t in TRIPS} | {"none", "torque_rate", "innovation", "reading_stuck"} == set(MONITORS)
+    assert MONITORS[numbers.SERIAL] == "serial_singularity"
+    assert MONITORS[numbers.READING] == MONITORS[-1] == "reading_stuck"
 
 
 def test_a_good_tick_passes_the_command_on_to_the_last_bit():
@@ -146,7 +157,7 @@ def test_a_good_tick_passes_the_command_on_to_the_last_bit():
     done, _ = run([GOOD, inputs(command=command)])
     np.testing.assert_array_equal(done[-1].torque, command)
     assert done[-1].level == NONE
-    assert first_trip(done[-1], PERIOD) is None
+    assert done[-1].trip is None
     # So the first, whatever it is within the limit; if it is bad, the weight's torque stands in for it.
     np.testing.assert_array_equal(run([inputs(command=np.full(6, 4.9))])[0][0].torque, 4.9)
     (first,), _ = run([inputs(command=np.full(6, np.nan))])
@@ -206,7 +217,7 @@ def test_torques_are_cut_at_the_limit_and_trip_when_they_stay_there():
     full, well = inputs(command=np.full(6, 5.0)), inputs(command=np.full(6, 4.9))
     done, stop = run([GOOD, *[full, full, well, well] * 100])
     assert stop is None
-    assert first_trip(done[-1], PERIOD) is None
+    assert done[-1].trip is None
 
 
 def test_a_jump_is_held_for_a_tick_and_then_led_after_at_the_rate():
@@ -214,7 +225,7 @@ def test_a_jump_is_held_for_a_tick_and_then_led_after_at_the_rate():
     far = WEIGHT + np.array([0, 0, 3.5, 0, 0, 0])
     done, _ = run([GOOD, GOOD, *[inputs(command=far)] * 6], options)
     np.testing.assert_allclose([m.torque[2] - WEIGHT[2] for m in done[1:]], [0, 0, 1, 2, 3, 3.5, 3.5], atol=1e-12)
-    assert first_trip(done[-1], PERIOD) is None
+    assert done[-1].trip is None
 
 
 def test_a_command_that_chatters_trips_and_leaves_no_mean_torque():
@@ -224,7 +235,7 @@ def test_a_command_that_chatters_trips_and_leaves_no_mean_torque():
     np.testing.assert_allclose([m.torque for m in done], np.tile(WEIGHT, (len(done), 1)), atol=1e-12)
     without, stop = run([GOOD, GOOD, *chatter], SafetyOptions(torque_rate=None))
     assert stop is None
-    assert first_trip(without[-1], PERIOD) is None
+    assert without[-1].trip is None
 
 
 # --- levels ---------------------------------------------------------------------------------------------------------
@@ -246,12 +257,11 @@ BAD = inputs(command=np.full(6, np.nan))
 def test_the_last_good_command_is_held_for_twenty_ticks_and_thirty_milliseconds_at_most(options, period, budget):
     assert options.budget(period) == budget
     command = WEIGHT + 0.1
-    memory = safety_tick(ROBOT, options, 9.81, period, inputs(command=command), initial_memory(WEIGHT))
-    for _ in range(budget):
-        memory = safety_tick(ROBOT, options, 9.81, period, BAD, memory)
-        assert memory.level == HOLD
-        np.testing.assert_array_equal(memory.torque, command)
-    assert safety_tick(ROBOT, options, 9.81, period, BAD, memory).level >= RAMP
+    done, _ = run([inputs(command=command), *[BAD] * (budget + 1)], options, period)
+    for held in done[1:-1]:
+        assert held.level == HOLD
+        np.testing.assert_array_equal(held.torque, command)
+    assert done[-1].level >= RAMP
 
 
 def test_a_hold_ends_by_itself_and_a_fault_that_flickers_uses_the_budget_up():
@@ -259,7 +269,7 @@ def test_a_hold_ends_by_itself_and_a_fault_that_flickers_uses_the_budget_up():
     assert stop is None
     assert done[-1].level == NONE
     np.testing.assert_array_equal(done[-1].torque, WEIGHT + 0.2)
-    assert first_trip(done[-1], PERIOD)["worst"] == "hold"
+    assert done[-1].trip["worst"] == "hold"
     done, _ = run([GOOD, *[BAD, GOOD] * 30])
     assert done[-1].level >= RAMP
 
@@ -293,7 +303,7 @@ def test_a_ramp_leads_to_the_weights_torque_within_its_time_and_ends_the_run_wit
 def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_first():
     # Held through once, long before; then the robot leaves the workspace, and the run ends while it is held there.
     done, _ = run([GOOD, BAD, *[GOOD] * 50, *[inputs(pose=at(x=0.13))] * 30], SafetyOptions(safe_hold_time=1e9))
-    told = [first_trip(memory, PERIOD) for memory in done]
+    told = [memory.trip for memory in done]
     assert told[0] is None
     assert [t["last"] for t in told[1:3]] == ["hold", "none"]
     assert [t["stopped"] for t in told[1:3]] == [None, None]
@@ -310,20 +320,12 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     )
 
 
-def test_a_reading_that_is_stuck_is_called_that_for_nobody_can_tell_a_sensor_from_a_motor():
-    stuck = inputs(sensor=(failure_code("frozen"), 2.0))
+def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor():
+    frozen_one = (failure_code("frozen"), 2.0)
     unguarded = SafetyOptions(failures=False)
-    for options in (OPTIONS, unguarded):
-        trip = first_trip(run([GOOD, stuck], options)[0][-1], PERIOD)
-        assert (trip["monitor"], trip["level"], trip["leg"], trip["cause"]) == ("reading_stuck", "hold", 2, None)
-    _, stop = run([GOOD, *[stuck] * 100])
-    assert stop.reason == "reading_stuck"
-    assert str(stop).startswith("reading_stuck: a sensor repeats itself, or friction holds what it reads; stopped: ")
-
-
-def test_a_failed_sensor_blinds_no_other_monitor():
-    unguarded = SafetyOptions(failures=False)
-    told = first_trip(run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1], PERIOD)
+    done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
+    assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("reading_stuck", 2.0)
+    told = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1].trip
     assert (told["cause"], told["leg"]) == ("encoder", 2)
     assert failure_code("something of a user's own") == 1
     assert len(set(map(failure_code, FAILURES))) == len(FAILURES)
@@ -341,15 +343,8 @@ def test_a_failed_sensor_blinds_no_other_monitor():
     ],
 )
 def test_a_message_that_is_not_a_number_is_no_good_one(bad, monitor):
-    for compiled in (False, True):
-        one = flat_tick(ROBOT, OPTIONS, STANDARD_GRAVITY, PERIOD, compiled)
-        memory = SafetyMemory.from_flat(one(inputs(**bad), initial_memory(WEIGHT).flat()))
-        assert (MONITORS[int(memory.monitor)], memory.level) == (monitor, HOLD)
-
-
-def test_a_rate_that_leads_beyond_all_numbers_is_no_measurement():
-    done, _ = run([GOOD, inputs(rate=np.full(6, 1e300))], SafetyOptions(horizon=1e10))
-    assert MONITORS[int(done[-1].monitor)] == "measurement_not_finite"
+    (said,), _ = run([inputs(**bad)])
+    assert (MONITORS[int(said.monitor)], said.level) == (monitor, HOLD)
 
 
 @settings(max_examples=15)
@@ -406,47 +401,26 @@ def test_whatever_comes_in_torques_are_finite_and_within_the_limit(sequence):
         assert after.worst >= before.worst
 
 
-# --- compiled -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@given(st.lists(st.tuples(poses(0.6), vectors(6, 1.0), vectors(6, 4.0), vectors(6, 0.02)), min_size=1, max_size=4))
-@settings(max_examples=60)
-def test_compiled_ticks_are_the_reference(ticks):
-    plain, fast = (flat_tick(ROBOT, OPTIONS, STANDARD_GRAVITY, PERIOD, compiled) for compiled in (False, True))
-    memory = [initial_memory(WEIGHT).flat()] * 2
-    for pose, rate, command, error in [(HOME, STILL, WEIGHT, STILL), *ticks]:
-        one = inputs(command, pose, rate, pose + error)
-        ends = []
-        for k, function in enumerate((plain, fast)):
-            try:
-                memory[k] = function(one, memory[k])
-                ends.append(None)
-            except SafetyStop as stop:
-                ends.append((stop.reason, stop.leg, stop.trip))
-        assert ends[0] == ends[1]
-        if ends[0] is not None:
-            return
-        np.testing.assert_allclose(memory[1], memory[0], rtol=1e-9, atol=1e-9)
-        # What the motors get is the same to the last bit where nothing is wrong.
-        if memory[0][6] == 0.0:
-            np.testing.assert_array_equal(memory[1][:6], memory[0][:6])
-
-
 # --- frozen sensors -------------------------------------------------------------------------------------------------
 
 
 def frozen(readings, reference=None, options=OPTIONS, quantum=0.0, wanted=None):
-    """What is said in the end of a sequence of readings; with a reference they are poses, else `wanted` are poses."""
-    memory, said = np.full(FROZEN_SIZE, np.nan), None
+    """Leg that is said to be frozen in the end; with a reference readings are poses, else `wanted` are poses."""
+    # Of the other monitors none may see anything.
+    names = ("workspace", "transmission", "conditioning", "crank_speed", "following_error")
+    options = dataclasses.replace(options, **dict.fromkeys(names), safe_hold_time=10.0)
+    ticks = []
     for k, reading in enumerate(readings):
-        angles = reading if reference is None else None
-        pose = reference[k] if wanted is None else wanted[k]
-        fast = flat_frozen(ROBOT, options, quantum, compiled=True)(angles, reading, pose, memory)
-        said, memory = frozen_tick(ROBOT, options, quantum, angles, reading, pose, memory)
-        assert fast[0] == said
-        np.testing.assert_array_equal(fast[1], memory)
-    return said
+        if reference is None:
+            ticks.append(inputs(reference=wanted[k], angles=reading))
+        else:
+            ticks.append(inputs(reference=reference[k], pose_reading=reading))
+    done, _ = run(ticks, options, quantum=quantum)
+    trips = [each for each in done if each.trip is not None]
+    if not trips:
+        return None
+    assert (trips[0].trip["monitor"], trips[0].trip["cause"]) == ("reading_stuck", None)
+    return -1 if trips[0].trip["leg"] is None else trips[0].trip["leg"]
 
 
 def test_an_encoder_that_stands_while_others_turn_is_named():
@@ -561,19 +535,6 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
                 refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
 
 
-def test_what_the_layer_forgives_for_a_while_is_not_refused():
-    time, motion = swing(2.0, 0.005)
-    needed = np.abs(inverse_dynamics(ROBOT, *motion)).max() / ROBOT.effort_limit
-    refuse_motion(ROBOT, SafetyOptions(torque_limit=0.999 * needed), STANDARD_GRAVITY, time, motion)
-    with pytest.raises(ConfigurationError, match=r"torque_limit.*for too long"):
-        refuse_motion(ROBOT, SafetyOptions(torque_limit=0.8 * needed), STANDARD_GRAVITY, time, motion)
-    slope = np.abs(np.diff(inverse_dynamics(ROBOT, *motion), axis=0)).max() / PERIOD
-    fast = SafetyOptions(torque_rate=0.999 * slope, torque_rate_time=0.05)
-    refuse_motion(ROBOT, fast, STANDARD_GRAVITY, time, motion)
-    with pytest.raises(ConfigurationError, match=r"torque_rate"):
-        refuse_motion(ROBOT, SafetyOptions(torque_rate=0.2 * slope), STANDARD_GRAVITY, time, motion)
-
-
 @pytest.mark.parametrize("limit", ["workspace", "transmission", "conditioning"])
 def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_refused(limit):
     # As fast as it may be: the layer sees the pose of so many seconds later already.
@@ -584,9 +545,25 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
-    tripped = [
-        broken(options, see(ROBOT, options.horizon, p, r, p)) is not None for p, r in zip(*motion[:2], strict=True)
-    ]
-    assert any(tripped)
+    assert any(broken_at_start(ROBOT, options, p, r, p) is not None for p, r in zip(*motion[:2], strict=True))
     short = dataclasses.replace(options, horizon=0.0)
     refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
+
+
+class TooHigh:
+    def look(self, inputs):
+        return 3 if inputs.pose[5] > HOME[5] + 0.01 else None
+
+
+def test_a_monitor_of_the_users_own_is_asked_where_all_others_are_content():
+    options = SafetyOptions(monitors=(TooHigh,))
+    high = inputs(pose=at(z=0.011))
+    done, _ = run([GOOD, high, GOOD], options)
+    assert [each.level for each in done] == [NONE, RAMP, RAMP]
+    assert done[-1].trip["monitor"] == options.monitor_names[-1] == "TooHigh"
+    assert (done[-1].trip["leg"], done[-1].trip["time"]) == (3, 0.001)
+    done, _ = run([GOOD, inputs(pose=at(z=0.011), command=np.full(6, np.nan))], options)
+    assert done[-1].trip["monitor"] == "command_not_finite"
+    motion = np.tile(high.pose, (3, 1)), np.zeros((3, 6)), np.zeros((3, 6))
+    with pytest.raises(ConfigurationError, match=r"safety\.monitors\.0.*TooHigh"):
+        refuse_motion(ROBOT, options, STANDARD_GRAVITY, np.arange(3) * PERIOD, motion)

@@ -10,6 +10,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
 from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, plant_at
@@ -30,7 +31,7 @@ def radius(loops):
 
 def test_the_plant_moves_as_the_exact_model_does():
     robot, period = scenario().robot, 0.005
-    plant = plant_at(robot, POSE[None], 9.81, period)
+    plant = plant_at(robot_record(robot), POSE[None], 9.81, period)
     start, push = 1e-5 * np.random.default_rng(0).normal(size=(2, 12))
     pose, rate, steps = POSE + start[:6], start[6:].copy(), 100
     for _ in range(steps):
@@ -51,7 +52,7 @@ def test_the_regulator_with_ideal_sensors_is_its_gain_and_an_integral():
     gain = lqi_gain(pose_acceleration_map(made.robot, POSE), made.lqi, np.array(made.tuner.weights))
     expected = -np.hstack([gain[:, POSITION], gain[:, RATE], gain[:, INTEGRAL]])
     np.testing.assert_allclose(loops.c[0], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    plant = plant_at(made.robot, POSE[None], made.gravity, 0.001)
+    plant = plant_at(robot_record(made.robot), POSE[None], made.gravity, 0.001)
     np.testing.assert_allclose(loops.a[0, :12, :12], plant.a[0])
     np.testing.assert_allclose(loops.a[0, 12:], np.hstack([1e-3 * np.eye(6), np.zeros((6, 6)), np.eye(6)]), atol=1e-9)
 

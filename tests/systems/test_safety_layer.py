@@ -14,11 +14,9 @@ from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.runs.outputs import write_run
 from stewart_drake.runs.simulation import check_scenario, run
-from stewart_drake.safety import LEVELS, MONITORS, SAFE_HOLD, SafetyOptions
+from stewart_drake.safety import LEVELS, MONITORS, SafetyOptions, first_trip
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.safety_layer import SafetyLayer
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems import ReferenceSource, SafetyLayer, TaskSpaceSensor
 
 BASE = {
     "duration": 0.12,
@@ -42,11 +40,9 @@ def scenario(**changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("sensors", ["ideal", "encoders"])
-def test_a_run_in_which_nothing_is_wrong_is_the_run_without(compiled, sensors):
-    changes = {"compiled": compiled, "sensors": {"kind": sensors}}
-    plain, guarded = (run(scenario(safety=safety, **changes)) for safety in (None, {}))
+def test_a_run_in_which_nothing_is_wrong_is_the_run_without(sensors):
+    plain, guarded = (run(scenario(safety=safety, sensors={"kind": sensors})) for safety in (None, {}))
     assert guarded.safety is None
     for name in plain.signals:
         np.testing.assert_array_equal(guarded[name], plain[name], err_msg=name)
@@ -104,35 +100,20 @@ def test_a_run_that_ends_before_the_layer_has_done_with_it_tells_the_trip_all_th
 
 
 @pytest.mark.slow
-def test_the_safe_hold_slows_the_robot_down():
-    log = run(scenario(link=NAN, duration=1.0))
-    rate = np.linalg.norm(log["pose_rate"][:, 3:], axis=1)
-    safe = log["safety"][:, 0] == SAFE_HOLD
-    assert rate[49] > 0.09
-    assert rate[safe][-1] < 0.02
-    assert log["loop_gap"].max() < 1e-5
-    speed = np.einsum("nij,nj->ni", pose_jacobian(ROBOT, log["pose"]), log["pose_rate"])
-    weight = static_torque(ROBOT, log["pose"])
-    power = np.sum((log["torque_applied"] - weight) * speed, axis=1)[safe]
-    assert power.max() < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause(compiled):
+def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause():
     encoders = {
         "kind": "encoders",
         "hold_ticks": 2,
         "faults": [{"kind": "nan", "leg": 1, "time": 0.05, "duration": 0.01}],
     }
-    log = run(scenario(sensors=encoders, compiled=compiled))
+    log = run(scenario(sensors=encoders))
     assert log.status == "completed"
     assert (log.safety["monitor"], log.safety["cause"], log.safety["worst"]) == ("sensor_failed", "encoder", "hold")
     assert log.safety["time"] == 0.052
     # A limit of the controller's own that the motion soon breaks.
     for bad in (BASE["controller"], {"kind": "pid"}, {"kind": "computed_torque"}):
         tuner = BASE["tuner"] if bad is BASE["controller"] else {"kind": "fixed"}
-        case = scenario(controller=bad | {"min_transmission": 0.97}, tuner=tuner, compiled=compiled, duration=0.3)
+        case = scenario(controller=bad | {"min_transmission": 0.97}, tuner=tuner, duration=0.3)
         log = run(case, check=False)
         assert (log.safety["monitor"], log.safety["cause"]) == ("controller_failed", "crank_dead_centre")
 
@@ -142,13 +123,6 @@ def test_a_motor_that_sticks_is_no_sensor_that_failed():
     log = run(load_scenario("sway", ["robot=servo_hexapod", "plant.motor_friction=0.5", "duration=0.5"]))
     assert (log.status, log.reason, log.safety["monitor"]) == ("failed", "reading_stuck", "reading_stuck")
     assert "friction holds what it reads" in log.message
-
-
-def test_without_the_guard_a_failing_controller_ends_the_run_by_its_own_name():
-    bad = BASE["controller"] | {"min_transmission": 0.97}
-    log = run(scenario(controller=bad, safety={"failures": False}, duration=0.3), check=False)
-    assert (log.status, log.reason) == ("failed", "crank_dead_centre")
-    assert log.safety is None
 
 
 def test_ctrl_c_keeps_the_log_and_what_the_layer_saw():
@@ -207,7 +181,8 @@ def test_a_users_own_system_runs_behind_it(what, reason):
     diagram = builder.Build()
     simulator = Simulator(diagram)
     simulator.AdvanceTo(0.1)
-    assert layer.first_trip(simulator.get_context()) is None
+    # Ports for which there is no signal are left alone.
+    assert first_trip(layer.state(simulator.get_context()), 0.001) is None
     stop = ended(simulator, 2.0, SafetyStop)
     assert stop.reason == reason
     assert stop.trip["time"] == 0.1

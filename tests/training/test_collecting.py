@@ -26,13 +26,6 @@ def made_up(rows=20):
     return Dataset(inputs, outputs, np.repeat(np.arange(9), rows), 0.005 * np.arange(9 * rows), metadata)
 
 
-def test_the_motion_is_around_the_robot_s_own_home(monkeypatch):
-    monkeypatch.setattr(collect, "feasible_amplitudes", lambda *_: (LARGEST, LARGEST))
-    high = BASE.replace({"robot.home_height": 0.32})
-    assert experiment_reference(high).center == (0.0, 0.0, 0.0, 0.0, 0.0, 0.32)
-    assert experiment_reference(BASE).center == (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
-
-
 def test_limits_that_leave_no_motion_are_refused():
     still = BASE.replace({"limits.transmission": 0.99, "limits.clearance": None})
     with pytest.raises(ConfigurationError, match="can move from its home pose"):
@@ -57,16 +50,6 @@ def test_ctrl_c_or_an_experiment_that_breaks_ends_the_collection_at_once(monkeyp
     with pytest.raises(error, match=words):
         collect_dataset(BASE, samples=20)
     assert started == ["experiment 0", "experiment 1"]
-
-
-@pytest.mark.parametrize("name", ["run=3", "time=7"])
-def test_a_file_in_a_folder_named_like_a_column_reads_the_same(tmp_path, name):
-    data = made_up()
-    (tmp_path / name).mkdir()
-    data.save(tmp_path / name / "data.parquet")
-    np.testing.assert_array_equal(load_dataset(tmp_path / name / "data.parquet").run, data.run)
-    with pytest.raises(ConfigurationError, match="a folder"):
-        load_dataset(tmp_path)
 
 
 @pytest.mark.parametrize("value", [0.5, -1.0, 1e300])
@@ -107,10 +90,3 @@ def test_a_split_that_leaves_a_weight_without_training_samples_is_refused_before
     assert steps == []
     train_network(dataset, found[True], steps.append)
     assert steps == [1.0]
-
-
-def test_weights_that_no_two_runs_share_are_no_classes():
-    dataset = made_up(10)
-    dataset.outputs[:] = 10.0 ** np.linspace(-1, 1, 9)[dataset.run][:, None] * [1.0, 2.0]
-    result = train_network(dataset, TrainingOptions(epochs=1, split="runs"))
-    assert np.isfinite(result.training_loss).all()

@@ -1,4 +1,3 @@
-import dataclasses
 import itertools
 import json
 
@@ -6,8 +5,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made_logs import sealed
 
 from stewart_drake.errors import ConfigurationError, RunFailure
@@ -66,16 +63,6 @@ def made_up(n=12, seed=0):
 # --- collecting ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_nine_experiments_in_order_each_with_its_own_pair_of_weights(collected):
-    dataset, _ = collected
-    assert dataset.inputs.shape == (9 * SAMPLES, 12)
-    assert dataset.outputs.shape == (9 * SAMPLES, 2)
-    np.testing.assert_array_equal(dataset.run, np.repeat(np.arange(9), SAMPLES))
-    np.testing.assert_array_equal(dataset.outputs, np.repeat(PAIRS, SAMPLES, axis=0))
-    np.testing.assert_allclose(dataset.time, np.tile(0.005 * np.arange(SAMPLES), 9), atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", ["magnitude", "signed"])
 def test_densities_are_35_and_36_of_the_logged_errors_and_torques(kind):
     logs = [log_of(SAMPLES + 1), log_of(SAMPLES + 5, seed=4)]
@@ -108,43 +95,6 @@ def test_experiments_that_differ_in_the_ratio_give_different_data_and_others_the
     np.testing.assert_allclose(part[0.1, 0.1], part[1.0, 1.0], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(part[10.0, 10.0], part[1.0, 1.0], rtol=1e-4, atol=1e-4)
     assert np.abs(part[0.1, 1.0] - part[1.0, 1.0]).max() > 0.05
-
-
-def test_the_metadata_says_how_the_data_was_made(collected):
-    dataset, _ = collected
-    assert dataset.metadata["sample_time"] == 0.005
-    assert dataset.metadata["density"] == "magnitude"
-    assert dataset.metadata["window"] == WINDOW
-    assert dataset.metadata["frequency"] == list(FREQUENCIES)
-    np.testing.assert_array_equal(dataset.metadata["amplitude"], SMALL.amplitude)
-    assert dataset.metadata["gravity"] == 9.81
-    assert dataset.metadata["feedforward"] == "gravity"
-    assert Scenario.from_dict(dataset.metadata["scenario"]) == base()
-    json.dumps(dataset.metadata, allow_nan=False)
-
-
-def test_what_the_base_says_reaches_every_experiment(monkeypatch):
-    monkeypatch.setattr(collect, "experiment_reference", lambda _: SMALL)
-    keys = {
-        "gravity": 3.7,
-        "robot": {"platform_mass": 1.2},
-        "model_robot": {"platform_mass": 0.9},
-        "plant": {"motor_damping": 0.01},
-        "controller": {"period": 0.002, "feedforward": "platform", "force_map": "statics"},
-        "limits": {"clearance": None},
-        "tuner": {"kind": "paper", "density": "signed", "window": 7},
-    }
-    given = Scenario.from_dict(keys)
-    scenarios = experiment_scenarios(given, 100)
-    assert len(scenarios) == 9
-    for scenario, (omega_q, omega_r) in zip(scenarios, PAIRS, strict=True):
-        for name in ("gravity", "robot", "model_robot", "plant", "controller", "limits"):
-            assert getattr(scenario, name) == getattr(given, name)
-        tuner = scenario.tuner
-        assert (tuner.kind, tuner.omega_q, tuner.omega_r) == ("fixed", omega_q, omega_r)
-        assert (tuner.density, tuner.window) == ("signed", 7)
-        assert scenario.reference == SMALL
-        assert scenario.duration == pytest.approx(0.2)
 
 
 def log_of(rows, status="completed", pair=(1.0, 1.0), seed=3):
@@ -205,23 +155,6 @@ def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
     assert_equal(loaded, dataset)
     assert loaded.digest() == dataset.digest()
     assert loaded.run.dtype.kind == "i"
-
-
-def test_the_file_has_named_columns_and_the_same_bytes_each_time(tmp_path):
-    for name in ("a.parquet", "b.parquet"):
-        made_up().save(tmp_path / name)
-    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
-    table = pq.read_table(tmp_path / "a.parquet")
-    assert table.column_names == ["time", "run", *[f"density_{i}" for i in range(12)], "omega_q", "omega_r"]
-
-
-@given(st.sampled_from(["inputs", "outputs", "run", "time"]), st.integers(0, 11))
-def test_the_digest_changes_with_every_sample(name, row):
-    dataset = made_up()
-    array = getattr(dataset, name).astype(float)
-    array[row] = np.nextafter(array[row], np.inf)
-    assert dataclasses.replace(dataset, **{name: array}).digest() != dataset.digest()
-    assert made_up().digest() == dataset.digest()
 
 
 def rewritten(path, columns=None, metadata=None):

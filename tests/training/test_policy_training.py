@@ -1,131 +1,171 @@
-"""Training of the policy, on short runs of the slow robot."""
+"""Training of the policy, on the slow robot with few situations: a run takes some hundredths of a second."""
 
 import numpy as np
 import pytest
-import torch
 
-from stewart_drake.control.policy import answer, default_policy_path, load_policy
+from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor, workplace
+from stewart_drake.control.objective import CostScales
+from stewart_drake.control.policy import default_policy_path, load_policy
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.logs.cost import run_cost
+from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.runs.simulation import run
 from stewart_drake.training import policy_training
-from stewart_drake.training.policy_options import Box, PolicyOptions
-from stewart_drake.training.policy_progress import Progress, kept
-from stewart_drake.training.policy_training import Training, train_policy
+from stewart_drake.training.baselines import Baselines
+from stewart_drake.training.benchmark import Case
+from stewart_drake.training.policy_runs import (
+    HIGHEST,
+    LOWEST,
+    WEIGHTS,
+    Episode,
+    Frame,
+    episode_cost,
+    episode_features,
+)
+from stewart_drake.training.policy_training import PolicyOptions, State, Training, train_policy
 from stewart_drake.training.situations import situation
 
-CENTRE = np.array([0.1, -0.3, -0.7, -1.0])
+CENTRE = np.array(Baselines.load().best)
+SMALL = PolicyOptions(generations=2, situations=1, pool=2, validation=1, robots=("reachy_mini",))
+
+
+def state_of(training, rng=None):
+    """A state without a run; the centre costs 1 everywhere."""
+    pool, validation = (np.zeros(len(cases)) for cases in (training.cases, training.validation))
+    weights = np.zeros(WEIGHTS) if rng is None else rng.normal(size=WEIGHTS)
+    return State(pool, validation, np.zeros(13), np.ones(13), weights, np.zeros((2, WEIGHTS)), weights)
 
 
 @pytest.fixture
-def short(monkeypatch):
-    """Situations of 0.4 s."""
-    monkeypatch.setattr(policy_training, "situation", lambda *case: situation(*case).replace({"duration": 0.4}))
+def bowl(monkeypatch):
+    """Training in which an episode costs the squared distance of its weights from `bowl`, and its taste."""
+    target = np.random.default_rng(3).normal(size=WEIGHTS) * 0.05
+
+    def cost(policy, episode):
+        away = np.concatenate([np.ravel(each) for each in policy.layers[2:6]]) - target
+        return float(away @ away) + episode.kappa
+
+    monkeypatch.setattr(policy_training, "episode_cost", cost)
+    return target
 
 
-def made(**changes):
-    options = {"epochs": 2, "situations": 1, "hidden": 4, "pieces": 2, "learning_rate": 0.05, **changes}
-    return Training(PolicyOptions(**options), Box(CENTRE), ("reachy_mini",))
+def test_weights_of_zero_stay_at_the_centre_and_any_others_in_the_box():
+    rng = np.random.default_rng(0)
+    for weights in (np.zeros(WEIGHTS), 10.0 * rng.normal(size=WEIGHTS)):
+        for features in rng.normal(size=(20, 13)):
+            setting, own, _ = Frame(CENTRE).policy(weights).choose(features, 0.0, 0.01)
+            assert own == 1.0
+            assert (setting >= LOWEST - 1e-12).all()
+            assert (setting <= HIGHEST + 1e-12).all()
+            if not weights.any():
+                np.testing.assert_allclose(setting, CENTRE)
 
 
-def same(one, other):
-    for a, b in zip(one.layers, other.layers, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.usefixtures("short")
-def test_it_starts_at_the_centre_and_knows_what_that_costs():
-    training = made()
-    begun = training.begin(lambda _: None)
-    found = torch.randn(7, 13, dtype=torch.float64)
-    np.testing.assert_allclose(answer(training.layers(begun), found)[0], np.tile(CENTRE, (7, 1)))
-    assert begun.fixed.shape == (len(training.names),)
-    assert (begun.fixed < 100.0).all()
-    assert (begun.scale > 0.0).all()
-    assert training.share.sum() == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("short")
-@pytest.mark.parametrize(("costs", "best"), [((0.9, 0.5, 0.8), 2), ((1.2, 1.1, 1.3), 0)])
-def test_the_best_epoch_is_handed_on_or_the_start(monkeypatch, costs, best):
-    def epoch(_, at, tell):
-        tell("")
-        return Progress(**{**vars(at), "weights": at.weights + 1.0, "latest": costs[at.epoch] * at.fixed})
-
-    monkeypatch.setattr(Training, "_by_gradient", epoch)
-    policy = train_policy(made(epochs=3))
-    np.testing.assert_array_equal(policy.layers.hidden_bias, best)
+def test_every_weight_has_its_place():
+    layers = Frame(CENTRE).policy(np.arange(WEIGHTS, dtype=float)).layers
+    flat = np.concatenate([np.ravel(each) for each in (layers.hidden, layers.hidden_bias, layers.output)])
+    np.testing.assert_array_equal(np.append(flat, layers.output_bias), np.arange(WEIGHTS))
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("method", ["gradient", "evolution"])
-def test_interrupted_it_goes_on_to_the_same_policy(tmp_path, method):
-    whole = train_policy(made(method=method))
-    assert np.abs(np.asarray(whole.layers.output)).max() > 1e-3
+def test_an_episode_costs_what_the_same_run_from_a_file_costs(tmp_path):
+    policy, case, kappa = load_policy(), Case("pushes", "reachy_mini", 7), 0.4
+    policy.save(tmp_path / "policy.json")
+    tuner = {"kind": "policy", "weights_file": str(tmp_path / "policy.json"), "kappa": kappa}
+    log = run(situation(*case).replace({"plant.engine": "reduced", "plant.time_step": 0.005, "tuner": tuner}))
+    expected = run_cost(run_metrics(log), log.status, 0.01, CostScales().at(kappa))
+    assert np.exp(episode_cost(policy, Episode(case, kappa))) == pytest.approx(expected)
+    features = episode_features(policy, Episode(case, kappa))
+    assert features.shape == (28, 13)
+    assert (features[:, -1] == kappa).all()
+
+
+def test_each_kind_counts_alike_but_more_where_the_policy_is_behind():
+    training = Training(PolicyOptions(pool=4, situations=2), workplace(SerialExecutor()))
+    chosen = training._batch(0)
+    share = training._shares(chosen, np.zeros(len(chosen)))
+    assert share.sum() == pytest.approx(1.0)
+    kinds = np.array([training.cases[place][:2] for place in chosen])
+    nod = (kinds == ("nod", "reachy_mini")).all(axis=1)
+    fast = (kinds == ("fast", "paper")).all(axis=1)
+    # Runs of the slow robot are short: twice as many.
+    assert (nod.sum(), fast.sum()) == (4, 2)
+    assert share[nod].sum() == pytest.approx(share[fast].sum())
+    behind = training._shares(chosen, np.where(nod, np.log(2.0), -1.0))
+    assert behind[nod].sum() == pytest.approx((1.0 + policy_training.FAIRNESS * np.log(2.0)) * share[nod].sum())
+    assert behind[fast] == pytest.approx(share[fast])
+
+
+def test_generations_take_their_situations_in_turn():
+    training = Training(PolicyOptions(pool=6, situations=2, robots=("paper",)), workplace(SerialExecutor()))
+    seen = [{training.cases[place].seed for place in training._batch(generation)} for generation in range(4)]
+    assert seen == [{0, 1}, {2, 3}, {4, 5}, {0, 1}]
+
+
+def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
+    monkeypatch.setattr(policy_training, "VALIDATED", 1)
+    training = Training(
+        PolicyOptions(generations=60, situations=4, pool=4, robots=("reachy_mini",)), workplace(SerialExecutor())
+    )
+    state = state_of(training)
+    state.validated += bowl @ bowl
+    while state.generation < 60:
+        state = training.step(state)
+    values = state.history[:, 1]
+    assert state.least == values.min()
+    assert state.least < -0.5 * bowl @ bowl
+    assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
+
+
+@pytest.mark.usefixtures("bowl")
+def test_a_training_that_gets_worse_hands_on_its_start():
+    training = Training(PolicyOptions(generations=5, situations=1, pool=1), workplace(SerialExecutor()))
+    state = state_of(training, np.random.default_rng(1))
+    # The centre of the validation situations costs less than anything else will.
+    state.validated -= 1e6
+    start = state.best.copy()
+    while state.generation < 5:
+        state = training.step(state)
+    assert len(state.history) == 1
+    np.testing.assert_array_equal(state.best, start)
+
+
+@pytest.mark.slow
+def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
+    monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
+    whole = train_policy(SMALL, where=SerialExecutor())
+    file = tmp_path / "policy.state"
 
     def stop(done, _):
-        if done >= 1.0:
+        if done == 1.0:
             raise KeyboardInterrupt
 
-    file = tmp_path / "checkpoint"
     with pytest.raises(KeyboardInterrupt):
-        train_policy(made(method=method), file, stop)
-    # Told after the epoch, and before it is kept: the next call does it again.
+        train_policy(SMALL, file, stop, SerialExecutor())
+    assert file.exists()
+    again = train_policy(SMALL, file, where=LocalProcesses(2))
     assert not file.exists()
-    with pytest.raises(KeyboardInterrupt):
-        train_policy(made(method=method), file, lambda done, word: None if word.startswith("J ") else stop(done, word))
-    again = train_policy(made(method=method), file)
-    same(whole, again)
-    assert not file.exists()
-    assert again.provenance["options"]["method"] == method
+    for one, other in zip(whole.layers, again.layers, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert again.provenance["options"]["generations"] == 2
+    assert again.provenance["J_over_best_fixed_by_generation"][0][0] == 2
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("short")
-def test_a_checkpoint_of_another_training_is_refused(tmp_path):
-    training, file = made(epochs=1), tmp_path / "checkpoint"
-    policy_training.keep(training.begin(lambda _: None), "its own", file)
-    assert kept(file, "its own").epoch == 0
+def test_the_state_of_another_training_or_no_state_is_refused(tmp_path):
+    file = tmp_path / "policy.state"
+    state_of(Training(SMALL, workplace(SerialExecutor()))).save(file, "its own")
+    assert State.load(file, "its own").generation == 0
     with pytest.raises(ConfigurationError, match="of other options"):
-        train_policy(made(seed=1), file)
-    file.write_bytes(b"no checkpoint")
+        train_policy(SMALL, file, where=SerialExecutor())
+    file.write_bytes(b"no state")
     with pytest.raises(ConfigurationError, match="as training left it"):
-        train_policy(training, file)
+        train_policy(SMALL, file, where=SerialExecutor())
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("short")
-def test_a_policy_goes_on_from_another():
-    first = train_policy(made(epochs=1))
-    training = made(epochs=1)
-    begun = training.begin(lambda _: None, first)
-    np.testing.assert_allclose(begun.mean, first.layers.mean)
-    found = torch.randn(5, 13, dtype=torch.float64)
-    np.testing.assert_allclose(
-        answer(training.layers(begun), found)[0].numpy(),
-        answer(first.layers._replace(low=begun.low, high=begun.high), found.numpy())[0],
-    )
-    assert train_policy(training, start=first).provenance["start"] == first.provenance
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("short")
-def test_each_epoch_of_evolution_goes_through_short_runs_more_often():
-    training = Training(PolicyOptions(method="evolution", situations=1, hidden=4), Box(CENTRE))
-    begun = training.begin(lambda _: None)
-    made = training.epoch(begun, lambda _: None)
-    assert made.steps == max(group.ticks for group in training._groups) // min(
-        group.ticks for group in training._groups
-    )
-    assert (made.latest != begun.latest).all()
-
-
-def test_the_shipped_policy_is_one():
+def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():
     policy = load_policy()
     assert policy.to_bytes() == default_policy_path().read_bytes()
-    assert {"data", "options", "date", "limits", "processor_seconds"} <= policy.provenance.keys()
+    assert len(policy.provenance["revision"]) == 40
     np.testing.assert_allclose(PolicyTuner().chooser().centre, policy.centre)
-    lowest, highest = policy.lowest, policy.lowest + policy.width
-    assert (lowest < policy.centre).all()
-    assert (policy.centre < highest).all()
+    np.testing.assert_allclose([policy.lowest, policy.lowest + policy.width], [LOWEST, HIGHEST])

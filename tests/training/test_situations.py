@@ -1,6 +1,5 @@
 import itertools
 
-import numpy as np
 import pytest
 
 from stewart_drake.errors import ConfigurationError
@@ -40,15 +39,6 @@ def test_some_kinds_are_never_trained_on():
         assert untrained
         assert not trained & untrained
         assert trained | untrained == set(kinds_of(robot))
-
-
-def test_coarse_encoders_count_during_the_run():
-    # At rest the cost would be that of nothing.
-    for seed in range(5):
-        made = situation("coarse encoders", "paper", seed)
-        pose, rate, _ = made.reference.evaluate(np.linspace(0.5 * made.duration, made.duration, 200))
-        assert np.ptp(pose[:, 3:], axis=0).max() > 1e-4
-        assert np.abs(rate).max() > 0.0
 
 
 def test_pushes_come_within_the_half_that_is_scored():

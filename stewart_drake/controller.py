@@ -1,0 +1,95 @@
+"""The controller's side of a scenario as one object: readings in, torques out; no plant, no simulator, no Drake."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.part import Part, SystemPart
+from stewart_drake.parts import loop_of
+from stewart_drake.running import Running
+from stewart_drake.safety import LEVELS
+from stewart_drake.sampling import InBlocks
+from stewart_drake.scenario import Scenario
+
+
+class Controller:
+    """Estimator, controller, tuner and safety layer of a scenario, for a real machine or another simulator.
+
+        controller = Controller(load_scenario("exact_fig7"))
+        torque = np.empty(6)
+        controller.step(angles, time, torque)  # every controller.period seconds
+
+    The same parts run here as in a Diagram, without sensors, delay, link and motors: those are the machine's. Where the
+    commands of the machine act later than after one period, `command_delay` of the scenario says so, and an observer
+    allows for it. The Riccati equation of an LQI is solved by the compiled split solution.
+
+    Args:
+        scenario: What the controller believes and does: robot, reference, controller, tuner, estimator, safety.
+
+    Raises:
+        ConfigurationError: A controller that is a LeafSystem, which needs a Diagram; as `loop_of`.
+
+    Attributes:
+        period: [s] between two steps.
+        reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        loop = loop_of(scenario, split=True)
+        own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
+        safety = [part for part in loop.parts if part.name == "safety"]
+        if any(isinstance(part, SystemPart) for part in own):
+            raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run alone")
+        self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
+        outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
+        parts: list[Part] = [part for part in own if isinstance(part, Part)]
+        for layer in safety:
+            assert isinstance(layer, Part)
+            reads = {**layer.reads, "command": "torque", "age": np.zeros(1)}
+            parts.insert(len(parts) - sum(part.late for part in parts), layer._replace(reads=reads))
+        self._running = Running(parts, outside)
+        self._sources = [
+            (self._running.signal(each.signal), InBlocks(each.evaluate, self.period), each.evaluate)
+            for each in loop.sources
+            if each.signal != "wrench"
+        ]
+        self._reading = self._running.signal(loop.reading)
+        self._torque = self._running.signal("guarded" if safety else "torque")
+        self._guarded = bool(safety)
+
+    def step(self, readings: np.ndarray, time: float, out: np.ndarray) -> None:
+        """One tick.
+
+        Args:
+            readings: (6,) [rad] angles of the cranks, or (12,) pose [rad, m] and its rate, see `reading`.
+            time: [s] of the motion; a multiple of the period is answered fastest.
+            out: (6,) [N m] out, for the motors.
+
+        Raises:
+            RunFailure: A part has failed, or the safety layer gives the robot up; `reason` and `leg` say why.
+        """
+        self._reading[:] = readings
+        self._running.time[0] = time
+        for signal, table, evaluate in self._sources:
+            at, value = table.at(round(time / table.period))
+            signal[:] = value if abs(at - time) < 1e-9 else evaluate(np.array([time]))[0]
+        self._running.tick()
+        out[:] = self._torque
+        self._running.late()
+
+    def reset(self) -> None:
+        """As before the first step."""
+        self._running.reset()
+
+    def signal(self, name: str) -> np.ndarray:
+        """A signal of the last step by its name, such as `torque`, `error` or `measurement`; a view.
+
+        What a tuner says, `weights` or `setting`, is what acts from the next step on.
+        """
+        return self._running.signal(name)
+
+    @property
+    def status(self) -> str:
+        """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
+        return LEVELS[int(self._running.signal("safety")[0])] if self._guarded else LEVELS[0]

@@ -1,0 +1,217 @@
+"""Sensors: encoders on the motors, a sensor of the platform's pose, and how they fail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal
+from stewart_drake.hardware.seeded import tick_normal
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.part import Part, Setup
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_scale import LENGTH
+from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
+
+_STREAM = 1
+"""Of random numbers, see `seeded`."""
+
+
+class SensorOptions(Section, key="sensors"):
+    """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
+
+    kind: str
+    """Of sensor."""
+    faults: tuple[Any, ...] = ()
+    """Times at which it fails."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether what the controller sees is the truth."""
+        return False
+
+    @property
+    def quantum(self) -> float:
+        """[rad] of a count, of sensors that read the cranks' angles; 0 for none."""
+        return 0.0
+
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a crank's angle as it is read."""
+        return 0.0
+
+    @property
+    def reading_size(self) -> int:
+        """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
+        return 12
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
+        """What makes of `plant_pose` or `crank_state` the signal `reading`; none where that is `plant_pose` itself."""
+        return ()
+
+
+class IdealSensors(SensorOptions):
+    """Pose and rate of the platform, exact."""
+
+    kind: Literal["ideal"] = "ideal"
+    faults: tuple[PoseFault, ...] = ()
+    """Times at which the sensor fails."""
+
+    @property
+    def exact(self) -> bool:
+        """Without faults it is."""
+        return not self.faults
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `SensorOptions`."""
+        if not self.faults:
+            return ()
+        return (faulty_sensor_part(self.faults, 12, setup.period)._replace(reads={"reading": "plant_pose"}),)
+
+
+class EncoderOptions(SensorOptions):
+    """Motor encoders, and the estimator that knows nothing else."""
+
+    kind: Literal["encoders"] = "encoders"
+    resolution_bits: Annotated[Natural, Field(le=40)] = 17
+    """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
+    offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """[rad] reading minus true angle of each motor: an error of homing."""
+    noise: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
+    """[rad] standard deviation of each reading, before it is rounded to counts; independent from tick to tick."""
+    noise_seed: Seed = 0
+    """Of the noise."""
+    faults: tuple[EncoderFault, ...] = ()
+    """Encoders that fail, in order: each acts on what those before it left of the readings."""
+    rate_cutoff: Positive | None = None
+    """[Hz] crank rates are differences over one tick through a low pass of first order with this corner; null: bare."""
+    max_speed: Positive = 60.0
+    """[rad/s] a reading that has moved faster than this is rejected."""
+    max_step: Annotated[PositivePair, LENGTH] = (0.2, 0.05)
+    """[rad, m] a pose further than this from the last one, at first from the start, is rejected: Newton has found
+    another assembly mode."""
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 10
+    """Ticks in a row for which the last good pose stands in for one that is not believed, before the run ends."""
+
+    @cached_property
+    def quantum(self) -> float:
+        """[rad] of one count; 0 for none."""
+        return 2.0 * math.pi / 2.0**self.resolution_bits if self.resolution_bits else 0.0
+
+    @property
+    def reading_noise(self) -> float:
+        """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
+        return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
+
+    @property
+    def reading_size(self) -> int:
+        """See `SensorOptions`."""
+        return 6
+
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """See `SensorOptions`."""
+        if not self.faults:
+            return (encoder_part(self),)
+        true = encoder_part(self)._replace(says={"reading": "true_reading"})
+        return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
+
+    def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
+        """What the encoders say, while none fails.
+
+        Args:
+            crank_angles: (..., 6) [rad] true.
+            tick: Whose noise it has; None for none.
+
+        Returns:
+            (..., 6) [rad].
+        """
+        result = np.array(crank_angles, dtype=float)
+        drawn = np.zeros(6) if tick is None else self.drawn(tick)
+        for angles in result.reshape(-1, 6):
+            read(self._setup, angles, drawn, angles)
+        return result
+
+    def drawn(self, tick: int) -> np.ndarray:
+        """Standard normal numbers (6,) of the noise of a tick."""
+        return tick_normal(self.noise_seed, _STREAM, tick, 6)
+
+    @cached_property
+    def _setup(self) -> np.ndarray:
+        return new_record(ENCODERS, offset=self.offset, noise=self.noise, quantum=self.quantum)
+
+
+ENCODERS = fields(offset=6, noise=(), quantum=())
+"""[rad] each."""
+ENCODER_STATE = fields(reading=6, ticks=())
+"""[rad], and ticks done, of which each has its own noise."""
+
+
+@njit
+def read(setups: Any, angles: Any, drawn: Any, reading: Any) -> None:
+    """Readings of encoders: the true angle with an offset and noise, rounded to whole counts.
+
+    Args:
+        setups: `ENCODERS` record.
+        angles: (6,) [rad] true; more may follow.
+        drawn: (6,) standard normal numbers.
+        reading: (6,) [rad] out.
+    """
+    setup = record(setups)
+    for k in range(6):
+        angle = angles[k] + setup.offset[k] + setup.noise * drawn[k]
+        reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
+
+
+@njit
+def _read_tick(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
+    state = record(states)
+    read(setups, crank_state, drawn, state.reading)
+    state.ticks += 1.0
+
+
+def encoder_part(options: EncoderOptions) -> Part:
+    """Encoders, while none fails: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
+    setup, noisy, nothing = options._setup, options.noise > 0.0, np.zeros(6)
+
+    def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
+        drawn = options.drawn(int(state["ticks"][0])) if noisy else nothing
+        _read_tick(setup, crank_state, drawn, state)
+
+    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(ENCODER_STATE), tick)
+
+
+def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
+    """A sensor that may fail: its true `reading` (n,) and the `time` (1,) [s] -> what it says, `reading` (n,).
+
+    Args:
+        faults: Those of the scenario, in order: each acts on what those before it have made of the reading.
+        size: Numbers in a reading.
+        period: [s] of the ticks.
+    """
+    late = [fault.ticks_late(period) for fault in faults]
+    # good: for each channel the last reading before it froze or began to count backwards. before: the true readings of
+    # now and of the ticks before, newest first.
+    kind = fields(reading=size, good=size, before=(1 + max(late, default=0), size), ticks=())
+
+    def tick(reading: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+        good, before, now = state["good"][0], state["before"][0], reading.copy()
+        if state["ticks"][0] == 0.0:
+            # A sensor that fails from the start repeats what was there at the start.
+            good[:] = before[:] = reading
+        before[1:] = before[:-1].copy()
+        before[0] = reading
+        kept = np.zeros(size, dtype=bool)
+        for fault, ago in zip(faults, late, strict=True):
+            if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, before[ago])):
+                kept[fault.channels] |= fault.kinds[fault.kind].keeps
+        good[~kept] = reading[~kept]
+        state["reading"][0] = now
+        state["ticks"] += 1.0
+
+    inputs = {"reading": size, "time": 1}
+    return Part("faulty_sensor", inputs, ("reading",), new_record(kind), tick)

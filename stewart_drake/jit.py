@@ -1,0 +1,120 @@
+"""numba's decorator with one cache that is fresh for all sources, and structured records.
+
+Laws are compiled functions of one robot or one part. What they take and fill are records: structured arrays of one
+entry, all of it float64. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for a debugger.
+
+A record does not keep its array alive where it is compiled. So scratch memory is made by one law and handed as an array
+to an inner one, which takes its record: never `record(np.empty(1, KIND))`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_PREFIX = "compiled-"
+_PACKAGE = Path(__file__).parent
+_CONFIG: Any = numba.config
+
+
+def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
+    """Type of a record of named numbers, all float64.
+
+    Args:
+        shapes: Name -> size of a vector, or shape of an array; () for a single number.
+    """
+    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
+
+
+def new_record(kind: np.dtype, **values: Any) -> np.ndarray:
+    """A structured array (1,) with named values; what is not given is zero.
+
+    Raises:
+        ValueError: A name that the record does not have, or a value of another shape.
+    """
+    made = np.zeros(1, dtype=kind)
+    for name, value in values.items():
+        made[name][0] = value
+    return made
+
+
+if _CONFIG.DISABLE_JIT:
+
+    def record(array: Any) -> Any:
+        """The record of a structured array (1,), with its fields as attributes; a view."""
+        return array.view(np.recarray)[0]
+else:
+
+    @numba.njit(inline="always")
+    def record(array: Any) -> Any:
+        """The record of a structured array (1,), with its fields as attributes; a view.
+
+        A compiled record does not keep its array alive. Of an array that is made in the same function take it inside
+        the loop that uses it, or hand the array to another function and take it there.
+        """
+        return array[0]
+
+
+def njit(function: _F) -> _F:
+    """Compiles a law: `numba.njit` with numpy's rules for a division by zero, without Python's lock, and with a cache.
+
+    numba looks at a function's own file alone, not at those of what it calls. So machine code is kept in a folder for
+    each state of all sources that compile anything; where there is no place for a cache, there is none.
+    """
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+    if _FOLDER is None:
+        return numba.njit(**options)(function)
+    before = _CONFIG.CACHE_DIR
+    try:
+        # Where files go is settled as the decorator runs; other people's functions keep their own place.
+        _CONFIG.CACHE_DIR = str(_FOLDER)
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # the place is gone again
+        return numba.njit(**options)(function)
+    finally:
+        _CONFIG.CACHE_DIR = before
+
+
+def source_digest() -> str:
+    """sha256 of all sources of the package that compile anything, and of the versions that compile them."""
+    content = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        source = file.read_bytes()
+        if b"stewart_drake.jit import" in source:
+            content.update(source)
+    return content.hexdigest()
+
+
+def _folder(name: str) -> Path | None:
+    """Where machine code of these sources is kept; None where nothing can be."""
+    own = _PACKAGE / "__pycache__"
+    # Somebody's own choice comes first; an installation that is not ours to write to has its place at home.
+    places = [Path(_CONFIG.CACHE_DIR)] if _CONFIG.CACHE_DIR else []
+    places += [own, Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stewart-drake"]
+    for place in places:
+        folder = place.absolute() / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except (OSError, RuntimeError):  # RuntimeError: nobody's home
+            continue
+        if place == own:
+            for other in own.glob(f"{_PREFIX}*"):
+                if other.name != name:
+                    shutil.rmtree(other, ignore_errors=True)
+        return folder
+    return None
+
+
+_FOLDER = None if _CONFIG.DISABLE_JIT else _folder(_PREFIX + source_digest()[:16])

@@ -1,0 +1,256 @@
+"""Exact rigid-body dynamics of the closed chain in six task coordinates, compiled, for one robot at one pose.
+
+Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
+Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
+`dynamics` has the same for arrays of poses, with checks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.jit import njit
+from stewart_drake.mechanics.kinematics_laws import angular_velocity, cross, dot, euler_drift, euler_rates, turned
+from stewart_drake.mechanics.linear_algebra import solve
+
+
+@njit
+def task_inertia(robot: Any, legs: Any, out: Any) -> None:
+    """M (6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
+    turn = legs.rotation
+    out[:] = 0.0
+    for j in range(3):
+        for k in range(3):
+            for m in range(3):
+                for n in range(3):
+                    out[j, k] += turn[j, m] * robot.platform_tensor[m, n] * turn[k, n]
+        out[3 + j, 3 + j] = robot.platform_mass
+    moment = np.empty(3)
+    turned(turn, robot.platform_moment, moment)
+    x, y, z = moment[0], moment[1], moment[2]
+    out[0, 4], out[0, 5], out[1, 3], out[1, 5], out[2, 3], out[2, 4] = -z, y, z, -x, -y, x
+    # A rod is three things to its two ends: m/4 of their sum, and I/l^2 of their difference across the rod. Written out
+    # with the joint's Jacobian [-[arm] I] and the tip's a e_N J_i, all terms are dyads of few vectors.
+    joint, tip, row = np.zeros((3, 6)), np.empty((3, 6)), np.empty(6)
+    for k in range(3):
+        joint[k, 3 + k] = 1.0
+    for i in range(6):
+        across = robot.rod_inertia / (robot.rod_length[i] * robot.rod_length[i])
+        both, apart = 0.25 * robot.rod_mass + across, 0.25 * robot.rod_mass - across
+        x, y, z = legs.arm[i, 0], legs.arm[i, 1], legs.arm[i, 2]
+        joint[0, 1], joint[0, 2] = z, -y
+        joint[1, 0], joint[1, 2] = -z, x
+        joint[2, 0], joint[2, 1] = y, -x
+        for j in range(6):
+            row[j] = legs.line[i, j] / legs.lever[i]
+            for k in range(3):
+                tip[k, j] = robot.crank_length[i] * legs.e_n[i, k] * row[j]
+        # e_l . (joint - tip) J = 0: the rod keeps its length, so the difference has no part along it.
+        for j in range(6):
+            for k in range(j, 6):
+                value = robot.crank_inertia[i] * row[j] * row[k]
+                for m in range(3):
+                    value += both * (joint[m, j] * joint[m, k] + tip[m, j] * tip[m, k])
+                    value += apart * (joint[m, j] * tip[m, k] + tip[m, j] * joint[m, k])
+                out[j, k] += value
+    for j in range(6):
+        for k in range(j):
+            out[j, k] = out[k, j]
+
+
+@njit
+def loads(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any, torque: Any) -> None:
+    """What a motion takes of all bodies: at the platform, and at each crank.
+
+    Args:
+        robot: `ROBOT` record.
+        legs: `LEGS` record at the pose.
+        twist: (6,) [rad/s, m/s].
+        twist_rate: (6,) [rad/s^2, m/s^2].
+        gravity: [m/s^2] along -z of B.
+        wrench: (6,) [N m, N] out, about P in B.
+        torque: (6,) [N m] out.
+    """
+    turn, w, alpha = legs.rotation, twist[:3], twist_rate[:3]
+    _platform_load(robot, turn, twist, twist_rate, gravity, wrench)
+    arm_w, joint, speed, tip, arm_alpha, swing = (
+        np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3),
+    )  # fmt: skip
+    load, other, moment = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(6):
+        a, length, lever = robot.crank_length[i], robot.rod_length[i], legs.lever[i]
+        across = robot.rod_inertia / (length * length)
+        cross(w, legs.arm[i], arm_w)
+        cross(alpha, legs.arm[i], arm_alpha)
+        cross(w, arm_w, swing)
+        for k in range(3):
+            speed[k] = twist[3 + k] + arm_w[k]
+            joint[k] = twist_rate[3 + k] + arm_alpha[k] + swing[k]
+        rate = dot(legs.e_l[i], speed) / lever
+        centripetal = a * rate * rate
+        acceleration = 0.0
+        for k in range(3):
+            relative = speed[k] - a * legs.e_n[i, k] * rate
+            acceleration += legs.e_l[i, k] * (joint[k] + centripetal * legs.crank[i, k]) + relative * relative / length
+        acceleration /= lever
+        along = 0.0
+        for k in range(3):
+            tip[k] = a * legs.e_n[i, k] * acceleration - centripetal * legs.crank[i, k]
+            along += legs.e_l[i, k] * (joint[k] - tip[k])
+        own = robot.crank_inertia[i] * acceleration + 0.5 * a * robot.crank_mass * gravity * legs.e_n[i, 2]
+        for k in range(3):
+            half = 0.25 * robot.rod_mass * (joint[k] + tip[k])
+            if k == 2:
+                half += 0.5 * robot.rod_mass * gravity
+            couple = across * (joint[k] - tip[k] - along * legs.e_l[i, k])
+            load[k], other[k] = half + couple, half - couple
+            own += a * legs.e_n[i, k] * other[k]
+            wrench[3 + k] += load[k]
+        cross(legs.arm[i], load, moment)
+        for k in range(3):
+            wrench[k] += moment[k]
+        torque[i] = own
+
+
+@njit
+def _platform_load(robot: Any, turn: Any, twist: Any, twist_rate: Any, gravity: float, wrench: Any) -> None:
+    """Of the platform alone: I alpha + w x I w about P in its own frame, then what its centre of mass adds in B."""
+    body_w, body_alpha, spin, load, gyro = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.empty(3)
+    for k in range(3):
+        for m in range(3):
+            body_w[k] += turn[m, k] * twist[m]
+            body_alpha[k] += turn[m, k] * twist_rate[m]
+    turned(robot.platform_tensor, body_w, spin)
+    turned(robot.platform_tensor, body_alpha, load)
+    cross(body_w, spin, gyro)
+    for k in range(3):
+        load[k] += gyro[k]
+    turned(turn, load, wrench[:3])
+    centre, lifted, moment, swing = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    turned(turn, robot.platform_moment, centre)
+    for k in range(3):
+        lifted[k] = twist_rate[3 + k] + (gravity if k == 2 else 0.0)
+    cross(centre, lifted, moment)
+    cross(twist[:3], centre, gyro)
+    cross(twist[:3], gyro, swing)
+    cross(twist_rate[:3], centre, gyro)
+    for k in range(3):
+        wrench[k] += moment[k]
+        wrench[3 + k] = robot.platform_mass * lifted[k] + gyro[k] + swing[k]
+
+
+@njit
+def inverse_dynamics(robot: Any, legs: Any, twist: Any, twist_rate: Any, gravity: float, torque: Any) -> bool:
+    """Motor torques (6,) [N m] of a motion, all bodies included; False at a parallel singularity.
+
+    Args: As of `loads`.
+    """
+    wrench, matrix = np.empty((6, 1)), np.empty((6, 6))
+    loads(robot, legs, twist, twist_rate, gravity, wrench[:, 0], torque)
+    for i in range(6):
+        for k in range(6):
+            matrix[k, i] = legs.line[i, k]
+    if solve(matrix, wrench) == 0.0:
+        return False
+    for i in range(6):
+        torque[i] += legs.lever[i] * wrench[i, 0]
+    return True
+
+
+@njit
+def twists_of_motion(pose: Any, rate: Any, acceleration: Any, twist: Any, twist_rate: Any) -> None:
+    """Twist and its rate (6,) of a pose, its rate and its acceleration (6,) in Euler angles."""
+    drift = np.empty(3)
+    angular_velocity(pose[:3], rate[:3], twist[:3])
+    angular_velocity(pose[:3], acceleration[:3], twist_rate[:3])
+    euler_drift(pose[:3], rate[:3], drift)
+    for k in range(3):
+        twist[3 + k], twist_rate[3 + k] = rate[3 + k], acceleration[3 + k]
+        twist_rate[k] += drift[k]
+
+
+@njit
+def motion_torque(robot: Any, legs: Any, motion: Any, acceleration: Any, gravity: float, torque: Any) -> bool:
+    """`inverse_dynamics` of pose and rate (12,) and acceleration (6,) in Euler angles."""
+    twist, twist_rate = np.empty(6), np.empty(6)
+    twists_of_motion(motion[:6], motion[6:], acceleration, twist, twist_rate)
+    return inverse_dynamics(robot, legs, twist, twist_rate, gravity, torque)
+
+
+@njit
+def static_torque(robot: Any, legs: Any, gravity: float, torque: Any) -> bool:
+    """Motor torques (6,) [N m] that hold all bodies at rest; False at a parallel singularity."""
+    still = np.zeros(6)
+    return inverse_dynamics(robot, legs, still, still, gravity, torque)
+
+
+@njit
+def task_bias(robot: Any, legs: Any, twist: Any, gravity: float, out: Any) -> None:
+    """H (6,) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates, of a twist (6,)."""
+    own = np.empty(6)
+    loads(robot, legs, twist, np.zeros(6), gravity, out, own)
+    for i in range(6):
+        for k in range(6):
+            out[k] += legs.line[i, k] / legs.lever[i] * own[i]
+
+
+@njit
+def forward_dynamics(
+    robot: Any, legs: Any, pose: Any, rate: Any, torque: Any, crank_acceleration: Any, gravity: float, out: Any
+) -> bool:
+    """Acceleration of the pose (6,) [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
+
+    Args:
+        robot: `ROBOT` record.
+        legs: `LEGS` record at the pose.
+        pose: (6,) [rad, m]; pitch off +-pi/2.
+        rate: (6,) [rad/s, m/s] Euler rates and velocity.
+        torque: (6,) [N m].
+        crank_acceleration: (6,) [rad/s^2] of the cranks, on top of what the torques do; of an observer.
+        gravity: [m/s^2].
+        out: (6,).
+
+    Returns:
+        False at a singularity.
+    """
+    twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
+    angular_velocity(pose[:3], rate[:3], twist[:3])
+    twist[3:] = rate[3:]
+    task_bias(robot, legs, twist, gravity, bias)
+    task_inertia(robot, legs, inertia)
+    for k in range(6):
+        solution[k, 0] = -bias[k]
+        for i in range(6):
+            solution[k, 0] += legs.line[i, k] / legs.lever[i] * torque[i]
+    if solve(inertia, solution) == 0.0:
+        return False
+    lines, more, drift = legs.line.copy(), np.empty((6, 1)), np.empty(3)
+    for i in range(6):
+        more[i, 0] = legs.lever[i] * crank_acceleration[i]
+    if solve(lines, more) == 0.0:
+        return False
+    euler_drift(pose[:3], rate[:3], drift)
+    for k in range(6):
+        out[k] = solution[k, 0] + more[k, 0] - (drift[k] if k < 3 else 0.0)
+    euler_rates(pose[:3], out[:3])
+    return True
+
+
+@njit
+def pose_acceleration_map(robot: Any, legs: Any, pose: Any, out: Any) -> bool:
+    """E^-1 M^-1 J' (6, 6): second derivative of the pose per unit of motor torque; False at a singularity.
+
+    The exact counterpart of M^-1 tau in (10); [rad/s^2/(N m), m/s^2/(N m)].
+    """
+    inertia = np.empty((6, 6))
+    task_inertia(robot, legs, inertia)
+    for i in range(6):
+        for k in range(6):
+            out[k, i] = legs.line[i, k] / legs.lever[i]
+    if solve(inertia, out) == 0.0:
+        return False
+    for i in range(6):
+        euler_rates(pose[:3], out[:3, i])
+    return True

@@ -1,0 +1,310 @@
+"""Kinematics of the closed chain, (1)-(6), compiled, for one robot at one pose.
+
+Poses are [roll, pitch, yaw, X, Y, Z] of P in B; a twist is [w, v], angular velocity of P and velocity of its origin in
+B. Functions fill their last argument. `kinematics` has the same for arrays of poses, with checks.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
+from stewart_drake.robot import RobotParameters
+
+OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7)
+"""How a law ended; its caller raises the error of that name, see `control.inputs.failure`."""
+
+ROBOT = fields(
+    shaft=(6, 3), joint=(6, 3), crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,
+    crank_inertia=6, effort_limit=6, rod_mass=(), rod_inertia=(), crank_mass=(), length=(),
+    platform_mass=(), platform_moment=3, platform_tensor=(3, 3), platform_inertia=3,
+)  # fmt: skip
+"""Numbers of a robot. shaft: P_i in B [m]. joint: p_i in P [m]. crank_x, crank_y: where a crank points at theta 0 and
+at 90 deg, in B. crank_inertia: of crank and rotor about the motor's axis [kg m^2]. rod_inertia: across the rod
+[kg m^2]. length: characteristic length [m]. platform_moment: mass times centre of mass in P [kg m]. platform_tensor:
+about the origin of P [kg m^2]; platform_inertia: the three moments about the centre of mass, for the paper's model."""
+
+LEGS = fields(
+    rotation=(3, 3), arm=(6, 3), crank=(6, 3), e_n=(6, 3), e_l=(6, 3), line=(6, 6), lever=6, transmission=6,
+    cosine=6, sine=6, reach=6,
+)  # fmt: skip
+"""What `legs_at` tells of a pose, vectors in B. rotation: R_BP. arm: R p_i [m]. crank: along the cranks. e_n: where
+crank tips move for growing theta. e_l: along the rods, from crank to platform. line: [(R p_i) x e_l, e_l], rows of
+(14) transposed. lever: torque of a motor over force in its rod [m]. transmission: e_l . e_N. cosine, sine: of theta.
+reach: 1 - |C| / sqrt(A^2 + B^2), negative where a rod cannot span."""
+
+
+@lru_cache(maxsize=1024)
+def robot_record(robot: RobotParameters) -> np.ndarray:
+    """The numbers of a robot, a `ROBOT` record; not to be written to."""
+    made = new_record(
+        ROBOT,
+        shaft=robot.shaft_positions,
+        joint=robot.platform_joints,
+        crank_x=robot.crank_zero_directions,
+        crank_y=robot.crank_quarter_directions,
+        crank_length=robot.crank_lengths,
+        rod_length=robot.rod_lengths,
+        branch=robot.branches,
+        crank_inertia=robot.crank_axis_inertias,
+        effort_limit=robot.effort_limits,
+        rod_mass=robot.rod_mass,
+        rod_inertia=robot.rod_inertia[0],
+        crank_mass=robot.crank_mass,
+        length=robot.characteristic_length,
+        platform_mass=robot.platform_mass,
+        platform_moment=robot.platform_moment,
+        platform_tensor=robot.platform_inertia_about_origin,
+        platform_inertia=robot.platform_inertia,
+    )
+    made.flags.writeable = False
+    return made
+
+
+def with_payload(robot: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
+    """A `ROBOT` record with a point mass [kg] at a place (3,) [m] in P as a part of the platform."""
+    made = robot.copy()
+    made["platform_mass"] += mass
+    made["platform_moment"] += mass * place
+    made["platform_tensor"] += mass * ((place @ place) * np.eye(3) - np.outer(place, place))
+    return made
+
+
+@njit
+def rotation(rpy: Any, out: Any) -> None:
+    """R_BP (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of rpy (3,) [rad]; the inverse of (3).
+
+    Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
+    """
+    sr, sp, sy = np.sin(rpy[0]), np.sin(rpy[1]), np.sin(rpy[2])
+    cr, cp, cy = np.cos(rpy[0]), np.cos(rpy[1]), np.cos(rpy[2])
+    out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
+
+
+@njit
+def roll_pitch_yaw(matrix: Any, out: Any) -> None:
+    """Roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); pitch in [-pi/2, pi/2]."""
+    out[0] = np.arctan2(matrix[2, 1], matrix[2, 2])
+    out[1] = np.arcsin(min(1.0, max(-1.0, -matrix[2, 0])))
+    out[2] = np.arctan2(matrix[1, 0], matrix[0, 0])
+
+
+@njit
+def angular_velocity(rpy: Any, rate: Any, out: Any) -> None:
+    """W (3,) = E(rpy) rate [rad/s] in B, of Euler rates (3,)."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    out[0], out[1], out[2] = cy * cp * rate[0] - sy * rate[1], sy * cp * rate[0] + cy * rate[1], rate[2] - sp * rate[0]
+
+
+@njit
+def euler_rates(rpy: Any, omega: Any) -> None:
+    """Turns an angular velocity in B (3,) into Euler rates, in place; pitch off +-pi/2."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    roll = (cy * omega[0] + sy * omega[1]) / cp
+    pitch = cy * omega[1] - sy * omega[0]
+    omega[0], omega[1], omega[2] = roll, pitch, omega[2] + sp * roll
+
+
+@njit
+def euler_drift(rpy: Any, rate: Any, out: Any) -> None:
+    """What Euler rates (3,) that do not change add to the angular acceleration: out (3,) = dE/dt rate [rad/s^2]."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    roll, pitch, yaw = rate[0], rate[1], rate[2]
+    out[0] = (-sy * cp * yaw - cy * sp * pitch) * roll - cy * yaw * pitch
+    out[1] = (cy * cp * yaw - sy * sp * pitch) * roll - sy * yaw * pitch
+    out[2] = -cp * pitch * roll
+
+
+@njit
+def euler_moment(rpy: Any, moment: Any) -> None:
+    """Turns a moment in B (3,), which acts on angular velocity, into one that acts on Euler rates, in place."""
+    sp, cp, sy, cy = np.sin(rpy[1]), np.cos(rpy[1]), np.sin(rpy[2]), np.cos(rpy[2])
+    x, y, z = moment[0], moment[1], moment[2]
+    moment[0], moment[1] = cp * (cy * x + sy * y) - sp * z, cy * y - sy * x
+
+
+@njit
+def twist_of(pose: Any, rate: Any, out: Any) -> None:
+    """Twist [w, v] (6,) of P in B from a pose and its rate (6,)."""
+    angular_velocity(pose[:3], rate[:3], out[:3])
+    out[3:6] = rate[3:6]
+
+
+@njit
+def rate_of(pose: Any, twist: Any, out: Any) -> None:
+    """Rate of a pose (6,) from the twist; the inverse of `twist_of`."""
+    out[:] = twist
+    euler_rates(pose[:3], out[:3])
+
+
+@njit
+def dot(a: Any, b: Any) -> float:
+    """Scalar product of vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit
+def cross(a: Any, b: Any, out: Any) -> None:
+    """Vector product of vectors (3,)."""
+    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit
+def turned(matrix: Any, vector: Any, out: Any) -> None:
+    """Matrix (3, 3) times vector (3,)."""
+    for k in range(3):
+        out[k] = matrix[k, 0] * vector[0] + matrix[k, 1] * vector[1] + matrix[k, 2] * vector[2]
+
+
+@njit
+def legs_at(robot: Any, pose: Any, legs: Any) -> int:
+    """Directions of cranks and rods at a pose, closed form of (1)-(6), Fig. 1.
+
+    Deviation: (5) rotates G as well, a misplaced bracket; (6) gives one branch in degrees without A, B, C. Here
+    theta_i = atan2(B, A) + branch acos(C / sqrt(A^2 + B^2)), whose cosine and sine need no angle.
+
+    Args:
+        robot: `ROBOT` record.
+        pose: (6,) [rad, m].
+        legs: `LEGS` record, out; where the result is not -1 only `rotation`, `arm` and `reach` mean something.
+
+    Returns:
+        -1, or the leg whose reach is the least where it is negative or not a number.
+    """
+    rotation(pose[:3], legs.rotation)
+    span = np.empty(3)
+    worst, leg = 0.0, -1
+    for i in range(6):
+        a, rod, x, y = robot.crank_length[i], robot.rod_length[i], robot.crank_x[i], robot.crank_y[i]
+        turned(legs.rotation, robot.joint[i], legs.arm[i])
+        for k in range(3):
+            span[k] = legs.arm[i, k] + pose[3 + k] - robot.shaft[i, k]
+        along, up, constant = 2.0 * a * dot(span, x), 2.0 * a * dot(span, y), dot(span, span) + a * a - rod * rod
+        size = np.sqrt(along * along + up * up)
+        ratio = constant / size if size > 0.0 else np.inf
+        legs.reach[i] = 1.0 - abs(ratio)
+        if not legs.reach[i] >= worst:
+            worst, leg = legs.reach[i], i
+        height = robot.branch[i] * np.sqrt(max(0.0, (1.0 - ratio) * (1.0 + ratio)))
+        c, s = (along * ratio - up * height) / size, (up * ratio + along * height) / size
+        legs.cosine[i], legs.sine[i] = c, s
+        for k in range(3):
+            legs.crank[i, k] = c * x[k] + s * y[k]
+            legs.e_n[i, k] = c * y[k] - s * x[k]
+            legs.e_l[i, k] = (span[k] - a * legs.crank[i, k]) / rod
+        legs.transmission[i] = dot(legs.e_l[i], legs.e_n[i])
+        legs.lever[i] = a * legs.transmission[i]
+        cross(legs.arm[i], legs.e_l[i], legs.line[i, :3])
+        legs.line[i, 3:] = legs.e_l[i]
+    return leg
+
+
+@njit
+def crank_rates(legs: Any, twist: Any, out: Any) -> None:
+    """Rates of the cranks (6,) [rad/s] from a twist (6,); infinite or NaN at a dead centre."""
+    for i in range(6):
+        out[i] = (dot(legs.line[i, :3], twist[:3]) + dot(legs.line[i, 3:], twist[3:])) / legs.lever[i]
+
+
+@njit
+def crank_jacobian(legs: Any, out: Any) -> None:
+    """J (6, 6) = d(theta)/d(twist) [-, rad/m]; infinite at a dead centre."""
+    for i in range(6):
+        for k in range(6):
+            out[i, k] = legs.line[i, k] / legs.lever[i]
+
+
+@njit
+def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
+    """sigma_min / sigma_max of the rods' lines (14), rotations over the characteristic length [-].
+
+    Zero at a parallel singularity; it says nothing about dead centres, see `LEGS.transmission`. `tolerance` is that of
+    `linear_algebra.singular_vectors`.
+    """
+    scaled, s, v = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    for i in range(6):
+        for k in range(3):
+            scaled[i, k] = legs.line[i, k] / robot.length
+            scaled[i, 3 + k] = legs.line[i, 3 + k]
+    singular_vectors(scaled, s, v, tolerance)
+    return s.min() / s.max()
+
+
+@njit
+def usable_legs(robot: Any, min_transmission: float, min_conditioning: float, pose: Any, legs: Any) -> Any:
+    """`legs_at`, and whether a controller may act there.
+
+    Returns:
+        OK, UNREACHABLE, SERIAL (a crank near its dead centre) or PARALLEL; the leg or -1; the margin that is too
+        small, or where all is well the conditioning.
+    """
+    bad = legs_at(robot, pose, legs)
+    if bad >= 0:
+        return UNREACHABLE, bad, legs.reach[bad]
+    worst, leg = np.inf, 0
+    for i in range(6):
+        if not abs(legs.transmission[i]) >= worst:
+            worst, leg = abs(legs.transmission[i]), i
+    if worst < min_transmission:
+        return SERIAL, leg, worst
+    ratio = conditioning(robot, legs)
+    if not ratio >= min_conditioning:
+        return PARALLEL, -1, ratio
+    return OK, -1, ratio
+
+
+@njit
+def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iterations: int) -> Any:
+    """Pose from crank angles by Newton's method on the six rod lengths.
+
+    Args:
+        robot: `ROBOT` record.
+        theta: (6,) [rad].
+        pose: (6,) [rad, m] guess; becomes the pose.
+        tolerance: [m] largest error of a rod's length that is accepted.
+        iterations: Newton steps at most.
+
+    Returns:
+        Largest error of a rod's length that is left [m], and the steps taken; an error not below the tolerance (or
+        NaN) means no convergence.
+    """
+    turn, tips, arm, rod = np.empty((3, 3)), np.empty((6, 3)), np.empty(3), np.empty(3)
+    for i in range(6):
+        c, s = robot.crank_length[i] * np.cos(theta[i]), robot.crank_length[i] * np.sin(theta[i])
+        for k in range(3):
+            tips[i, k] = robot.shaft[i, k] + c * robot.crank_x[i, k] + s * robot.crank_y[i, k]
+    rows, residual, moment = np.empty((6, 6)), np.empty((6, 1)), np.empty(3)
+    error, iteration = np.inf, 0
+    while True:
+        rotation(pose[:3], turn)
+        error = 0.0
+        for i in range(6):
+            turned(turn, robot.joint[i], arm)
+            for k in range(3):
+                rod[k] = arm[k] + pose[3 + k] - tips[i, k]
+            size = np.sqrt(dot(rod, rod))
+            residual[i, 0] = size - robot.rod_length[i]
+            if not abs(residual[i, 0]) <= error:
+                error = abs(residual[i, 0])
+            for k in range(3):
+                rod[k] /= size
+            cross(arm, rod, moment)
+            euler_moment(pose[:3], moment)
+            rows[i, :3], rows[i, 3:] = moment, rod
+        if error <= tolerance or iteration == iterations or not error < np.inf:
+            return error, iteration
+        if solve(rows, residual) == 0.0:
+            return np.inf, iteration
+        # A full step from a poor guess can tumble the platform; half a radian and 0.2 m keep it in one piece.
+        scale = 1.0
+        for k in range(6):
+            scale = max(scale, abs(residual[k, 0]) / (0.5 if k < 3 else 0.2))
+        for k in range(6):
+            pose[k] -= residual[k, 0] / scale
+        iteration += 1

@@ -1,0 +1,110 @@
+"""Solves and singular values of 6 x 6 matrices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stewart_drake.jit import njit
+
+SWEEPS = 30
+"""Jacobi sweeps at most; six do."""
+
+
+@njit
+def solve(matrix: Any, right: Any) -> float:
+    """Gaussian elimination with partial pivoting, in place.
+
+    Args:
+        matrix: (n, n); destroyed.
+        right: (n, k); becomes the solution.
+
+    Returns:
+        Sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then worthless.
+    """
+    n, k = right.shape
+    sign = 1.0
+    for i in range(n):
+        best, row = -1.0, i
+        for j in range(i, n):
+            size = abs(matrix[j, i])
+            if size > best:
+                best, row = size, j
+        if not (best > 0.0 and best < np.inf):
+            return 0.0
+        if row != i:
+            sign = -sign
+            for j in range(i, n):
+                matrix[i, j], matrix[row, j] = matrix[row, j], matrix[i, j]
+            for j in range(k):
+                right[i, j], right[row, j] = right[row, j], right[i, j]
+        if matrix[i, i] < 0.0:
+            sign = -sign
+        inverse = 1.0 / matrix[i, i]
+        for j in range(i + 1, n):
+            factor = matrix[j, i] * inverse
+            if factor != 0.0:
+                for m in range(i + 1, n):
+                    matrix[j, m] -= factor * matrix[i, m]
+                for m in range(k):
+                    right[j, m] -= factor * right[i, m]
+    for i in range(n - 1, -1, -1):
+        for m in range(k):
+            value = right[i, m]
+            for j in range(i + 1, n):
+                value -= matrix[i, j] * right[j, m]
+            right[i, m] = value / matrix[i, i]
+    return sign
+
+
+@njit
+def singular_vectors(matrix: Any, s: Any, v: Any, tolerance: float) -> None:
+    """Singular values by one-sided Jacobi rotations (Hestenes), in place.
+
+    Small singular values keep their relative accuracy. Not sorted.
+
+    Args:
+        matrix: (n, n), rows are the vectors that are rotated; row i becomes s_i times the left vector u_i.
+        s: (n,) out.
+        v: (n, n) out; row i is the right vector: matrix' = sum of s_i u_i v_i', for the transposed matrix given.
+        tolerance: Cosine between rows at which they count as orthogonal. It is the relative error of singular values
+            that are equal; of others the error is its square.
+    """
+    n = matrix.shape[0]
+    for i in range(n):
+        for j in range(n):
+            v[i, j] = 1.0 if i == j else 0.0
+    for _ in range(SWEEPS):
+        turned = False
+        for i in range(n - 1):
+            for j in range(i + 1, n):
+                aa, bb, ab = 0.0, 0.0, 0.0
+                for m in range(n):
+                    x, y = matrix[i, m], matrix[j, m]
+                    aa += x * x
+                    bb += y * y
+                    ab += x * y
+                if ab * ab <= tolerance * tolerance * aa * bb:
+                    continue
+                turned = True
+                zeta = (bb - aa) / (2.0 * ab)
+                t = 1.0 / (abs(zeta) + np.sqrt(1.0 + zeta * zeta))
+                if zeta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                sine = c * t
+                for m in range(n):
+                    x, y = matrix[i, m], matrix[j, m]
+                    matrix[i, m] = c * x - sine * y
+                    matrix[j, m] = sine * x + c * y
+                    x, y = v[i, m], v[j, m]
+                    v[i, m] = c * x - sine * y
+                    v[j, m] = sine * x + c * y
+        if not turned:
+            break
+    for i in range(n):
+        size = 0.0
+        for m in range(n):
+            size += matrix[i, m] * matrix[i, m]
+        s[i] = np.sqrt(size)

@@ -1,0 +1,164 @@
+"""The type of which a run is made: a part of the loop, with named inputs and outputs, a state, and a law.
+
+A run is an ordered list of parts. Drake's Diagram connects them by name, each in a LeafSystem; the fast engine calls
+them in order, each on the fields of the others' states; `Controller` does so without a plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.errors import RunFailure, failure_code
+from stewart_drake.robot import RobotParameters
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+WELL = (0.0, -1.0)
+"""The health of a part whose last tick did not fail: no cause, no leg."""
+
+
+class Part(NamedTuple):
+    """A part of the loop.
+
+    An input is the signal of its name that was said last: in the same instant by a part before it in the list, or at
+    the tick before by a part after it, or by a late one.
+
+    Attributes:
+        name: In the Diagram and in messages.
+        inputs: Port -> size. The port `time` (1,) [s] is given by who runs the part.
+        outputs: Fields of its state that are signals; they come first in the state, in this order.
+        initial: State before the first tick: a record (1,) of float64 fields, see `jit.fields`.
+        tick: Takes the inputs, arrays (size,), in their order, and then the state, which it changes in place. Raises
+            RunFailure; the state is then worthless.
+        reads: Port -> name of the signal, where that is not the port's own; or an array that stays, for a port that
+            this loop has no signal for.
+        says: Output -> name of the signal, where that is not its own.
+        every_step: Whether it ticks at every step of the plant, not only at the ticks of the controller.
+        late: Whether it ticks once all others have, so that what it says acts from the next tick on.
+    """
+
+    name: str
+    inputs: Mapping[str, int]
+    outputs: tuple[str, ...]
+    initial: np.ndarray
+    tick: Callable[..., None]
+    reads: Mapping[str, str | np.ndarray] = NOTHING
+    says: Mapping[str, str] = NOTHING
+    every_step: bool = False
+    late: bool = False
+
+    def source(self, port: str) -> str | np.ndarray:
+        """Name of the signal at an input port, or the array that stands there."""
+        return self.reads.get(port, port)
+
+    def signal(self, output: str) -> str:
+        """Name of the signal that an output is."""
+        return self.says.get(output, output)
+
+    def size(self, field: str) -> int:
+        """Numbers in a field of its state."""
+        return int(np.prod(self.initial.dtype[field].shape, dtype=int))
+
+
+class SystemPart(NamedTuple):
+    """A user's own LeafSystem in the place of a part; it runs in a Diagram alone.
+
+    Attributes:
+        name: In the Diagram.
+        inputs: Ports -> size.
+        outputs: Ports, among them torque.
+        system: A pydrake System.
+        reads, says: As of `Part`.
+    """
+
+    name: str
+    inputs: Mapping[str, int]
+    outputs: tuple[str, ...]
+    system: Any
+    reads: Mapping[str, str | np.ndarray] = NOTHING
+    says: Mapping[str, str] = NOTHING
+    every_step: bool = False
+    late: bool = False
+
+    def source(self, port: str) -> str | np.ndarray:
+        """See `Part`."""
+        return self.reads.get(port, port)
+
+    def signal(self, output: str) -> str:
+        """See `Part`."""
+        return self.says.get(output, output)
+
+
+AnyPart = Part | SystemPart
+
+
+class Setup(NamedTuple):
+    """What the parts of a scenario's kinds are made for: robot, clock and neighbours.
+
+    The sections of sensors, estimators, controllers and tuners have a method `parts(setup)`.
+
+    Attributes:
+        robot: As the controller believes it to be.
+        gravity: [m/s^2].
+        period: [s] of the ticks.
+        time_step: [s] of the plant.
+        pose: (6,) [rad, m] at the start.
+        pose_rate: (6,) [rad/s, m/s] likewise.
+        still: (6,) [N m] at the motors until the first command arrives.
+        delay: [ticks] of the commands.
+        ahead: [ticks] by which the controller sees state and reference ahead of time.
+        latency: [s] from a reading to its torque, as believed.
+        sensors: Options of the sensors.
+        reading: Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate.
+        noise: [rad] of a reading, as an observer believes it.
+        friction: [N m] largest break-away torque that the motors are believed to have.
+        weights: Of the tuner at the start.
+        levels: What the tuner makes of the disturbance that an observer expects: shares at the start, and the least.
+        disturbance: [rad/s^2 per sqrt(s)] that an observer expects; 0 without one.
+        guarded: Whether a tick that fails does not end the run.
+        split: Whether an LQI takes the compiled split solution whatever its options say.
+    """
+
+    robot: RobotParameters
+    gravity: float
+    period: float
+    time_step: float
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    still: np.ndarray
+    delay: int
+    ahead: int
+    latency: float
+    sensors: Any
+    reading: int
+    noise: float
+    friction: float
+    weights: tuple[float, ...]
+    levels: tuple[float, float]
+    disturbance: float
+    guarded: bool
+    split: bool
+
+
+def guarded(part: Part) -> Part:
+    """A part whose failing ticks do not end the run: it repeats its last state, and its output `health` says why.
+
+    Health (2,): the cause as `errors.FAILURES` counts it, 0 for none; the leg or -1. The part's state has a field of
+    that name.
+    """
+    before = part.initial.copy()
+
+    def tick(*arguments: Any) -> None:
+        state = arguments[-1]
+        np.copyto(before, state)
+        try:
+            part.tick(*arguments)
+            state["health"] = WELL
+        except RunFailure as error:
+            np.copyto(state, before)
+            state["health"] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
+
+    return part._replace(outputs=(*part.outputs, "health"), tick=tick)

@@ -1,0 +1,251 @@
+"""The other parts of the loop as LeafSystems, to wire by hand; each is a part in the shell of `PartSystem`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.systems.framework import InputPort, OutputPort
+
+from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
+from stewart_drake.control.joint_pid import PidOptions, pid_part
+from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.hardware.command_link import LinkOptions, link_part
+from stewart_drake.hardware.estimator import difference_part
+from stewart_drake.hardware.friction_feedforward import FrictionCompensation, friction_part
+from stewart_drake.hardware.motors import MotorOptions, motor_part
+from stewart_drake.hardware.observer import ObserverOptions, observer_part
+from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
+from stewart_drake.robot import RobotParameters
+from stewart_drake.safety import SafetyOptions, safety_part
+from stewart_drake.systems.part_system import PartSystem
+
+
+class AnnTuner(PartSystem):
+    """omega_Q and omega_R from the densities, Fig. 5.
+
+    `stewart_drake.AnnTuner` is the section of a scenario that asks for it. The weights found at a tick act from the
+    next one on: the densities of a tick need its torque, which needs the weights. Until the first inference they are
+    `initial`; they are never zero and never outside the range that the network was trained on.
+
+    Args:
+        network: Trained.
+        period: [s] tick period.
+        initial: omega_Q, omega_R before the first inference.
+
+    Raises:
+        ConfigurationError: `initial` is not two finite numbers.
+
+    Ports:
+        density: in (12,) [-].
+        weights: out (2,), omega_Q, omega_R.
+    """
+
+    density: InputPort
+    weights: OutputPort
+
+    def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
+        super().__init__(network_part(network, initial), period)
+
+
+class JointPid(PartSystem):
+    """PID in the space of the cranks, see `joint_pid`; ports as of `LqiController`, without weights."""
+
+    measurement: InputPort
+    reference: InputPort
+    torque: OutputPort
+
+    def __init__(self, robot: RobotParameters, options: PidOptions, gravity: float) -> None:
+        super().__init__(pid_part(options, robot, gravity), options.period)
+
+
+class ComputedTorque(PartSystem):
+    """Computed torque in the space of the platform, see `computed_torque`; ports as of `LqiController`, no weights."""
+
+    measurement: InputPort
+    reference: InputPort
+    torque: OutputPort
+    error: OutputPort
+    integral: OutputPort
+
+    def __init__(self, robot: RobotParameters, options: ComputedTorqueOptions, gravity: float) -> None:
+        super().__init__(computed_torque_part(options, robot, gravity), options.period)
+
+
+class MotorEncoders(PartSystem):
+    """Crank angles as the encoders read them.
+
+    Args:
+        options: See `EncoderOptions`; its faults are another part.
+        period: [s] tick period; the noise is one number a tick.
+
+    Ports:
+        crank_state: in (12,), angles [rad] and rates [rad/s], see `TaskSpaceSensor`.
+        reading: out (6,) [rad], from the horizontal.
+    """
+
+    crank_state: InputPort
+    reading: OutputPort
+
+    def __init__(self, options: EncoderOptions, period: float) -> None:
+        super().__init__(encoder_part(options), period)
+
+
+class PoseEstimator(PartSystem):
+    """Forward kinematics of the encoder readings, and their differences; answers within the tick.
+
+    Args:
+        robot: As the controller believes it to be.
+        options: See `EncoderOptions`.
+        period: [s] tick period.
+        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
+        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start; None for rest.
+
+    Ports:
+        reading: in (6,) [rad].
+        measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] (Euler rates).
+    """
+
+    reading: InputPort
+    measurement: OutputPort
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        options: EncoderOptions,
+        period: float,
+        pose: np.ndarray,
+        pose_rate: np.ndarray | None = None,
+    ) -> None:
+        rate = np.zeros(6) if pose_rate is None else pose_rate
+        super().__init__(difference_part(robot, options, period, pose, rate), period)
+
+
+class PlatformObserver(PartSystem):
+    """State of the platform from readings and the commands that were sent, see `hardware.observer`.
+
+    Args: As of `observer.observer_part`; then as keywords command_delay, friction and size.
+
+    Ports:
+        reading: in (6,) crank angles [rad], or (12,) pose [rad, m] and its rate.
+        sent: in (6,) [N m], the command of the tick before less what friction takes of it.
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        disturbance: in (1,) [rad/s^2 per sqrt(s)] to expect, see `ObserverOptions`.
+        measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] now.
+        ahead: out (12,), likewise when the command of this tick acts.
+        compensation: out (6,) [N m], against what the model does not explain.
+        innovation: out (6,) [rad], readings less what was expected.
+    """
+
+    reading: InputPort
+    sent: InputPort
+    reference: InputPort
+    disturbance: InputPort
+    measurement: OutputPort
+    ahead: OutputPort
+    compensation: OutputPort
+    innovation: OutputPort
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        options: ObserverOptions,
+        gravity: float,
+        period: float,
+        noise: float,
+        pose: np.ndarray,
+        pose_rate: np.ndarray,
+        still: np.ndarray,
+        **more: float,
+    ) -> None:
+        made = observer_part(robot, options, gravity, period, noise, pose, pose_rate, still, **more)  # type: ignore[arg-type]
+        super().__init__(made, period)
+
+
+class FrictionFeedforward(PartSystem):
+    """Torque against the motors' friction along the reference.
+
+    Ports:
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        against_friction: out (6,) [N m].
+    """
+
+    reference: InputPort
+    against_friction: OutputPort
+
+    def __init__(self, robot: RobotParameters, options: FrictionCompensation, period: float) -> None:
+        super().__init__(friction_part(robot, options), period)
+
+
+class CommandLink(PartSystem):
+    """Passes a controller's commands on, or loses, delays and spoils them; at every step of the plant.
+
+    Args:
+        options: See `LinkOptions`.
+        time_step: [s] of the plant.
+        steps_per_tick: Steps of the plant in a control period.
+        initial: (6,) [N m] command before the first one arrives.
+
+    Ports:
+        torque: in (6,) [N m]; the port out of that name is `torque_out`.
+        age: out (1,) [ticks] of the command in force; 0 where it is that of the present tick.
+    """
+
+    age: OutputPort
+
+    def __init__(self, options: LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
+        super().__init__(link_part(options, steps_per_tick, initial), time_step)
+
+
+class MotorDrive(PartSystem):
+    """Torque of imperfect motors for the torque asked for, see `MotorOptions`; at every step of the plant.
+
+    Ports:
+        torque: in (6,) [N m], asked for; the port out of that name is `torque_out`.
+        crank_state: in (12,), angles [rad] and rates [rad/s], see `TaskSpaceSensor`.
+    """
+
+    crank_state: InputPort
+
+    def __init__(self, options: MotorOptions, time_step: float) -> None:
+        super().__init__(motor_part(options), time_step)
+
+
+class SafetyLayer(PartSystem):
+    """Watches commands and measurements, and passes on what may go to the motors; answers within the tick.
+
+    Any controller with a torque port runs behind it. A port for which there is no signal may be left alone, and takes
+    its array of `safety.NOT_THERE`.
+
+    Args: As of `safety.safety_part`.
+
+    Ports:
+        command: in (6,) [N m], the controller's.
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        age: in (1,) [ticks] of the command.
+        sensor_health, controller_health: in (2,), what was wrong in the last tick and where, see `part.guarded`.
+        angles: in (6,) [rad], readings of the encoders.
+        innovation: in (6,) [rad], of an observer.
+        pose_reading: in (12,), what a sensor of the pose says, where an observer stands behind it.
+        torque: out (6,) [N m], for the motors.
+        safety: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
+    """
+
+    command: InputPort
+    measurement: InputPort
+    reference: InputPort
+    torque: OutputPort
+    safety: OutputPort
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        options: SafetyOptions,
+        gravity: float,
+        period: float,
+        initial: np.ndarray,
+        quantum: float = 0.0,
+        innovation_scale: tuple[float, float] = (0.0, 1.0),
+    ) -> None:
+        super().__init__(safety_part(robot, options, gravity, period, initial, quantum, innovation_scale), period)

@@ -1,0 +1,102 @@
+"""Leading axes, chunks for threads, records in place of robots, and which pose of many is named."""
+
+import itertools
+import multiprocessing
+
+import numpy as np
+import pytest
+from strategies import ROBOT
+
+from stewart_drake.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake.mechanics import batch, dynamics, kinematics
+from stewart_drake.mechanics.kinematics_laws import robot_record, with_payload
+
+SIZE = [0.2, 0.2, 0.2, 0.03, 0.03, 0.01]
+
+
+def some_poses(*shape, seed=0):
+    return ROBOT.home_pose + np.random.default_rng(seed).uniform(-1.0, 1.0, (*shape, 6)) * SIZE
+
+
+@pytest.mark.parametrize(
+    "function",
+    [kinematics.inverse_kinematics, kinematics.twist_jacobian, kinematics.conditioning, dynamics.static_torque],
+)
+def test_leading_axes_stay_and_values_are_those_of_each_pose_alone(function):
+    pose = some_poses(2, 3)
+    found = function(ROBOT, pose)
+    for at in itertools.product(range(2), range(3)):
+        np.testing.assert_array_equal(found[at], function(ROBOT, pose[at]))
+    np.testing.assert_array_equal(found[:, 1], function(ROBOT, pose[:, 1]))
+    assert function(ROBOT, pose[:0]).shape == (0, *found.shape[1:])
+
+
+def test_poses_rates_and_accelerations_broadcast():
+    pose, rate, acceleration = some_poses(2, 1), np.random.default_rng(1).normal(size=(3, 6)), np.ones(6)
+    found = dynamics.inverse_dynamics(ROBOT, pose, rate, acceleration)
+    assert found.shape == (2, 3, 6)
+    np.testing.assert_array_equal(found[1, 2], dynamics.inverse_dynamics(ROBOT, pose[1, 0], rate[2], acceleration))
+    with pytest.raises(ConfigurationError, match="pose_rate"):
+        dynamics.inverse_dynamics(ROBOT, pose, rate[:, :5], acceleration)
+
+
+def test_chunks_of_threads_give_what_one_loop_gives(monkeypatch):
+    pose, rate = some_poses(50), some_poses(50, seed=2)
+    alone = dynamics.forward_dynamics(ROBOT, pose, rate, rate)
+    monkeypatch.setattr(batch, "CHUNK", 7)
+    monkeypatch.setattr(batch.os, "cpu_count", lambda: 4)
+    np.testing.assert_array_equal(dynamics.forward_dynamics(ROBOT, pose, rate, rate), alone)
+
+
+def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
+    monkeypatch.setattr(batch, "CHUNK", 5)
+    pose = some_poses(40)
+    pose[3, 5], pose[33, 5] = 0.5, 0.6
+    with pytest.raises(UnreachablePoseError) as caught:
+        dynamics.static_torque(ROBOT, pose)
+    np.testing.assert_array_equal(caught.value.pose, pose[33])
+    margins = kinematics.reach_margin(ROBOT, pose[33])
+    assert (caught.value.leg, caught.value.margin) == (margins.argmin(), margins.min())
+
+
+def _in_a_fork(pose):
+    return kinematics.inverse_kinematics(ROBOT, pose)
+
+
+def test_threads_run_again_in_a_forked_process(monkeypatch):
+    monkeypatch.setattr(batch, "CHUNK", 5)
+    pose = some_poses(40)
+    here = kinematics.inverse_kinematics(ROBOT, pose)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        np.testing.assert_array_equal(pool.apply_async(_in_a_fork, (pose,)).get(timeout=60.0), here)
+
+
+def test_a_record_stands_for_a_robot():
+    pose, rate, acceleration = some_poses(5), 0.3 * np.ones(6), np.ones(6)
+    motion = pose, rate, acceleration
+    longer = robot_record(ROBOT).copy()
+    longer["rod_length"] = 0.41
+    expected = dynamics.inverse_dynamics(ROBOT.replace(rod_length=0.41), *motion)
+    np.testing.assert_array_equal(dynamics.inverse_dynamics(longer, *motion), expected)
+    # A point that moves with the platform adds its own weight and inertia.
+    mass, place = 0.4, np.array([0.02, -0.03, 0.05])
+    loaded = dynamics.task_inertia(with_payload(robot_record(ROBOT), mass, place), pose[0])
+    twist = np.array([0.3, -0.2, 0.5, 0.1, 0.2, -0.4])
+    speed = twist[3:] + np.cross(twist[:3], kinematics.rotation_matrix(pose[0, :3]) @ place)
+    added = twist @ (loaded - dynamics.task_inertia(ROBOT, pose[0])) @ twist
+    assert added == pytest.approx(mass * speed @ speed, rel=1e-12)
+
+
+def test_lines_without_rank_have_no_torque_and_no_conditioning():
+    point = robot_record(ROBOT).copy()
+    point["joint"] = 0.0  # all rods meet in one point: none can turn the platform
+    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.25])
+    with pytest.raises(np.linalg.LinAlgError):
+        dynamics.static_torque(point, pose)
+    assert kinematics.conditioning(point, pose) == 0.0
+
+
+def test_conditioning_is_that_of_lapack_also_where_singular_values_are_equal():
+    pose = np.concatenate([some_poses(20), ROBOT.home_pose + np.outer([0.0, 0.02, -0.02], np.eye(6)[5])])
+    lapack = kinematics.line_conditioning(ROBOT, kinematics.leg_geometry(ROBOT, pose))
+    np.testing.assert_allclose(kinematics.conditioning(ROBOT, pose), lapack, rtol=1e-12)
