@@ -41,10 +41,9 @@ HOMES = {
         leg_geometry line_conditioning pose_jacobian pose_rate_to_twist reach_margin rod_lines roll_pitch_yaw
         rotation_angle rotation_matrix twist_jacobian twist_to_pose_rate""",
     "stewart_drake.mechanics.dynamics": """
-        euler_acceleration forward_dynamics inverse_dynamics pose_acceleration_map static_torque static_torque_of_legs
-        task_bias task_inertia""",
+        forward_dynamics inverse_dynamics pose_acceleration_map static_torque task_bias task_inertia""",
     "stewart_drake.mechanics.force_map": "crank_map force_map force_map_of_legs rod_map",
-    "stewart_drake.mechanics.friction": "at_rest friction_law implicit_torque moved torque",
+    "stewart_drake.mechanics.friction": "drag_anchors friction_law implicit_torque",
     "stewart_drake.planning.feasibility": "amplitude_table largest_scale",
     "stewart_drake.planning.workspace": "measure_poses",
 }
@@ -176,11 +175,10 @@ def mechanics():
             ("twist_jacobian", robot, pose),
             ("pose_jacobian", robot, pose),
             ("static_torque", robot, pose),
-            ("static_torque_of_legs", robot, legs, 3.7),
+            ("static_torque", robot, pose, 3.7),
             ("task_bias", robot, pose, twist),
             ("pose_acceleration_map", robot, pose),
             ("forward_dynamics", robot, pose, rate, torque),
-            ("euler_acceleration", pose, rate, acceleration),
         )
         own |= {
             f"{at}_{function}": perform(lambda call, *given: named(call)(*given), function, *given)
@@ -193,11 +191,16 @@ def mechanics():
 
 def friction(angles, rate, mobility):
     """Friction of motors at the end of a step."""
-    law = named("friction_law")(0.02, 0.03, 0.01, 0.005, np.linspace(2e-4, 3e-4, 6), 1e-3)
-    bristles = named("moved")(law, named("at_rest")(angles), angles + 0.01 * rate, 1e-3)
-    explicit = named("torque")(law, bristles, angles + 0.01 * rate, rate)
-    implicit = named("implicit_torque")(law, bristles, angles, rate, mobility, 1e-3)
-    return {"anchor": bristles.anchor, "torque": explicit, "implicit_torque": implicit}
+    law = named("friction_law")(0.02, 0.03, 0.01, 0.005, np.linspace(2e-4, 3e-4, 6), 1e-3)[0]
+    found = {"anchor": angles.copy(), "implicit_torque": np.empty_like(angles)}
+    for row in np.ndindex(angles.shape[:-1]):
+        bristles = np.zeros(1, [("anchor", float, 6), ("slip", float, 6)])
+        bristles["anchor"] = angles[row]
+        named("drag_anchors")(law, angles[row] + 0.01 * rate[row], 1e-3, bristles["anchor"][0], bristles["slip"][0])
+        torque = found["implicit_torque"][row]
+        named("implicit_torque")(law, bristles[0], angles[row], rate[row], mobility[row], 1e-3, 30, torque)
+        found["anchor"][row] = bristles["anchor"][0]
+    return found
 
 
 def planning():
