@@ -1,10 +1,11 @@
 """Draws docs/images/plan.png, the rooms of the package, from the code and the contract in pyproject.toml: `make plan`.
 
 A row is a layer of the contract; a room imports only from rows below its own. An arrow is an import that no chain of
-other arrows implies.
+other arrows implies. What the picture shows is kept in its file as text, so that a test can see whether it is current.
 """
 
 import ast
+import json
 import textwrap
 import tomllib
 from pathlib import Path
@@ -51,34 +52,41 @@ def arrows(rooms: list[str]) -> set[tuple[str, str]]:
     }
 
 
-def text_of(room: str) -> tuple[str, str]:
-    """Name and size of a room, and the first line of its docstring."""
+def subject_of(room: str) -> str:
+    """First line of a room's docstring."""
     place = ROOT.joinpath(*room.split("."))
-    files = [place.with_suffix(".py")] if place.with_suffix(".py").is_file() else sorted(place.rglob("*.py"))
-    doc = ast.get_docstring(ast.parse(files[0].read_text())) or ""
-    lines = sum(len(file.read_text().splitlines()) for file in files)
-    return f"{room.split('.')[1]}  ({lines:,} lines)", textwrap.fill(doc.splitlines()[0], 44)
+    file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    return (ast.get_docstring(ast.parse(file.read_text())) or "").splitlines()[0]
+
+
+def plan() -> dict[str, list]:
+    """What the picture shows: rows of [room, subject], and arrows."""
+    rows = layers()
+    return {
+        "rows": [[[room, subject_of(room)] for room in row] for row in rows],
+        "arrows": sorted(map(list, arrows([room for row in rows for room in row]))),
+    }
 
 
 def main() -> None:
     """Draws the picture."""
-    rows = layers()
+    shown = plan()
+    rows = shown["rows"]
     widest = max(map(len, rows))
     places = {}
     figure, axes = plt.subplots(figsize=(13, 1.0 * len(rows)), layout="constrained")
     for level, row in enumerate(rows):
-        for index, room in enumerate(row):
+        for index, (room, subject) in enumerate(row):
             x = (index + 0.5 - len(row) / 2) * (WIDTH + GAP)
             places[room] = (x, -level)
-            name, doc = text_of(room)
             axes.add_patch(
                 FancyBboxPatch(
                     (x - WIDTH / 2, -level - HEIGHT / 2), WIDTH, HEIGHT, "round,pad=0.02", fc="#eef3f8", ec="#446"
                 )
             )
-            axes.text(x, -level + 0.14, name, ha="center", va="center", fontsize=9, weight="bold")
-            axes.text(x, -level - 0.12, doc, ha="center", va="center", fontsize=6.3)
-    for above, below in sorted(arrows(list(places))):
+            axes.text(x, -level + 0.14, room.split(".")[1], ha="center", va="center", fontsize=9, weight="bold")
+            axes.text(x, -level - 0.12, textwrap.fill(subject, 38), ha="center", va="center", fontsize=6.3)
+    for above, below in shown["arrows"]:
         (x0, y0), (x1, y1) = places[above], places[below]
         start, end = (x0, y0 - HEIGHT / 2), (x1, y1 + HEIGHT / 2)
         bend = 0.0 if y0 - y1 < 1.5 else 0.15
@@ -97,7 +105,7 @@ def main() -> None:
     reach = widest * (WIDTH + GAP) / 2
     axes.set(xlim=(-reach, reach), ylim=(-len(rows) + 0.4, 0.6))
     axes.axis("off")
-    figure.savefig(ROOT / "docs" / "images" / "plan.png", dpi=130)
+    figure.savefig(ROOT / "docs" / "images" / "plan.png", dpi=130, metadata={"Description": json.dumps(shown)})
 
 
 if __name__ == "__main__":
