@@ -169,7 +169,7 @@ def page(rows):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--python", default=sys.executable, help="that runs the tests")
+    parser.add_argument("--python", type=os.path.abspath, default=sys.executable, help="that runs the tests")
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=19)
     parser.add_argument("--only", type=int, action="append", help="defects of these numbers")

@@ -1,7 +1,9 @@
 """Code that a file names runs only once the user has said so, and is known again by its digest."""
 
+import importlib.util
 import json
 import pickle
+import py_compile
 import sys
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from stewart_drake.campaigns.one_run import simulate_figures
 from stewart_drake.campaigns.plan import run_plan
 from stewart_drake.campaigns.sweep_file import Sweep, load_sweep
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_path import CodePath
 from stewart_drake.files.code_trust import _keep, code_rule, store, trusting_code
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
@@ -167,6 +170,18 @@ def test_nothing_is_imported_to_read_check_or_digest_it(call, tmp_path, monkeypa
     # What its import would run counts, too.
     code.files[0].write_text("raise AssertionError('another')\n")
     assert one_line(*call("run", "s.yaml"), "has changed")
+
+
+def test_bytecode_of_other_code_does_not_run(tmp_path, monkeypatch):
+    (tmp_path / "other.py").write_text(PARTS)
+    code = importlib.util.cache_from_source(tmp_path / "pushing.py")
+    py_compile.compile(tmp_path / "other.py", code, invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+    (tmp_path / "pushing.py").write_text("class Push:\n    size = 2\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with trusting_code():
+        found = CodePath.named("pushing:Push").load("disturbances")
+    assert found.size == 2
+    assert not (tmp_path / "it was run").exists()
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.machinery import PathFinder
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Annotated, Any, Self
 
 from pydantic import GetJsonSchemaHandler
@@ -35,6 +36,29 @@ _FILES = "stewart_drake_user"
 """Name of the package that holds modules made from a user's files; it is not on disk."""
 _IMPORTED: dict[str, str | None] = {}
 """Module -> digest of its code when it was loaded: Python imports it once."""
+
+
+class _Source(SourceFileLoader):
+    """Runs a module's source: bytecode that lies beside it may be of other code."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
+class _FromSource(MetaPathFinder):
+    """Finds the modules of one package, to be run from their sources."""
+
+    def __init__(self, package: str) -> None:
+        self.package = package
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        if fullname.partition(".")[0] != self.package:
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        if spec is not None and isinstance(spec.loader, SourceFileLoader):
+            spec.loader = _Source(fullname, spec.loader.path)
+        return spec
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,7 +182,12 @@ class CodePath(os.PathLike[str]):
     def _imported(self, key: str) -> ModuleType:
         if not _digest(self.files) == self.digest == _IMPORTED.setdefault(self._place, self.digest):
             raise self.refusal(key)
-        return importlib.import_module(self._place)
+        finder = _FromSource(self._place.partition(".")[0])
+        sys.meta_path.insert(0, finder)
+        try:
+            return importlib.import_module(self._place)
+        finally:
+            sys.meta_path.remove(finder)
 
     def __fspath__(self) -> str:
         return self.text
