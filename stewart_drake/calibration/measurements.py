@@ -19,7 +19,7 @@ from stewart_drake.robot.leg import LEGS
 from stewart_drake.section import Positive, Section
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
-_FARTHEST = 100.0
+_FARTHEST = 1e6
 """[m] beyond which no tracker is."""
 QUANTITIES = (
     *((name, "rad") for name in ("roll", "pitch", "yaw")),
@@ -73,8 +73,8 @@ class Measurements:
         # A stroke of pi covers what roll, pitch and yaw can be; an encoder may have been homed a turn away.
         most = np.array([math.pi, math.pi / 2.0, math.pi] + [_FARTHEST] * 3 + [4.0 * math.pi] * LEGS)
         allowed = (
-            f"metres within +-{_FARTHEST:g}, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings "
-            "within +-4 pi; millimetres go by _mm, degrees by _deg"
+            "metres, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; "
+            "millimetres go by _mm, degrees by _deg"
         )
         self._refuse(np.abs(table) > most * (1.0 + 1e-9), table, allowed)
         for columns, what in ((slice(0, 12), "row"), (slice(0, 6), "pose")):
