@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware.faults import Signal
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import task_inertia
@@ -195,7 +196,7 @@ def motors_undone(options, torque, time):
     for fault in reversed(options.faults):
         rows = time >= fault.time - 1e-9
         wrong = given[rows].T.copy()
-        fault.spoil(fault.time, wrong)
+        fault.spoil(Signal(wrong, fault.time))
         given[rows] = wrong.T
     return given
 

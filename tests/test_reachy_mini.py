@@ -124,7 +124,9 @@ def test_after_any_command_the_next_good_one_works_and_each_bad_one_is_refused_b
         weight_length=ROBOT.characteristic_length, saturation="clamp",
     )  # fmt: skip
     weights = np.array([4e5, 30.0, 4e7, 1.0])
-    still, held, watch = np.zeros(6), static_torque(ROBOT, HOME, STANDARD_GRAVITY), SafetyOptions()
+    # The pose that is measured here never changes, however the reference jumps.
+    watch = SafetyOptions(frozen_pose=None)
+    still, held = np.zeros(6), static_torque(ROBOT, HOME, STANDARD_GRAVITY)
     controller = lqi_part(options, ROBOT, STANDARD_GRAVITY, 4)
     layer = safety_part(ROBOT, watch, STANDARD_GRAVITY, options.period, held)
     measured, memory, guarded = np.concatenate([HOME, still]), controller.initial.copy(), layer.initial.copy()
