@@ -49,11 +49,7 @@ class Results:
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
-    """Makes a folder, and sure that it can be written to; `named` is what the user called it, for messages.
-
-    Raises:
-        ConfigurationError: The path is a file, or the folder cannot be made or written to.
-    """
+    """Makes a folder, and sure that it can be written to; `named` is what the user called it, for messages."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -67,11 +63,7 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 
 
 def prepare_file(path: Path) -> None:
-    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made.
-
-    Raises:
-        ConfigurationError: As `prepare_folder`; the path is a folder, or its name too long.
-    """
+    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
     try:
         if path.is_dir():
             raise ConfigurationError("--out", str(path), "a file, not a folder")
@@ -90,10 +82,6 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
         scenario: Whose results.
         out: What the user says; what a link points to is meant.
         force: Replace the results of another scenario.
-
-    Raises:
-        ConfigurationError: It is a file or the current folder; it holds other things than results, or, without
-            `force`, the results of another scenario.
     """
     if out is None:
         names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
