@@ -1,4 +1,4 @@
-"""The table of metrics: what each is called, its unit, what it says and how it is computed. A line here is a metric.
+"""The table of metrics: name, unit, text, and the function of the rows of a run that computes it.
 
 `metrics.json`, the terminal and the tables of sweeps, comparisons and faults draw from it.
 """
@@ -6,24 +6,26 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.families import UserMade
 from stewart_drake.files.code_path import source_of
 from stewart_drake.files.whole import NOT_FINITE
+from stewart_drake.logs.rows import RunRows
 from stewart_drake.wording import keys_of
 
 if TYPE_CHECKING:
-    from stewart_drake.logs.tally import Tally
     from stewart_drake.scenario import Scenario
 
 ValueKind = Literal["number", "whole", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
+_TURNED, _MOVED = "roll, pitch, yaw error", "position error"
 _TYPES: dict[ValueKind, tuple[type, ...]] = {
     "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
 }  # fmt: skip
@@ -60,66 +62,42 @@ class Metric:
         name: Key of metrics.json, and column of tables; it means the same everywhere.
         unit: Of its numbers, separated by commas where they differ.
         text: What it says; which part of the run it is of follows from `over`.
-        of: Computes it from the sums over a run, a `Tally`; called only where there is something to compute it from.
-        over: Which rows it is of, a count of the tally; without any it is None.
+        of: Computes it from the rows of a run, see `rows.RunRows`; called only where there are such rows.
+        over: Which rows it is of, a count of theirs; without any it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
         kind: Of its values.
-        gather: For what the tally does not sum up itself: called with what it gave for the rows so far (at first None)
-            and the next rows, named as in a log; the last is `tally.gathered[name]`.
     """
 
     name: str
     unit: str
     text: str
-    of: Callable[[Tally], Any]
+    of: Callable[[RunRows], Any]
     over: Over = "late_ticks"
     parts: tuple[str, ...] = ()
     label: str = ""
     form: str = ".4g"
     kind: ValueKind = "number"
-    gather: Callable[[Any, Mapping[str, np.ndarray]], Any] | None = None
 
-    def value(self, tally: Tally) -> Any:
-        """The metric of a run in plain values, None where there is nothing to compute it from.
-
-        Raises:
-            MetricError: `of` raises, or returns something else than `kind` and `parts` say.
-        """
-        with self._named():
-            return self._plain(self.of(tally)) if getattr(tally, self.over) else None
-
-    def _plain(self, found: Any) -> Any:
-        if isinstance(found, (np.ndarray, np.generic)):
-            found = found.tolist()
-        if found is None:
+    def value(self, rows: RunRows) -> Any:
+        """The metric of a run in plain values, None where there is nothing to compute it from."""
+        if not getattr(rows, self.over):
             return None
-        allowed = _TYPES[self.kind]
-        if self.parts:
-            fits = isinstance(found, (list, tuple)) and len(found) == len(self.parts)
-            fits = fits and all(each is None or type(each) in allowed for each in found)
-        else:
-            fits = type(found) in allowed
-        if not fits:
-            count = f"{len(self.parts)} values of kind " if self.parts else "a value of kind "
-            raise MetricError(f"metric {self.name}: `of` returned {reprlib.repr(found)}, not {count}{self.kind}")
-        return found
-
-    def gathered(self, before: Any, signals: Mapping[str, np.ndarray]) -> Any:
-        """What `gather` makes of the next rows; None without one."""
-        with self._named():
-            return None if self.gather is None else self.gather(before, signals)
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Says of what is raised whose it is."""
         try:
-            yield
-        except MetricError:
-            raise
+            found = self.of(rows)
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
+        found = found.tolist() if isinstance(found, (np.ndarray, np.generic)) else found
+        if found is None:
+            return None
+        fits = not self.parts or (isinstance(found, (list, tuple)) and len(found) == len(self.parts))
+        each = found if self.parts and fits else [found]
+        if not fits or any(value is not None and type(value) not in _TYPES[self.kind] for value in each):
+            count = f"{len(self.parts)} values" if self.parts else "a value"
+            said = f"`of` returned {reprlib.repr(found)}, not {count} of kind {self.kind}"
+            raise MetricError(f"metric {self.name}: {said}")
+        return found
 
     def columns(self) -> tuple[Column, ...]:
         """Its columns in a table."""
@@ -142,67 +120,62 @@ class Metric:
         return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
 
 
-_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
+def _axes(form: str) -> tuple[str, ...]:
+    """Columns of three numbers, by axis."""
+    return tuple(form.format(axis) for axis in (_LENGTHS if "mm" in form else _ANGLES))
 
 
-def _each(form: str, axes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(form.format(axis) for axis in axes)
+def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
+    """A function of the two weights (n, 2) at the ticks; None where a run has none."""
+    return lambda t: float(function(t["weights"][t.tick])) if "weights" in t.signals else None
 
 
-def _torque_change(tally: Tally) -> float | None:
-    squares, count = tally.torque_change
-    return float(np.sqrt(squares / count)) if count else None
-
-
-def _mean_weight(index: int) -> Callable[[Tally], float | None]:
-    return lambda tally: None if tally.weights is None else float(tally.weights[index] / tally.ticks)
-
-
-def _pair(
-    name: str,
-    text: str,
-    of: Callable[[Tally], Any],
-    over: Over = "late_ticks",
-    what: Sequence[str] = ("roll, pitch, yaw error", "position error"),
-    labels: Sequence[str] = ("", ""),
-    each: bool = False,
-) -> list[Metric]:
-    """Two metrics, NAME_deg and NAME_mm, of what `of` gives in rad and in m: (2,), or (6,) with `each` axis a column.
-
-    `text` has a place for `what` the two are of.
-    """
-    made = []
-    for place, (unit, factor, axes) in enumerate((("deg", 180.0 / np.pi, _ANGLES), ("mm", 1e3, _LENGTHS))):
-
-        def value(tally: Tally, place: int = place, factor: float = factor) -> float | list[float]:
-            sizes = factor * np.reshape(of(tally), (2, -1))[place]
-            return sizes.tolist() if each else float(sizes[0])
-
-        parts = _each(f"{name}_{{}}_{unit}", axes) if each else ()
-        made.append(Metric(f"{name}_{unit}", unit, text.format(what[place]), value, over, parts, labels[place]))
-    return made
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 METRICS: list[Metric] = [
-    *_pair(
-        "rmse", "root mean square error", lambda t: t.late_rms, each=True,
-        labels=("RMSE roll pitch yaw, second half", "RMSE X Y Z, second half"),
+    Metric(
+        "rmse_deg", "deg", "root mean square error", lambda t: np.degrees(t.late_rms[:3]),
+        parts=_axes("rmse_{}_deg"), label="RMSE roll pitch yaw, second half",
     ),
-    *_pair(
-        "peak", "largest error", lambda t: t.late_peaks, "late_steps", each=True,
-        labels=("peak roll pitch yaw, second half", "peak X Y Z, second half"),
+    Metric(
+        "rmse_mm", "mm", "root mean square error", lambda t: 1e3 * t.late_rms[3:],
+        parts=_axes("rmse_{}_mm"), label="RMSE X Y Z, second half",
     ),
-    *_pair("rmse_norm", "RMS length of the {}", lambda t: t.late_rms_norms),
-    *_pair("worst_half_rmse_norm", "RMS length of the {}, the larger of both halves", lambda t: t.worst_half_rms),
+    Metric(
+        "peak_deg", "deg", "largest error", lambda t: np.degrees(t.late_peaks[:3]), "late_steps",
+        _axes("peak_{}_deg"), "peak roll pitch yaw, second half",
+    ),
+    Metric(
+        "peak_mm", "mm", "largest error", lambda t: 1e3 * t.late_peaks[3:], "late_steps",
+        _axes("peak_{}_mm"), "peak X Y Z, second half",
+    ),
+    Metric("rmse_norm_deg", "deg", f"RMS length of the {_TURNED}", lambda t: np.degrees(t.late_rms_norms[0])),
+    Metric("rmse_norm_mm", "mm", f"RMS length of the {_MOVED}", lambda t: 1e3 * t.late_rms_norms[1]),
+    Metric(
+        "worst_half_rmse_norm_deg", "deg", f"RMS length of the {_TURNED}, the larger of both halves",
+        lambda t: np.degrees(t.worst_half_rms[0]),
+    ),
+    Metric(
+        "worst_half_rmse_norm_mm", "mm", f"RMS length of the {_MOVED}, the larger of both halves",
+        lambda t: 1e3 * t.worst_half_rms[1],
+    ),
     Metric(
         "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
-        lambda t: float(1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0])),
+        lambda t: 1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0]),
     ),
-    *_pair("peak_norm", "largest length of the {}", lambda t: t.late_norms, "late_steps"),
-    *_pair(
-        "error_max", "largest {} from the reference while the controller was in charge, whole run",
-        lambda t: (t.largest["rotation"], t.largest["position"]), "steps", ("angle", "distance"),
-        ("largest angle from the reference", "largest distance from it"),
+    Metric(
+        "peak_norm_deg", "deg", f"largest length of the {_TURNED}", lambda t: np.degrees(t.late_norms[0]), "late_steps"
+    ),
+    Metric("peak_norm_mm", "mm", f"largest length of the {_MOVED}", lambda t: 1e3 * t.late_norms[1], "late_steps"),
+    Metric(
+        "error_max_deg", "deg", "largest angle from the reference while the controller was in charge, whole run",
+        lambda t: float(np.degrees(t.largest["rotation"])), "steps", label="largest angle from the reference",
+    ),
+    Metric(
+        "error_max_mm", "mm", "largest distance from the reference while the controller was in charge, whole run",
+        lambda t: 1e3 * t.largest["position"], "steps", label="largest distance from it",
     ),
     Metric(
         "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
@@ -214,36 +187,45 @@ METRICS: list[Metric] = [
     ),
     Metric(
         "torque_rms", "N m", "of all motors, within their limits, whole run",
-        lambda t: float(np.sqrt(t.torque_squares.sum() / (6 * t.ticks))), "ticks", label="torque RMS", form=".3f",
+        lambda t: _rms(t["torque_applied"][t.tick]), "ticks", label="torque RMS", form=".3f",
     ),
     Metric(
         "torque_rms_second_half", "N m", "of all motors, within their limits",
-        lambda t: float(np.sqrt(t.torque_squares[1] / (6 * t.late_ticks))),
+        lambda t: _rms(t["torque_applied"][t.late_tick]),
     ),
-    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", _torque_change),
+    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", lambda t: t.torque_change),
     Metric(
-        "torque_peak", "N m", "of all motors, within their limits, whole run", lambda t: t.torque_peak, "steps",
-        label="torque peak", form=".3f",
+        "torque_peak", "N m", "of all motors, within their limits, whole run",
+        lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
     ),
     Metric(
         "saturated_fraction", "1", "share of torques at the limit, of ticks and motors",
-        lambda t: t.at_limit / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+        lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
         "loop_gap_max_m", "m", "largest distance from a rod end to its platform joint",
         lambda t: t.largest["loop_gap"], "steps", label="largest loop gap", form=".2e",
     ),
-    Metric("omega_q", "1", "mean of omega_Q", _mean_weight(0), "ticks", label="omega_Q, mean", form=".3g"),
-    Metric("omega_r", "1", "mean of omega_R", _mean_weight(1), "ticks", label="omega_R, mean", form=".3g"),
+    Metric(
+        "omega_q", "1", "mean of omega_Q", _of_weights(lambda w: w[:, 0].mean()), "ticks",
+        label="omega_Q, mean", form=".3g",
+    ),
+    Metric(
+        "omega_r", "1", "mean of omega_R", _of_weights(lambda w: w[:, 1].mean()), "ticks",
+        label="omega_R, mean", form=".3g",
+    ),
     Metric(
         "omega_ratio", "1", "geometric mean of omega_Q / omega_R",
-        lambda t: None if t.weights is None else float(np.exp(t.log_ratio / t.ticks)), "ticks",
+        _of_weights(lambda w: np.exp(np.log(w[:, 0] / w[:, 1]).mean())), "ticks",
     ),
     Metric(
         "integral_at_5s", "rad s, m s", "integral state at 5 s", lambda t: t.integral, "ticks",
-        parts=_each("integral_{}_at_5s", _ANGLES + _LENGTHS), label="integral states at 5 s", form=".2g",
+        tuple(f"integral_{axis}_at_5s" for axis in (*_ANGLES, *_LENGTHS)), "integral states at 5 s", ".2g",
     ),
-    Metric("finite", "", "every number of the log is finite", lambda t: t.finite, "steps", kind="flag"),
+    Metric(
+        "finite", "", "every number of the log is finite",
+        lambda t: all(bool(np.isfinite(values).all()) for values in t.signals.values()), "steps", kind="flag",
+    ),
 ]  # fmt: skip
 """Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
 
@@ -287,11 +269,7 @@ def _check_names(metric: Metric, others: Sequence[Metric]) -> None:
 
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
-    """The metrics of runs of these scenarios: those of every run, and their own.
-
-    Raises:
-        ConfigurationError: One of their own cannot be loaded, or its name means something already.
-    """
+    """The metrics of runs of these scenarios: those of every run, and their own."""
     found = list(METRICS)
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in found:
@@ -300,9 +278,33 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
     return found
 
 
+class UserMetric(UserMade, key="metrics"):
+    """A `Metric` that a module or file of the user's has; in Python it may stand here itself."""
+
+    asked = "of(rows) returns plain values"
+
+    def rules(self) -> None:
+        """Refuses arguments."""
+        if self.arguments:
+            raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
+
+    def load(self) -> Metric:
+        """The metric."""
+        found = self.code.load(self.code_key)
+        if not isinstance(found, Metric):
+            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
+            raise ConfigurationError(self.code_key, self.code, allowed)
+        return found
+
+    @property
+    def made(self) -> Metric:
+        """The metric."""
+        return self.load()
+
+
 def added_code() -> dict[str, str]:
     """Name -> source of what each metric from outside is computed by: with another body it is another metric."""
-    return {each.name: f"{source_of(each.of)}{source_of(each.gather)}" for each in METRICS[_SHIPPED:]}
+    return {each.name: source_of(each.of) for each in METRICS[_SHIPPED:]}
 
 
 def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
@@ -311,11 +313,9 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
     known = metrics_of(*scenarios)
     for metric in known:
         value = metrics[metric.name]
-        row |= (
-            dict(zip(metric.parts, value or [None] * len(metric.parts), strict=True))
-            if metric.parts
-            else {metric.name: value}
-        )
+        parts = metric.parts or (metric.name,)
+        values = value or [None] * len(parts) if metric.parts else [value]
+        row |= dict(zip(parts, values, strict=True))
     named = {f"{metric.name}.{index}": part for metric in known for index, part in enumerate(metric.parts)}
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 

@@ -12,8 +12,7 @@ from stewart_drake.part import Part
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
 from stewart_drake.running import Running
-from stewart_drake.runs.engine import quiet, signals_of
-from stewart_drake.safety import first_trip
+from stewart_drake.runs.engine import Engine, quiet, signals_of
 from stewart_drake.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.scenario import Scenario
 
@@ -28,27 +27,19 @@ def _place(field: str) -> slice:
 
 
 _POSE, _CRANKS = _place("pose"), _place("angles")
-_ROWS = 2048
-"""Rows that there is place for at first."""
 
 
-class FastRun:
+class FastRun(Engine):
     """The loop of a scenario on its way, see `engine.Engine`.
 
     At a step of the plant sensors read the state of that instant; at a tick the parts answer within it, in order; the
     row is complete; late parts tick; the plant steps.
-
-    Raises:
-        ConfigurationError: A controller that is a LeafSystem; a live view; as `loop_of`.
     """
-
-    state_names: tuple[str, ...] = ()
-    stops: tuple[int, ...] = ()
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         if meshcat is not None:
             raise ConfigurationError("plant.engine", "reduced", "drake, for a live view")
-        self._scenario, self._loop = scenario, loop_of(scenario, split=True)
+        self.scenario, self._loop = scenario, loop_of(scenario, split=True)
         parts = [part for part in self._loop.parts if isinstance(part, Part)]
         if len(parts) < len(self._loop.parts):
             raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
@@ -64,22 +55,22 @@ class FastRun:
         ]
         self._state = self._running.signal("plant").view(CHAIN_STATE)
         self._torque, self._wrench = self._running.signal(self._loop.torque), self._running.signal("wrench")
-        self._table = np.empty((_ROWS, len(self._running.values)))
-        self._now, self._first, self._count = 0, 0, 0
+        self._rows = np.empty((int(scenario.duration / time_step + 1e-6) + 1, len(self._running.values)))
+        self._now, self._count = 0, 0
 
     def prepare(self) -> None:
         """See `Engine`."""
-        if self._scenario.controller.code is None:
+        if self.scenario.controller.code is None:
             # numba compiles in the first call of a function; what is wrong with that shows in the run itself.
             with suppress(StewartDrakeError), quiet():
-                first = FastRun(self._scenario)
+                first = FastRun(self.scenario)
                 first._begin()
                 first.start()
                 first.advance(1)
         self._begin()
 
     def _begin(self) -> None:
-        self._state[:] = self._chain.initial(*self._scenario.start())
+        self._state[:] = self._chain.initial(*self.scenario.start())
 
     def start(self) -> None:
         """See `Engine`."""
@@ -109,9 +100,7 @@ class FastRun:
             running.tick()
         else:
             running.between()
-        if self._count == len(self._table):
-            self._table = np.concatenate([self._table, np.empty_like(self._table)])
-        self._table[self._count] = running.values
+        self._rows[self._count] = running.values
         self._count += 1
 
     @property
@@ -119,14 +108,9 @@ class FastRun:
         """See `Engine`."""
         return self._now * self._step
 
-    @property
-    def rows(self) -> int:
+    def signals(self) -> dict[str, np.ndarray]:
         """See `Engine`."""
-        return self._count
-
-    def take(self) -> dict[str, np.ndarray]:
-        """See `Engine`."""
-        rows, steps = self._table[: self._count], np.arange(self._first, self._first + self._count)
+        rows = self._rows[: self._count]
         values = {}
         for name, signal in self._loop.logged.items():
             if isinstance(signal, str):
@@ -136,18 +120,8 @@ class FastRun:
         for name, place in (("pose", _POSE), ("crank_angle", _CRANKS)):
             values[name] = rows[:, place][:, :6].copy()
         values["pose_rate"], values["loop_gap"] = rows[:, _POSE][:, 6:].copy(), np.zeros((len(rows), 6))
-        self._first, self._count = self._first + self._count, 0
-        return signals_of(self._scenario, steps, values)
+        return signals_of(self.scenario, np.arange(len(rows)), values)
 
-    def graph(self) -> None:
+    def safety_state(self) -> Any:
         """See `Engine`."""
-
-    def first_trip(self) -> dict[str, Any] | None:
-        """See `Engine`."""
-        options = self._scenario.safety
-        if options is None:
-            return None
-        return first_trip(self._running.state("safety"), self._scenario.controller.period, options.monitor_names)
-
-    def close(self) -> None:
-        """See `Engine`."""
+        return self._running.state("safety")
