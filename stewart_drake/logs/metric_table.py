@@ -182,8 +182,8 @@ METRICS: list[Metric] = [
         lambda t: t.motion_ratio, "ticks",
     ),
     Metric(
-        "error_ratio", "1", "RMS error of the worst window after settling over the motion, null where that is small",
-        lambda t: t.error_ratio, "ticks", label="error over motion, worst window", form=".3g",
+        "error_ratio", "1", "RMS error over motion where that is worst, null where the motion is small",
+        lambda t: t.error_ratio, "ticks", label="error over motion, at worst", form=".3g",
     ),
     Metric(
         "torque_rms", "N m", "of all motors, within their limits, whole run",

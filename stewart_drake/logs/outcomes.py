@@ -91,8 +91,8 @@ def judge(
 
 def _error_over_motion(rows: RunRows) -> str:
     assert rows.worst_window is not None
-    _, begin, end = rows.worst_window
-    return f"from {begin:.4g} to {end:.4g} s the RMS error was {rows.error_ratio:.3g} times the motion"
+    ratio, begin, end = rows.worst_window
+    return f"from {begin:.4g} to {end:.4g} s the RMS error was {ratio:.3g} times the motion"
 
 
 def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:

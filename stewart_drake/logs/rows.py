@@ -153,16 +153,19 @@ class RunRows:
 
     @cached_property
     def motion_sizes(self) -> tuple[float, float]:
-        """[m] RMS of reference and pose, each about its mean; a reference that moves by less than counts has 0."""
+        """[m] size of the reference's and of the platform's motion; a reference that moves by less than counts has 0.
+
+        The largest RMS about the mean in any window of `WINDOW` or a little more; rest beside a motion does not make it
+        smaller. Rotations count times the characteristic length.
+        """
         counts = self.tick & self.in_charge
         if not counts.any():
             return 0.0, 0.0
-        origin = self["reference"][0]
         wanted, made = (
-            float(np.sqrt(np.var(self._scale * (self[name][counts] - origin), axis=0).sum()))
-            for name in ("reference", "pose")
+            self._window_rms(counts, 0.0, self._about_mean(name, counts)).max() for name in ("reference", "pose")
         )
-        return (0.0 if wanted <= LEAST_MOTION * self.scenario.robot.characteristic_length else wanted), made
+        least = LEAST_MOTION * self.scenario.robot.characteristic_length
+        return (0.0 if wanted <= least else float(wanted)), float(made)
 
     @property
     def motion_ratio(self) -> float | None:
@@ -172,30 +175,44 @@ class RunRows:
 
     @cached_property
     def worst_window(self) -> tuple[float, float, float] | None:
-        """RMS error [m] of the worst window after `SETTLING`, and its begin and end [s]; None before the first.
+        """RMS error over motion where that is worst, and begin and end [s]; None for a small motion or a run too short.
 
-        Windows last `WINDOW` or a little more. Rotations count times the characteristic length.
+        Each window after `SETTLING` is compared with the size of the motion; the whole run, settling included, with its
+        own RMS motion and the error at its start.
         """
-        duration = self.scenario.duration
+        size, counts, duration = self.motion_sizes[0], self.tick & self.in_charge, self.scenario.duration
         settled = min(SETTLING, SETTLING_SHARE * duration)
-        count = max(1, int((duration - settled) / WINDOW + 1e-9))
-        length = (duration - settled) / count
-        counts = self.tick & self.in_charge & (self.time >= settled - 1e-9)
-        if not counts.any():
+        late = counts & (self.time >= settled - 1e-9)
+        if not size or not late.any() or duration < SHORTEST:
             return None
-        window = np.minimum(((self.time[counts] - settled) / length + 1e-9).astype(np.int64), count - 1)
-        squares = np.sum((self._scale * self.error[counts]) ** 2, axis=1)
-        ticks = np.bincount(window, minlength=count)
-        errors = np.sqrt(np.bincount(window, squares, count) / np.maximum(1, ticks))
-        worst = int(errors.argmax())
+        errors = self._window_rms(late, settled, self._scale * self.error[late]) / size
+        worst, length = int(errors.argmax()), (duration - settled) / len(errors)
+        error, motion = (
+            float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
+            for each in (self._scale * self.error[counts], self._about_mean("reference", counts))
+        )
+        whole = error / (motion + float(np.linalg.norm(self._scale * self.error[0])))
+        if whole > errors[worst]:
+            return whole, 0.0, duration
         return float(errors[worst]), settled + worst * length, settled + (worst + 1) * length
 
     @property
     def error_ratio(self) -> float | None:
-        """Error of the worst window over the size of the whole motion; None for a small motion or a run too short."""
-        wanted, worst = self.motion_sizes[0], self.worst_window
-        too_short = self.scenario.duration < SHORTEST
-        return None if not wanted or worst is None or too_short else worst[0] / wanted
+        """RMS error over motion where that is worst, see `worst_window`."""
+        return None if self.worst_window is None else self.worst_window[0]
+
+    def _about_mean(self, name: str, counts: np.ndarray) -> np.ndarray:
+        """(n, 6) [m] poses less their mean."""
+        values = self._scale * (self[name][counts] - self["reference"][0])
+        return values - values.mean(axis=0)
+
+    def _window_rms(self, counts: np.ndarray, begin: float, values: np.ndarray) -> np.ndarray:
+        """RMS length of values (n, 6) at the rows that count, in each equal window from a time [s] to the run's end."""
+        count = max(1, int((self.scenario.duration - begin) / WINDOW + 1e-9))
+        length = (self.scenario.duration - begin) / count
+        window = np.minimum(((self.time[counts] - begin) / length + 1e-9).astype(np.int64), count - 1)
+        sums = np.bincount(window, np.sum(values**2, axis=1), count)
+        return np.sqrt(sums / np.maximum(1, np.bincount(window, minlength=count)))
 
     def interventions(self) -> tuple[int, dict[str, Any] | None]:
         """How often the safety layer took over; and since when, by whom and where it has now, or None."""
