@@ -36,16 +36,19 @@ def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
     return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 
-def new_record(kind: np.dtype, **values: Any) -> np.ndarray:
-    """A structured array (1,) with named values; what is not given is zero.
+def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
+    """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
 
     Raises:
         ValueError: A name that the record does not have, or a value of another shape.
     """
-    made = np.zeros(1, dtype=kind)
+    result = np.zeros(1, dtype=kind)
+    for name in kind.names or ():
+        if hasattr(options, name) and name not in values:
+            result[name][0] = getattr(options, name)
     for name, value in values.items():
-        made[name][0] = value
-    return made
+        result[name][0] = value
+    return result
 
 
 if _CONFIG.DISABLE_JIT:

@@ -26,7 +26,7 @@ REFERENCES = Family(
 )
 CONTROLLERS = Family(
     {
-        "lqi": "control.lqi_options:LqiOptions",
+        "lqi": "control.lqi:LqiOptions",
         "pid": "control.joint_pid:PidOptions",
         "computed_torque": "control.computed_torque:ComputedTorqueOptions",
         "python": "control.user_controller:PythonOptions",

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.base import ControllerOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError

@@ -6,9 +6,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import fields, new_record, njit
 from stewart_drake.part import Part
+from stewart_drake.section import Window, check_value
 
 DensityKind = Literal["magnitude", "signed"]
 
@@ -58,11 +58,7 @@ def density_tick(window: Any, filled: Any, error: Any, torque: Any, signed: bool
 
 
 def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
-    """`density_of` a window (n, k), oldest first.
-
-    Raises:
-        ConfigurationError: Another `kind`.
-    """
+    """`density_of` a window (n, k), oldest first."""
     values = np.ascontiguousarray(samples, dtype=float)
     out = np.empty(values.shape[1])
     density_of(values, _signed(kind), out)
@@ -70,13 +66,8 @@ def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
 
 
 def density_part(window: int, kind: DensityKind) -> Part:
-    """Densities of errors and torques over a window of m ticks as a part of a loop.
-
-    Raises:
-        ConfigurationError: A window below one tick; another `kind`.
-    """
-    if window < 1:
-        raise ConfigurationError("window", window, "at least 1 tick")
+    """Densities of errors and torques over a window of m ticks as a part of a loop."""
+    check_value("window", window, Window)
     signed = _signed(kind)
     initial = new_record(fields(density=12, filled=(), window=(window + 1, 12)), density=1.0)
 
@@ -88,6 +79,5 @@ def density_part(window: int, kind: DensityKind) -> Part:
 
 
 def _signed(kind: DensityKind) -> bool:
-    if kind not in ("magnitude", "signed"):
-        raise ConfigurationError("density", kind, "magnitude or signed")
+    check_value("density", kind, DensityKind)
     return kind == "signed"

@@ -18,8 +18,7 @@ from scipy.linalg import expm
 
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
 from stewart_drake.control.joint_pid import PidOptions, pid_part
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pydrake.systems.framework import InputPort, OutputPort
 
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
 from stewart_drake.systems.part_system import PartSystem

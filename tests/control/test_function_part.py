@@ -3,8 +3,8 @@ import pytest
 from strategies import ROBOT
 from ticks import REST, ticked
 
-from stewart_drake.control.function_part import function_part
-from stewart_drake.control.inputs import Setpoint
+from stewart_drake.control.base import Setpoint
+from stewart_drake.control.user_controller import function_part
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.part import guarded

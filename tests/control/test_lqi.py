@@ -7,9 +7,8 @@ from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 from ticks import GRAVITY, REST, standing, ticked
 
-from stewart_drake.control.inputs import Setpoint
-from stewart_drake.control.lqi import block_weights, lqi_gain, lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.base import Setpoint
+from stewart_drake.control.lqi import LqiOptions, block_weights, lqi_gain, lqi_part
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE, acceleration_map
 from stewart_drake.errors import NotFiniteError, RiccatiError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque

@@ -9,9 +9,20 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from stewart_drake.control.features import DRIFT_TIME, FEATURES, SETUP, TIMES, TunerContext, features
-from stewart_drake.control.policy import FADE, Layers, Policy, Schedule, answer, load_policy, setting_part
+from stewart_drake.control.policy import (
+    FADE,
+    SIZE,
+    STEP,
+    Layers,
+    Policy,
+    Schedule,
+    answer,
+    disturbance_of,
+    load_policy,
+    setting_part,
+    weights_of,
+)
 from stewart_drake.control.riccati import chain_gain
-from stewart_drake.control.settings import SIZE, STEP, disturbance_of, weights_of
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import new_record, njit, record
 

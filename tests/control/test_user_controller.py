@@ -8,7 +8,7 @@ from pydrake.systems.framework import PortDataType
 from strategies import ROBOT
 
 from stewart_drake.campaigns.run_store import run_key
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, user_code
 from stewart_drake.errors import ConfigurationError, RunFailure

@@ -16,7 +16,7 @@ from stewart_drake import systems
 from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.density import density
 from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.friction_feedforward import FrictionCompensation

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stewart_drake import ConfigurationError, load_scenario, run
-from stewart_drake.control.settings import disturbance_of, weights_of
+from stewart_drake.control.policy import disturbance_of, weights_of
 
 SETTING = (0.15, -0.2, -0.4, -0.8)
 PUSHED = {
