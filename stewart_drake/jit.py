@@ -39,13 +39,16 @@ def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
 def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
     """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
 
+    An attribute that is None, a limit that is off, is infinite.
+
     Raises:
         ValueError: A name that the record does not have, or a value of another shape.
     """
     result = np.zeros(1, dtype=kind)
     for name in kind.names or ():
         if hasattr(options, name) and name not in values:
-            result[name][0] = getattr(options, name)
+            value = getattr(options, name)
+            result[name][0] = np.inf if value is None else value
     for name, value in values.items():
         result[name][0] = value
     return result

@@ -23,8 +23,7 @@ from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, 
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation
-from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY

@@ -156,15 +156,7 @@ AnyDisturbance = Annotated[Disturbance, DISTURBANCES]
 
 
 def total_wrench(disturbances: Sequence[Disturbance], time: float | np.ndarray) -> np.ndarray:
-    """Sum of disturbances.
-
-    Args:
-        disturbances: Any number of them.
-        time: (...) [s].
-
-    Returns:
-        (..., 6) [N m, N] moment about P and force, in B.
-    """
+    """Sum of disturbances (..., 6) [N m, N], moment about P and force, in B, at times (...) [s]."""
     total = np.zeros((*np.shape(time), 6))
     for one in disturbances:
         total += one.evaluate(time)

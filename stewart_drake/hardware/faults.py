@@ -1,4 +1,4 @@
-"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while.
+"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while; and chance, tick by tick.
 
 What a kind of fault does is one function of the fault and of the signal that it spoils, and a line in the registry.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,6 +19,30 @@ from stewart_drake.families import Table
 from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
 from stewart_drake.section import LegNumber, NotNegative, Positive, Real, Section, Text
 from stewart_drake.wording import describe, either
+
+_BLOCK = 1024
+
+
+def tick_numbers(seed: int, stream: int, tick: int, size: int, normal: bool) -> np.ndarray:
+    """Random numbers (size,) of a tick, standard normal or in [0, 1): the same whenever and as often as it is asked.
+
+    Args:
+        seed: Of the scenario, 0 to `section.MAX_SEED`.
+        stream: Number of who asks; different streams of one seed are independent.
+        tick: 0, 1, ...
+        size: How many.
+        normal: Which.
+    """
+    return _block(seed, stream, tick // _BLOCK, size, normal)[tick % _BLOCK]
+
+
+@lru_cache(maxsize=64)
+def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.ndarray:
+    # Philox counts: a block is reached without drawing those before it. The low counter words run within the block.
+    generator = np.random.Generator(np.random.Philox(key=[seed, stream], counter=[0, 0, 0, block]))
+    values = generator.standard_normal((_BLOCK, size)) if normal else generator.random((_BLOCK, size))
+    values.flags.writeable = False
+    return values
 
 
 @dataclass
@@ -53,13 +78,13 @@ class FaultKind(NamedTuple):
     keeps: bool = False
 
 
-def _set(value: Callable[[Any, Signal], Any]) -> Callable[[Any, Signal], None]:
-    """A kind's function, from what its channels say instead."""
+def _kind(value: Callable[[Any, Signal, Any], Any], needs: str = "", keeps: bool = False) -> FaultKind:
+    """A kind by what its channels say instead, of fault, signal and what they say now."""
 
     def spoil(fault: Any, signal: Signal) -> None:
-        signal.says[fault.channels] = value(fault, signal)
+        signal.says[fault.channels] = value(fault, signal, signal.says[fault.channels])
 
-    return spoil
+    return FaultKind(spoil, needs, keeps)
 
 
 def _swapped(fault: Any, signal: Signal) -> None:
@@ -67,18 +92,14 @@ def _swapped(fault: Any, signal: Signal) -> None:
     signal.says[pair] = signal.says[pair[::-1]]
 
 
-def _now(fault: Any, signal: Signal) -> np.ndarray:
-    return signal.says[fault.channels]
-
-
-NAN, INF = FaultKind(_set(lambda f, s: math.nan)), FaultKind(_set(lambda f, s: math.inf))  # noqa: ARG005
-FREEZE = FaultKind(_set(lambda f, s: s.good[f.channels]), keeps=True)
-REVERSED = FaultKind(_set(lambda f, s: 2.0 * s.good[f.channels] - _now(f, s)), keeps=True)
-LATE = FaultKind(_set(lambda f, s: s.late[f.channels]), needs="delay")
-JUMP = FaultKind(_set(lambda f, s: _now(f, s) + f.size))
-DRIFT = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (s.time - f.time)))
-CHATTER = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (-1.0) ** s.tick))
-INVERTED = FaultKind(_set(lambda f, s: -_now(f, s)))
+NAN, INF = _kind(lambda *_: math.nan), _kind(lambda *_: math.inf)
+FREEZE = _kind(lambda f, s, now: s.good[f.channels], keeps=True)  # noqa: ARG005
+REVERSED = _kind(lambda f, s, now: 2.0 * s.good[f.channels] - now, keeps=True)
+LATE = _kind(lambda f, s, now: s.late[f.channels], needs="delay")  # noqa: ARG005
+JUMP = _kind(lambda f, s, now: now + f.size)  # noqa: ARG005
+DRIFT = _kind(lambda f, s, now: now + f.size * (s.time - f.time))
+CHATTER = _kind(lambda f, s, now: now + f.size * (-1.0) ** s.tick)
+INVERTED = _kind(lambda f, s, now: -now)  # noqa: ARG005
 SWAPPED = FaultKind(_swapped, needs="other")
 
 

@@ -12,8 +12,7 @@ from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.hardware.command_link import LinkOptions, link_part
 from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation, friction_part
-from stewart_drake.hardware.motors import MotorOptions, motor_part
+from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions, friction_part, motor_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.robot import RobotParameters

@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,11 +9,9 @@ from strategies import ROBOT, poses, vectors
 from stewart_drake.errors import ConfigurationError, RunFailure, SingularPoseError
 from stewart_drake.hardware.observer import (
     SETUP,
-    SMALLEST_NOISE,
     WHITE_SHARE,
     ObserverOptions,
     bandwidth,
-    innovation_scale,
     kalman_gains,
     observer_part,
     predict,
@@ -86,10 +82,6 @@ def test_the_gains_are_those_of_the_riccati_equation(noise, disturbance, period)
     p = solve_discrete_are(a.T, c.T, q, np.eye(1))
     expected = (p @ c.T / (p[0, 0] + 1.0)).ravel() / [1.0, h, h * h]
     np.testing.assert_allclose(kalman_gains(noise, disturbance, period), expected, rtol=1e-6)
-
-
-def test_readings_without_noise_count_as_little_noisy():
-    assert innovation_scale(0.0, 3.0, PERIOD) == innovation_scale(SMALLEST_NOISE, 3.0, PERIOD)
 
 
 # --- prediction ------------------------------------------------------------------------------------------------------
@@ -186,9 +178,3 @@ def test_a_singularity_has_a_name():
     tick, _ = begun()
     with pytest.raises(SingularPoseError, match="dead centre"):
         tick(angles, measurement=np.concatenate([HOME, [0.0, 0.0, 0.0, 0.0, 0.0, 400.0]]))
-
-
-def test_the_bandwidth_falls_with_the_noise_and_grows_with_the_disturbance():
-    assert bandwidth(8e-5, 20.0, PERIOD) == pytest.approx(0.5 * bandwidth(1e-5, 20.0, PERIOD))
-    assert bandwidth(1e-5, 160.0, PERIOD) == pytest.approx(2.0 * bandwidth(1e-5, 20.0, PERIOD))
-    assert math.isclose(bandwidth(NOISE, 20.0, PERIOD), 293.6, rel_tol=1e-3)
