@@ -12,14 +12,12 @@ from pydrake.systems.primitives import ConstantVectorSource, Demultiplexer, LogV
 
 from stewart_drake.errors import drake_guard
 from stewart_drake.part import AnyPart, SystemPart
-from stewart_drake.parts import Loop, loop_of
+from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario
 from stewart_drake.systems.part_system import PartSystem
-from stewart_drake.systems.platform_wrench import PlatformWrench
-from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems.sources import PlatformWrench, ReferenceSource, TaskSpaceSensor
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -59,7 +57,7 @@ class ClosedLoop(Diagram):
         super().__init__()
         require_scenario(scenario)
         self.scenario, self.loop = scenario, loop_of(scenario)
-        wiring = _Wiring(scenario, meshcat, self.loop)
+        wiring = _Wiring(scenario, meshcat)
         for source in self.loop.sources:
             wiring.add_source(source.signal)
         for part in self.loop.parts:
@@ -75,11 +73,6 @@ class ClosedLoop(Diagram):
         self.set_name(scenario.name)
         self.plant: StewartPlant = wiring.plant
         self.systems = wiring.systems
-
-    @property
-    def controller(self) -> Any:
-        """The LeafSystem of the controller."""
-        return self.systems["controller"]
 
     def create_start_context(self) -> Context:
         """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
@@ -106,7 +99,7 @@ class _Wiring:
         systems: Of the parts, by name.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None, loop: Loop) -> None:
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
         self.scenario, self.period = scenario, scenario.controller.period
         self.builder = DiagramBuilder()
         self.plant: StewartPlant = add_plant(
@@ -122,13 +115,6 @@ class _Wiring:
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
         self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
         self.systems: dict[str, Any] = {}
-        # Signals that somebody reads before they are said: of the tick before.
-        said, self._held = {source.signal for source in loop.sources} | set(self.signals), set()
-        for part in loop.parts:
-            self._held |= {signal for signal in map(part.source, part.inputs) if isinstance(signal, str)} - said
-            if not part.late:
-                said |= set(map(part.signal, part.outputs))
-        self._held.discard("time")
 
     def add(self, name: str, system: _System) -> _System:
         """Adds a system."""
@@ -158,8 +144,6 @@ class _Wiring:
         self.builder.Connect(system.result, split.get_input_port())
         for output, place in zip(part.outputs, places, strict=True):
             self.signals[part.signal(output)] = split.get_output_port(place)
-        if not part.late and self._held & set(map(part.signal, part.outputs)):
-            raise AssertionError(f"{part.name} is read before it ticks, so it has to be late")
 
     def connect(self, part: AnyPart) -> None:
         """Connects the inputs of a part."""

@@ -24,13 +24,6 @@ from stewart_drake.mechanics.force_map import force_map
 PERIOD = 0.005
 METHODS = ("exact", "euler")
 HOME_MAP = force_map(ROBOT, ROBOT.home_pose) / mass_diagonal(ROBOT)[:, None]
-weights = st.floats(-1.0, 1.0).map(lambda exponent: 10.0**exponent)
-"""omega_Q and omega_R of the paper, from 0.1 to 10."""
-maps = st.builds(
-    lambda pose, kind: force_map(ROBOT, pose, kind) / mass_diagonal(ROBOT)[:, None],
-    poses(0.7),
-    st.sampled_from(["statics", "printed"]),
-)
 
 
 def system(acceleration_map, method="exact"):
@@ -45,24 +38,6 @@ def state_cost(q_e, q_v, q_z):
 
 def assert_same(gain, expected, rtol):
     np.testing.assert_allclose(gain, expected, rtol=0.0, atol=rtol * np.abs(expected).max())
-
-
-def spectral_radius(matrix):
-    return np.abs(np.linalg.eigvals(matrix)).max()
-
-
-@settings(max_examples=40)
-@given(acceleration_map=maps, omega_q=weights, omega_r=weights, method=st.sampled_from(METHODS))
-def test_drakes_solution_satisfies_the_equation_and_stabilises(acceleration_map, omega_q, omega_r, method):
-    a, b = system(acceleration_map, method)
-    q, r = omega_q * np.eye(18), omega_r * np.eye(6)
-    p = solve_drake(a, b, q, r)
-    gain = riccati_gain(a, b, r, p)
-    residual = a.T @ p @ a - a.T @ p @ b @ gain + q - p
-    assert np.abs(residual).max() < 1e-9 * np.abs(p).max()
-    np.testing.assert_allclose(p, p.T, atol=1e-10 * np.abs(p).max())
-    assert np.linalg.eigvalsh(p).min() > 0.0
-    assert spectral_radius(a - b @ gain) < 1.0
 
 
 # --- beyond the paper's weights ------------------------------------------------------------------------------------
@@ -228,12 +203,9 @@ def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):
 UNUSABLE = {
     "not stabilisable": {"b": np.zeros((18, 6))},
     "not detectable": {"q": np.zeros((18, 18))},
-    "A infinite": {"a": np.full((18, 18), np.inf)},
     "Q not a number": {"q": np.full((18, 18), np.nan)},
     "Q not symmetric": {"q": np.triu(np.ones((18, 18)))},
-    "Q not a matrix": {"q": np.ones(18)},
     "B of the wrong shape": {"b": np.zeros((17, 6))},
-    "R zero": {"r": np.zeros((6, 6))},
     "beyond the digits of Drake": {"q": 1e20 * np.eye(18)},
 }
 

@@ -27,7 +27,7 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import HoldReference, SineBurstsReference, paper_reference
 from stewart_drake.safety import SafetyOptions
-from stewart_drake.systems.platform_wrench import PlatformWrench
+from stewart_drake.systems.sources import PlatformWrench
 
 GRAVITY, PERIOD = 9.81, 0.001
 HOME, ZERO = ROBOT.home_pose, np.zeros(6)
