@@ -18,7 +18,7 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import friction_part, motor_part
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import AnyPart, Part, Setup, guarded
+from stewart_drake.part import Part, Setup, guarded
 from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
@@ -49,7 +49,7 @@ class Loop(NamedTuple):
     their rates.
     """
 
-    parts: tuple[AnyPart, ...]
+    parts: tuple[Part, ...]
     sources: tuple[Source, ...]
     torque: str
     reading: str
@@ -105,7 +105,7 @@ class _Builder:
 
     def __init__(self, scenario: Scenario, split: bool) -> None:
         self.scenario, self.setup = scenario, setup_of(scenario, split)
-        self.parts: list[AnyPart] = []
+        self.parts: list[Part] = []
         self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
         self.late: list[Part] = []
 
@@ -235,14 +235,14 @@ class _Builder:
             reads[health] = health
         return _reading(part, **reads)._replace(says={"torque": "guarded"})
 
-    def _guarded(self, part: AnyPart, health: str) -> AnyPart:
+    def _guarded(self, part: Part, health: str) -> Part:
         """A part whose failing ticks the safety layer hears of, where there is one."""
-        if not self.setup.guarded or not isinstance(part, Part):
+        if not self.setup.guarded or part.system is not None:
             return part
         return guarded(part)._replace(says={**part.says, "health": health})
 
 
-def _reading(part: Any, **sources: str | np.ndarray) -> Any:
+def _reading(part: Part, **sources: str | np.ndarray) -> Part:
     """The part with these signals, or arrays, at those of its ports that have such a name."""
     return part._replace(reads={**part.reads, **{port: sources[port] for port in sources if port in part.inputs}})
 

@@ -81,20 +81,6 @@ def test_a_second_process_compiles_nothing_and_a_change_below_reaches_what_was_c
     assert answer(tmp_path / "one", 3.0, monkeypatch, cache) == (3.0, 1, 0)
 
 
-@pytest.mark.slow
-def test_a_second_run_of_a_shipped_scenario_compiles_nothing():
-    # Other threads of the machine may have compiled them before: the first run here may or may not.
-    program = (
-        "from numba.core import event\n"
-        "from stewart_drake import load_scenario, run\n"
-        "with event.install_recorder('numba:compile') as seen:\n"
-        "    run(load_scenario('exact_breathing', ['duration=0.02', 'estimator=observer', 'plant.engine=reduced']))\n"
-        "print(len(seen.buffer))\n"
-    )
-    python("-c", program)
-    assert python("-c", program).split() == ["0"]
-
-
 RECORDS = """
 import numpy as np
 from stewart_drake.jit import fields, new_record, njit, record

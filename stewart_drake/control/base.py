@@ -23,7 +23,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     robot_record,
     usable_legs,
 )
-from stewart_drake.part import AnyPart, Part, Setup
+from stewart_drake.part import Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import times
 from stewart_drake.section import Fraction, Positive, Section
@@ -61,7 +61,7 @@ class ControllerOptions(Section, ABC, key="controller"):
         return None
 
     @abstractmethod
-    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
         """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
 
     def limit(self, robot: RobotParameters) -> np.ndarray:

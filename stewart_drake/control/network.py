@@ -47,11 +47,7 @@ _Read = TypeVar("_Read")
 
 
 def numbers(values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], largest: float) -> dict[str, np.ndarray]:
-    """Values by name as arrays of these shapes.
-
-    Raises:
-        ConfigurationError: One that is missing, of another shape or kind, not finite, or beyond the largest number.
-    """
+    """Values by name as arrays of these shapes; refuses one that is missing, of other shape or kind, or too large."""
     arrays = {}
     for name, shape in shapes.items():
         value = values.get(name)
@@ -73,12 +69,7 @@ def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
 
 
 def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, Any]], _Read]) -> _Read:
-    """What is made of the content of a weights file of a kind and version.
-
-    Raises:
-        ConfigurationError: See `read_weights`; another kind or version, a checksum that does not fit, or what `made`
-            raises; with the path.
-    """
+    """What is made of the content of a weights file of a kind and version; errors name the path."""
     key = f"weights file {path}"
     try:
         document = json.loads(read_weights(path))
@@ -102,11 +93,7 @@ def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, 
 
 
 def read_weights(path: Path) -> str:
-    """Text of a weights file, not yet looked at.
-
-    Raises:
-        ConfigurationError: Missing, unreadable, no regular file, larger than `MAX_BYTES`, or no text in UTF-8.
-    """
+    """Text of a weights file, not yet looked at."""
     key = f"weights file {path}"
     try:
         return read_checked(path, key, MAX_BYTES).decode()
@@ -194,7 +181,7 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
         path: File written by `TunerNetwork.save`; None takes the one that the package carries.
 
     Raises:
-        ConfigurationError: See `load_weights` and `TunerNetwork`.
+        ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
     """
     path = default_network_path() if path is None else Path(path)
     names = (*_SHAPES, "density", "window", "provenance")
@@ -208,12 +195,9 @@ def default_network_path() -> Path:
 
 @njit
 def network_weights(networks: Any, densities: Any, out: Any) -> None:
-    """omega_Q and omega_R of the network, held within the range of its training data.
+    """omega_Q and omega_R (2,) of the record of a network for densities (12,), held within its training's range.
 
-    Args:
-        networks: Record of a `TunerNetwork`.
-        densities: (12,) [-].
-        out: (2,) out; NaN where a density is NaN.
+    NaN where a density is NaN.
     """
     network = record(networks)
     hidden = network.hidden_bias.copy()
@@ -247,12 +231,7 @@ def network_tick(networks: Any, densities: Any, states: Any) -> bool:
 def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
     """The network as a part of a loop: what a tick finds acts from the next one on.
 
-    Args:
-        network: Trained.
-        initial: omega_Q, omega_R at first, clipped to the range that it was trained on.
-
-    Raises:
-        ConfigurationError: `initial` is not two finite numbers.
+    `initial` omega_Q, omega_R are clipped to the range that it was trained on.
     """
     check_value("initial", list(initial), tuple[Real, Real])
     own = new_record(_NETWORK, network)

@@ -15,15 +15,17 @@ a network was trained on, its answer fades to the middle of the box, the best fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, TunerContext, features, plausible
+from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, features, plausible
 from stewart_drake.control.network import load_weights, numbers, weights_bytes
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
@@ -120,15 +122,7 @@ def policy_tick(
 ) -> None:
     """A tick of a policy; where what it hears is not finite, or absurd, the setting goes to the centre.
 
-    Args:
-        setups: `SETUP`.
-        policies: Record of `Layers` (1,).
-        density: (12,) [-].
-        error: (6,) [rad, m].
-        torque: (6,) [N m].
-        innovation: (6,) [rad].
-        reference: (18,).
-        states: `TUNER_STATE` of the tick before; that of this one.
+    Takes `SETUP`, the record of `Layers`, what `features` hears, and `TUNER_STATE` of the tick before, in place.
     """
     setup, state, heard, wanted, own = record(setups), record(states), np.empty(_COUNT), np.empty(SIZE), 0.0
     wanted[:] = setup.centre
@@ -228,6 +222,7 @@ class Policy:
         ConfigurationError: Wrong shapes, numbers that are not finite, scales or a box that are not positive.
     """
 
+    law: ClassVar[Callable[..., None]] = staticmethod(policy_tick)
     layers: Layers
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -254,11 +249,6 @@ class Policy:
     def width(self) -> np.ndarray:
         """(4,) of the box."""
         return self.layers.below + self.layers.above
-
-    @property
-    def law(self) -> Callable[..., None]:
-        """Its tick."""
-        return policy_tick
 
     def numbers(self) -> np.ndarray:
         """Record of its layers."""
@@ -307,14 +297,7 @@ def default_policy_path() -> Path:
 
 
 def load_policy(path: str | Path | None = None) -> Policy:
-    """Reads a policy file.
-
-    Args:
-        path: File written by `Policy.save`; None takes the one that the package carries.
-
-    Raises:
-        ConfigurationError: See `network.load_weights`; other features than ours, wrong shapes or numbers.
-    """
+    """Reads a policy file; None takes the one that the package carries. Raises as `network.load_weights`."""
 
     def made(found: dict[str, Any]) -> Policy:
         if found.get("features") != list(FEATURES):
@@ -335,6 +318,7 @@ class Schedule:
         hold: [s] that the second one stays.
     """
 
+    law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
     calm: np.ndarray
     alert: np.ndarray
     threshold: float
@@ -355,32 +339,38 @@ class Schedule:
         """(4,) of the smallest box that has both."""
         return np.abs(self.alert - self.calm)
 
-    @property
-    def law(self) -> Callable[..., None]:
-        """Its tick."""
-        return schedule_tick
-
     def numbers(self) -> np.ndarray:
         """Record of its attributes."""
         return new_record(_SCHEDULE, self)
 
 
-def setting_part(chooser: Chooser, context: TunerContext, weights: np.ndarray, disturbance: float) -> Part:
+def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: float = 0.0) -> Part:
     """A tuner of settings as a part of a loop: what a tick finds acts from the next one on.
 
     Args:
         chooser: What wants a setting.
-        context: What it is built for.
+        context: What it is built for, of `part.Setup`: period, noise, latency, robot, and disturbance of the base.
         weights: (4,) those of the base.
-        disturbance: [rad/s^2 per sqrt(s)] that of the base.
+        kappa: [-] from stiff, -1, to quiet, 1: the scale of torque changes in the cost is divided by 10^kappa.
     """
-    law, own, centre = chooser.law, chooser.numbers(), chooser.centre
-    base = {"weights": weights, "disturbance": disturbance}
-    setup = new_record(SETUP, **context.numbers(), centre=centre, step=STEP * chooser.width, **base)
+    law, own, centre, scales = chooser.law, chooser.numbers(), chooser.centre, CostScales()
+    setup = new_record(
+        SETUP,
+        context,
+        length=context.robot.characteristic_length,
+        kappa=kappa,
+        rotation=math.radians(scales.rotation),
+        position=1e-3 * scales.position,
+        # The scale is for a millisecond.
+        torque_change=1e3 * context.period * scales.torque_change,
+        centre=centre,
+        step=STEP * chooser.width,
+        weights=weights,
+    )
     initial = new_record(
         TUNER_STATE,
         weights=weights_of(np.asarray(weights, dtype=float), centre),
-        disturbance=disturbance_of(disturbance, centre),
+        disturbance=disturbance_of(context.disturbance, centre),
         setting=[*centre, 0.0],
         levels=[1.0, 1.0, 0.0, 0.0, 0.0],
     )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.control.density import DensityKind, density_part
-from stewart_drake.control.features import TunerContext
 from stewart_drake.control.network import (
     TunerNetwork,
     default_network_path,
@@ -36,13 +35,6 @@ from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Wi
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
 
 
-class Levels(NamedTuple):
-    """Shares of the observer's disturbance that a tuner asks for: at the start, and the least ever."""
-
-    start: float = 1.0
-    least: float = 1.0
-
-
 class Tuner(Section, ABC, key="tuner"):
     """What every tuner has."""
 
@@ -63,9 +55,9 @@ class Tuner(Section, ABC, key="tuner"):
         """Weights at the start, as the controller takes them."""
 
     @property
-    def levels(self) -> Levels:
-        """What it makes of the disturbance that the observer expects."""
-        return Levels()
+    def levels(self) -> tuple[float, float]:
+        """Shares of the observer's disturbance that it asks for: at the start, and the least ever."""
+        return 1.0, 1.0
 
     def density_part(self) -> Part:
         """The densities in a loop; they are logged whether a network hears them or not."""
@@ -188,17 +180,15 @@ class SettingTuner(BlockWeights):
         return tuple(weights_of(np.array(super().weights), self.chooser().centre).tolist())
 
     @property
-    def levels(self) -> Levels:
-        """What it makes of the disturbance that the observer expects."""
+    def levels(self) -> tuple[float, float]:
+        """See `Tuner`."""
         chooser = self.chooser()
-        return Levels(float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest)))
+        return float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest))
 
     def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The tuner in a loop: of `setup` period, noise, latency, robot and the base's disturbance."""
+        """The tuner in a loop."""
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
-        length = setup.robot.characteristic_length
-        context = TunerContext(setup.period, setup.noise, setup.latency, length, getattr(self, "kappa", 0.0))
-        part = setting_part(self.chooser(), context, base, setup.disturbance)
+        part = setting_part(self.chooser(), setup, base, getattr(self, "kappa", 0.0))
         return (part._replace(says={"disturbance": "expected_disturbance"}),)
 
 

@@ -15,7 +15,7 @@ from stewart_drake.families import UserMade, user_parts
 from stewart_drake.files.code_path import UserCodePath
 from stewart_drake.files.user_errors import ControllerError, UserCode
 from stewart_drake.jit import fields, new_record
-from stewart_drake.part import AnyPart, Part, Setup, SystemPart
+from stewart_drake.part import Part, Setup
 from stewart_drake.section import Positive
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
@@ -59,7 +59,7 @@ class PythonOptions(UserMade, ControllerOptions):
             raise ConfigurationError(self.code_key, self.code, _EXPECTED)
         return found
 
-    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
         """The user's LeafSystem, or a function that is called at every tick."""
         made = self.load()
         if isinstance(made, type):
@@ -68,7 +68,7 @@ class PythonOptions(UserMade, ControllerOptions):
             return (self._system_part(made, len(setup.weights)),)
         return (function_part(made),)
 
-    def _system_part(self, system: Any, weights: int) -> SystemPart:
+    def _system_part(self, system: Any, weights: int) -> Part:
         """A System of pydrake as a part of a loop, its ports checked."""
         from pydrake.systems.framework import PortDataType
 
@@ -88,7 +88,7 @@ class PythonOptions(UserMade, ControllerOptions):
                 if problem:
                     expected = f"a LeafSystem with the {side.lower()} port {name} ({size},); {problem}"
                     raise ConfigurationError(self.code_key, self.code, expected)
-        return SystemPart("controller", inputs, tuple(outputs), system)
+        return Part("controller", inputs, tuple(outputs), system=system)
 
 
 def _is_system(found: Any) -> bool:

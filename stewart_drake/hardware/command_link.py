@@ -11,7 +11,7 @@ from pydantic import Field
 
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.hardware.faults import CommandFault, Signal, tick_numbers
-from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.jit import fields, new_record
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
@@ -91,20 +91,14 @@ def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) ->
     return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
 
 
-@njit
-def _delay_tick(torque: Any, out: Any, under_way: Any) -> None:
-    out[0] = under_way[0, 0]
-    for row in range(under_way.shape[1] - 1):
-        under_way[0, row] = under_way[0, row + 1]
-    under_way[0, -1] = torque
-
-
 def delay_part(ticks: int, initial: np.ndarray) -> Part:
     """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
     first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
 
     def tick(torque: np.ndarray, state: np.ndarray) -> None:
-        _delay_tick(torque, state["torque"], state["under_way"])
+        state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
+        under_way[:-1] = under_way[1:]
+        under_way[-1] = torque
 
     return Part("command_delay", {"torque": 6}, ("torque",), first, tick)
 

@@ -175,12 +175,8 @@ def difference_part(
 ) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
-    Args:
-        robot: As the controller believes it to be.
-        options: Of the encoders.
-        period: [s] of the ticks.
-        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
-        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
+    `pose` is roughly where the platform stands at first, which picks the assembly mode; `pose_rate` of a robot that is
+    in motion at the start.
     """
     cutoff = options.rate_cutoff
     setup = new_record(

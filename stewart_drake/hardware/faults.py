@@ -26,12 +26,7 @@ _BLOCK = 1024
 def tick_numbers(seed: int, stream: int, tick: int, size: int, normal: bool) -> np.ndarray:
     """Random numbers (size,) of a tick, standard normal or in [0, 1): the same whenever and as often as it is asked.
 
-    Args:
-        seed: Of the scenario, 0 to `section.MAX_SEED`.
-        stream: Number of who asks; different streams of one seed are independent.
-        tick: 0, 1, ...
-        size: How many.
-        normal: Which.
+    Different streams of one seed are independent.
     """
     return _block(seed, stream, tick // _BLOCK, size, normal)[tick % _BLOCK]
 
@@ -111,13 +106,9 @@ class Fault(Section):
     time: NotNegative = 0.0
     """[s] when it begins."""
 
-    def has(self, key: str) -> Any:
-        """Value of a key; None where it is null, and where faults of this target have no such key."""
-        return getattr(self, key, None)
-
     def spoil(self, signal: Signal) -> bool:
         """Does what its kind does, if it is there at the signal's time; whether it is."""
-        duration = self.has("duration")
+        duration = getattr(self, "duration", None)
         acts = self.time <= signal.time < self.time + (math.inf if duration is None else duration)
         if acts:
             self.kinds[self.kind].spoil(self, signal)
@@ -126,27 +117,31 @@ class Fault(Section):
     @property
     def channels(self) -> slice:
         """Entries that it spoils: of its leg, or all."""
-        leg = self.has("leg")
+        leg = getattr(self, "leg", None)
         return slice(None) if leg is None else slice(leg, leg + 1)
 
     def ticks_late(self, period: float) -> int:
         """Whole ticks of a period [s] by which it delays a reading; 0 for a kind that does not."""
-        delay = self.has("delay")
+        delay = getattr(self, "delay", None)
         return 0 if delay is None else math.ceil(delay / period - 1e-6)
 
     def rules(self) -> None:
         """The keys that the kind needs, and no others."""
         for key in ("delay", "other"):
-            value, kinds = self.has(key), [name for name in self.kinds.names if self.kinds[name].needs == key]
+            value, kinds = (
+                getattr(self, key, None),
+                [name for name in self.kinds.names if self.kinds[name].needs == key],
+            )
             if value is not None and self.kind not in kinds:
                 raise ConfigurationError(key, value, f"null, but for kind {either(kinds)}")
             if value is None and self.kind in kinds:
-                field = self.__pydantic_fields__[key]
-                raise ConfigurationError(key, value, f"{describe(field.annotation)}, for kind {self.kind}")
-        leg, other = self.has("leg"), self.has("other")
-        if other is not None and (leg is None or leg == other):
-            key, value = ("leg", leg) if leg is None else ("other", other)
-            raise ConfigurationError(key, value, f"a leg from 0 to 5, other than {other if leg is None else leg}")
+                words = describe(self.__pydantic_fields__[key].annotation)
+                raise ConfigurationError(key, value, f"{words}, for kind {self.kind}")
+        leg, other = getattr(self, "leg", None), getattr(self, "other", None)
+        if other is not None and leg is None:
+            raise ConfigurationError("leg", leg, f"a leg from 0 to 5, other than {other}")
+        if other is not None and leg == other:
+            raise ConfigurationError("other", other, f"a leg from 0 to 5, other than {leg}")
 
 
 Delay = Annotated[Positive, Field(le=1.0)]

@@ -156,19 +156,9 @@ def innovation_scale(noise: float, disturbance: float, period: float) -> tuple[f
 
 @njit
 def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period, by the exact model.
+    """Moves pose and rate (6,) by a period, by the exact model, in place; as `observe`, SERIAL is out of reach.
 
-    Args:
-        robot: `ROBOT` record.
-        setup: `SETUP` record.
-        torque: (6,) [N m], constant meanwhile.
-        disturbance: (6,) [rad/s^2] more of the cranks.
-        pose: (6,) [rad, m] in place.
-        rate: (6,) [rad/s, m/s] in place.
-        legs: `LEGS` record, overwritten.
-
-    Returns:
-        OK, SERIAL out of reach or PARALLEL at a singularity; leg or -1; margin.
+    The torque (6,) [N m] is constant meanwhile; the disturbance (6,) [rad/s^2] is added to the cranks' accelerations.
     """
     acceleration, h = np.empty(6), setup.period
     bad = legs_at(robot, pose, legs)

@@ -248,16 +248,9 @@ def safety_part(
 ) -> Part:
     """The safety layer, see `safety_tick` for its inputs; `torque` (6,) [N m] for the motors, `safety` (3,).
 
-    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
-
-    Args:
-        robot: As the controller believes it to be.
-        options: Limits and reactions.
-        gravity: [m/s^2].
-        period: [s] of the ticks.
-        initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
-        quantum: [rad] of a count of the encoders.
-        innovation_scale: Of the innovations, see `observer.innovation_scale`.
+    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] holds
+    the robot at its start, where the very first command is bad; `quantum` [rad] is a count of the encoders;
+    `innovation_scale` see `observer.innovation_scale`.
     """
     own, setup = robot_record(robot), setup_of(robot, options, gravity, period, quantum, innovation_scale)
     none = np.full((6, 6), np.nan)

@@ -29,12 +29,7 @@ def refuse_motion(
 ) -> None:
     """Refuses a motion that, followed without error, would trip a monitor.
 
-    Args:
-        robot: As believed.
-        options: Limits.
-        gravity: [m/s^2].
-        time: (n,) [s].
-        motion: Poses (n, 6) [rad, m] with their first and second derivatives (n, 6).
+    Args: robot as believed, gravity [m/s^2], times (n,) [s], and poses (n, 6) [rad, m] with their two derivatives.
 
     Raises:
         ConfigurationError: Names the limit, its time and leg.

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.primitives import ConstantVectorSource, Demultiplexer, LogVectorOutput, VectorLogSink
 
 from stewart_drake.errors import drake_guard
-from stewart_drake.part import AnyPart, SystemPart
+from stewart_drake.part import Part
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
@@ -131,9 +131,9 @@ class _Wiring:
             ahead = scenario.ahead * on_grid(self.period) if signal == "reference_ahead" else 0.0
             self.signals[signal] = self.add(signal, ReferenceSource(scenario.reference, step, ahead)).reference
 
-    def add_part(self, part: AnyPart) -> None:
+    def add_part(self, part: Part) -> None:
         """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
-        if isinstance(part, SystemPart):
+        if part.system is not None:
             self.systems[part.name] = self.add(part.name, part.system)
             self.signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
             return
@@ -145,12 +145,12 @@ class _Wiring:
         for output, place in zip(part.outputs, places, strict=True):
             self.signals[part.signal(output)] = split.get_output_port(place)
 
-    def connect(self, part: AnyPart) -> None:
+    def connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
         for port in part.inputs:
             source = part.source(port)
             # A `PartSystem` has the time and its arrays without a port.
-            if isinstance(part, SystemPart) or (port != "time" and isinstance(source, str)):
+            if part.system is not None or (port != "time" and isinstance(source, str)):
                 signal = self.port(f"{part.name}_{port}", source)
                 self.builder.Connect(signal, self.systems[part.name].GetInputPort(port))
 

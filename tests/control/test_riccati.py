@@ -132,50 +132,31 @@ def gain_of_chain(s, period, blocks, method):
 
 
 @pytest.mark.slow
-@settings(max_examples=80)
-@example(1.0, 0.1, 1.0, 0.01, 1e6, 1.0, "exact")  # Long periods: what a hold adds to Euler's terms is felt.
-@example(1.0, 0.1, 1e6, 0.01, 1.0, 1.0, "exact")
-@example(1e3, 0.02, 1e4, 1.0, 1e6, 1.0, "euler")
-@given(
-    s=logs(-2.0, 4.0),
-    period=logs(-4.0, -1.0),
-    q_e=logs(-2.0, 6.0),
-    q_v=logs(-2.0, 6.0),
-    q_z=logs(-2.0, 6.0),
-    r=logs(-2.0, 6.0),
-    method=st.sampled_from(METHODS),
-)
-def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, method):
-    blocks = (q_e, q_v, q_z, r)
-    expected = gain_at_many_digits(s, period, blocks, method)
-    assert worst_digit(gain_of_chain(s, period, blocks, method), expected) < 1e-13
-
-
-@pytest.mark.slow
-@settings(max_examples=80)
+@settings(max_examples=120)
+@example(1.0, 0.1, (0.0, -2.0, 6.0, 0.0), "exact")  # Long periods: what a hold adds to Euler's terms is felt.
+@example(1.0, 0.1, (6.0, -2.0, 0.0, 0.0), "exact")
+@example(1e3, 0.02, (4.0, 0.0, 6.0, 0.0), "euler")
 @given(
     s=logs(-6.0, 6.0),
     period=logs(-4.0, -1.0),
-    exponents=st.tuples(*[st.floats(-12.0, 12.0)] * 4),
+    exponents=st.tuples(*[st.floats(-2.0, 6.0)] * 4) | st.tuples(*[st.floats(-12.0, 12.0)] * 4),
     method=st.sampled_from(METHODS),
 )
-def test_no_weights_give_silent_garbage(s, period, exponents, method):
+def test_each_chain_has_the_gain_of_sixty_digits_or_says_that_it_has_none(s, period, exponents, method):
     blocks = tuple((10.0 ** np.array(exponents)).tolist())
     gain = gain_of_chain(s, period, blocks, method)
+    assert gain is not None or max(map(abs, exponents)) > 6.0 or not 1e-2 <= s <= 1e4
     assert gain is None or worst_digit(gain, gain_at_many_digits(s, period, blocks, method)) < 1e-13
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("root", [1e-6, 0.01, 1.0, 30.0])
-@pytest.mark.parametrize("other", [1.0, 1e-3, 1e3])
-def test_poles_that_coincide_keep_their_digits(method, root, other):
-    t, third = 0.001, root * other
-    a2, a1, a0 = 2.0 * root + third, root * root + 2.0 * root * third, root * root * third
+@pytest.mark.parametrize("root", [1e-6, 0.01, 30.0])
+def test_poles_that_coincide_keep_their_digits(method, root):
+    t, (a2, a1, a0) = 0.001, (3.0 * root, 3.0 * root**2, root**3)
     q_z = a0 / t**6
     q_e = (a1 + (q_z * t**6 / 3.0 if method == "exact" else 0.0)) / t**4
     q_v = (a2 + (0.25 * q_e * t**4 - q_z * t**6 / 36.0 if method == "exact" else 0.0)) / t**2
     blocks = (q_e, q_v, q_z, 1.0)
-    assert min(blocks) > 0.0
     expected = gain_at_many_digits(1.0, t, blocks, method)
     assert worst_digit(gain_of_chain(1.0, t, blocks, method), expected) < 1e-13
 
