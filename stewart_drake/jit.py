@@ -24,6 +24,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 _PREFIX = "compiled-"
 _PACKAGE = Path(__file__).parent
+_OWN = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
 
 
@@ -103,22 +104,19 @@ def source_digest() -> str:
 
 def _folder(name: str) -> Path | None:
     """Where machine code of these sources is kept; None where nothing can be."""
-    own = _PACKAGE / "__pycache__"
     # Somebody's own choice comes first; an installation that is not ours to write to has its place at home.
-    places = [Path(_CONFIG.CACHE_DIR)] if _CONFIG.CACHE_DIR else []
-    places += [own, Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stewart-drake"]
-    for place in places:
-        folder = place.absolute() / name
+    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "stewart-drake"
+    for place in [*([_CONFIG.CACHE_DIR] if _CONFIG.CACHE_DIR else []), _OWN, home]:
         try:
+            folder = Path(place).expanduser().absolute() / name
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except (OSError, RuntimeError):  # RuntimeError: nobody's home
             continue
-        if place == own:
-            for other in own.glob(f"{_PREFIX}*"):
-                if other.name != name:
-                    shutil.rmtree(other, ignore_errors=True)
+        for other in _OWN.glob(f"{_PREFIX}*") if place == _OWN else ():
+            if other.name != name:
+                shutil.rmtree(other, ignore_errors=True)
         return folder
     return None
 

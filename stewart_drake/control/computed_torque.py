@@ -62,16 +62,7 @@ def computed_torque_tick(
 
     The integral grows by period * e after it has been used.
 
-    Args:
-        robots: `ROBOT` as the controller believes it to be.
-        setups: Numbers of `ComputedTorqueOptions`; the limit is infinite for none.
-        measurement: (12,) pose and rate now.
-        reference: (18,) now.
-        leg_records: `LEGS`, overwritten.
-        states: `COMPUTED_TORQUE_STATE` of the tick before; that of this one where the status is OK.
-
-    Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
+    Arguments and result are as of `joint_pid.pid_tick`, of the numbers of `ComputedTorqueOptions`.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from pydantic import Field
@@ -136,11 +136,7 @@ tick before. gain: its solution; before: that for the weights of the tick before
 
 
 def block_weights(weights: np.ndarray) -> np.ndarray:
-    """q_e, q_v, q_z, r from either the paper's pair omega_Q, omega_R, (27), or all four.
-
-    Raises:
-        RiccatiError: Neither two nor four numbers, or one that is not positive and finite.
-    """
+    """q_e, q_v, q_z, r from either the paper's pair omega_Q, omega_R, (27), or all four; all positive and finite."""
     weights = np.asarray(weights, dtype=float)
     if weights.shape == (2,):
         weights = weights[[0, 0, 0, 1]]
@@ -152,13 +148,9 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
 def lqi_gain(
     acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
 ) -> np.ndarray:
-    """K (6, 18) of (31) for M^-1 tau at the present pose, u = -K [e; z] in the paper's state order.
+    """K (6, 18) of (31) for M^-1 tau (6, 6) at the present pose, u = -K [e; z] in the paper's state order.
 
-    Args:
-        acceleration_map: (6, 6) M^-1 tau.
-        options: Period, discretisation, solver and `weight_length`.
-        weights: (2,) omega_Q, omega_R of (27), or (4,) q_e, q_v, q_z, r; all > 0.
-        solver: Another than the options'.
+    `weights` are two or four, see `block_weights`; `solver` another than the options'.
 
     Raises:
         RiccatiError: No stabilising solution.
@@ -376,17 +368,10 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
 def lqi_part(
     options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
 ) -> Part:
-    """The LQI as a part of a loop.
+    """The LQI as a part of a loop, for a robot as believed, in a gravity [m/s^2], with a port of 2 or 4 weights.
 
-    Args:
-        options: See `LqiOptions`.
-        robot: Geometry and masses as the controller believes them.
-        gravity: [m/s^2] for the feedforward; 0 switches the gravity torque off.
-        weights: Size of the port, 2 or 4.
-        solver: Another than the options': `split` is one compiled call and needs no Drake.
-
-    Returns:
-        Its tick raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
+    Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
+    raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
     """
     robots, legs, problem = robot_record(robot), np.empty(1, LEGS), np.zeros(1, PROBLEM)
     setup = new_record(
@@ -402,7 +387,7 @@ def lqi_part(
         exact_hold=options.discretization == "exact",
         saturation=get_args(Saturation).index(options.saturation),
     )
-    by_drake = (solver or options.solver) == "drake"
+    by_drake, finish = (solver or options.solver) == "drake", cast(Any, command)
 
     def tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
         inputs, error = (measurement, reference, weights), None
@@ -415,7 +400,7 @@ def lqi_part(
                     _solve_by_drake(options, problem[0], state["weights"][0])
                 except RiccatiError as failed:
                     error, ended = failed, (NO_GAIN, -1, 0.0)
-            ended = command(robots, setup, *inputs[:2], legs, problem, *ended, state)
+            ended = finish(robots, setup, *inputs[:2], legs, problem, *ended, state)
         if ended[0] == NO_GAIN:
             block_weights(weights)
         if ended[0] != OK:

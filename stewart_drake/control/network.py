@@ -183,9 +183,11 @@ def load_network(path: str | Path | None = None) -> TunerNetwork:
     Raises:
         ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
     """
-    path = default_network_path() if path is None else Path(path)
-    names = (*_SHAPES, "density", "window", "provenance")
-    return load_weights(path, FORMAT, VERSION, lambda found: TunerNetwork(**{name: found.get(name) for name in names}))
+
+    def made(found: Any) -> TunerNetwork:
+        return TunerNetwork(**{name: found.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
+
+    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, made)
 
 
 def default_network_path() -> Path:

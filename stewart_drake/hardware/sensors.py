@@ -119,6 +119,11 @@ class EncoderOptions(SensorOptions):
         true = encoder_part(self)._replace(says={"reading": "true_reading"})
         return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
 
+    def read(self, crank_angles: np.ndarray) -> np.ndarray:
+        """Readings (..., 6) [rad] of true angles, without noise and faults."""
+        angles = np.asarray(crank_angles) + self.offset
+        return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
+
     def drawn(self, tick: int) -> np.ndarray:
         """Standard normal numbers (6,) of the noise of a tick."""
         return tick_numbers(self.noise_seed, _STREAM, tick, 6, normal=True)

@@ -248,9 +248,9 @@ def safety_part(
 ) -> Part:
     """The safety layer, see `safety_tick` for its inputs; `torque` (6,) [N m] for the motors, `safety` (3,).
 
-    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] holds
-    the robot at its start, where the very first command is bad; `quantum` [rad] is a count of the encoders;
-    `innovation_scale` see `observer.innovation_scale`.
+    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] are
+    held where the very first command is bad; `quantum` [rad] is a count of the encoders; for `innovation_scale` see
+    `observer.innovation_scale`.
     """
     own, setup = robot_record(robot), setup_of(robot, options, gravity, period, quantum, innovation_scale)
     none = np.full((6, 6), np.nan)

@@ -289,9 +289,9 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
     of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
     stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
 
-    Readings are angles (6,) [rad] of encoders, NaN from the start where there are none, or else the pose (6,). The state,
-    `SAFETY_STATE`, has `readings` (6,) of the tick before; for each of them in `anchors` (6, 6) what it is compared with
-    as it was when the reading changed; and whether there are `encoders`. The `LEGS` are overwritten.
+    Readings are angles (6,) [rad] of encoders, NaN from the start where there are none, or else the pose (6,). The
+    state has `readings` (6,) of the tick before; for each of them in `anchors` (6, 6) what it is compared with as it
+    was when the reading changed; and whether there are `encoders`. The `LEGS` are overwritten.
 
     Returns:
         Leg whose reading is stuck, -1 for the pose as a whole, or `NOTHING_FROZEN`.

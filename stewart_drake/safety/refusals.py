@@ -125,9 +125,9 @@ def _margins(
     """Margins (n, 5, 6) of `LIMITS` along a motion led ahead by a horizon [s], and the side at its end."""
     # Of these limits none asks for gravity or period.
     by, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    motion = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, reference))
+    poses, rates, wanted = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, reference))
     return by, margins_along(
-        robot_record(robot), setup, horizon, *motion, side, np.empty(1, LEGS), np.empty(1, SEEN), by
+        robot_record(robot), setup, horizon, poses, rates, wanted, side, np.empty(1, LEGS), np.empty(1, SEEN), by
     )
 
 

@@ -75,9 +75,7 @@ class ClosedLoop(Diagram):
         self.systems = wiring.systems
 
     def create_start_context(self) -> Context:
-        """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
-
-        A default Context stands at the home pose, at rest.
+        """A Context assembled at the scenario's start, in motion; a default Context stands at the home pose, at rest.
 
         Raises:
             UnreachablePoseError: The start pose cannot be assembled.
@@ -92,12 +90,7 @@ class ClosedLoop(Diagram):
 
 
 class _Wiring:
-    """A closed loop under construction.
-
-    Attributes:
-        signals: Ports by the names of their signals.
-        systems: Of the parts, by name.
-    """
+    """A closed loop under construction: ports by the names of their signals, systems by those of the parts."""
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
         self.scenario, self.period = scenario, scenario.controller.period
@@ -172,9 +165,5 @@ class _Wiring:
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
-    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`.
-
-    Raises:
-        ConfigurationError: The tuner's weights file is missing or corrupt.
-    """
+    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`."""
     return ClosedLoop(scenario, meshcat)
