@@ -10,7 +10,6 @@ from stewart_drake.control.network import load_network
 from stewart_drake.control.user_controller import PythonOptions, function_part, user_code
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.user_errors import ControllerError
-from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.part import guarded as bridged
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -213,13 +212,6 @@ def test_a_run_that_it_ends_before_its_time_is_not_completed(written):
     assert (log.status, log.reason) == ("failed", "controller_stopped")
     assert "enough" in log.message
     assert 0.04 < log.end_time < 0.06
-
-
-def test_the_shipped_example_follows_the_reference():
-    system = f"{shipped_folder('comparisons') / 'task_space_pd.py'}:TaskSpacePd"
-    log = run(scenario({"kind": "python", "system": system}, duration=0.4, reference={"kind": "sine"}))
-    assert log.status == "completed"
-    assert np.abs(log["pose"] - log["reference"]).max() < 1e-3
 
 
 # --- a plain function ------------------------------------------------------------------------------------------------

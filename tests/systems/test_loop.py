@@ -112,18 +112,6 @@ def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
     np.testing.assert_allclose(log["plant_state"], states, atol=1e-11)
 
 
-def test_all_is_held_between_ticks():
-    log = simulate(ClosedLoop(paper()), 0.1)
-    for name in ("torque", "error", "integral", "density"):
-        blocks = log[name][:100].reshape(20, 5, -1)
-        np.testing.assert_array_equal(blocks, np.broadcast_to(blocks[:, :1], blocks.shape))
-        assert np.any(blocks[1:, 0] != blocks[:-1, 0])
-    # At a tick the error is that of this very row, and the integral that of (23).
-    error = log["measurement"][:, :6] - log["reference"][:, :6]
-    np.testing.assert_allclose(log["error"][::5], error[::5], atol=1e-15)
-    np.testing.assert_allclose(log["integral"][::5], 0.005 * np.cumsum(error[::5], axis=0), atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("changes", "pause"),
     [

@@ -183,11 +183,7 @@ def test_a_users_own_system_runs_behind_it(what, reason):
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"safety": {"workspace": [1.0, 0.04]}, "duration": 2.0}, "safety.workspace"),
-        ({"initial_offset": [0, 0, 0, 0.03, 0, 0]}, "initial_offset"),
         ({"safety": {"damping": 1.0}}, "safety.damping"),
-        ({"safety": {"torque_limit": 0.05}, "reference": {"kind": "hold"}}, "safety.torque_limit"),
-        ({"safety": {"torque_rate": 0.1}}, "safety.torque_rate"),
         ({"safety": {"horizon": 0.5}, "duration": 2.0}, "safety.horizon"),
         ({"safety": {"hold_time": 0.0009}}, "safety.hold_time"),
         ({"model_robot": {"rod_length": 0.36, "home_height": 0.25}, "duration": 2.0}, "model_robot"),
