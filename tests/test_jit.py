@@ -4,6 +4,7 @@ import importlib
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,6 +117,8 @@ def test_a_record_begins_with_zeros_and_takes_what_fits():
     kind = jit.fields(number=(), pair=2)
     made = jit.new_record(kind, pair=[1.0, 2.0])
     assert (made.shape, made["number"][0], made["pair"][0].tolist()) == ((1,), 0.0, [1.0, 2.0])
+    of_options = jit.new_record(kind, SimpleNamespace(number=None, pair=[1.0, 2.0], other=3.0), pair=4.0)
+    assert (of_options["number"][0], of_options["pair"][0].tolist()) == (np.inf, [4.0, 4.0])
     with pytest.raises(ValueError, match="no field"):
         jit.new_record(kind, other=1.0)
     with pytest.raises(ValueError, match="broadcast"):
