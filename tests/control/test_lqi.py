@@ -323,16 +323,3 @@ def test_so_many_bad_ticks_are_bridged_and_no_more_and_a_good_one_starts_anew(ba
             other()
         with pytest.raises(kind):
             other(**bad)
-
-
-@pytest.mark.parametrize("saturation", ["none", "clamp"])
-def test_a_bridged_tick_goes_on_with_the_last_gain_at_the_pose_of_now(saturation):
-    run = Runner("split", hold_ticks=1, saturation=saturation)
-    good = run(pose=HOME + 1e-3)
-    pose, rate = HOME + 0.03, np.full(6, 0.01)
-    held = run(pose=pose, rate=rate, weights=-BLOCKS)
-    expected = good.feedforward - states(good.gain, np.full(6, 0.03), rate, good.integral)
-    limit = np.inf if saturation == "none" else ROBOT.effort_limit
-    np.testing.assert_allclose(held.torque, np.clip(expected, -limit, limit), rtol=1e-9)
-    np.testing.assert_allclose(held.error, 0.03, rtol=1e-9)
-    assert np.abs(expected).max() > ROBOT.effort_limit

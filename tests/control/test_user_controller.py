@@ -3,7 +3,6 @@ import pytest
 from strategies import ROBOT
 from ticks import REST, ticked
 
-from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.control.base import Setpoint
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import load_network
@@ -12,7 +11,7 @@ from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.part import guarded as bridged
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.scenario import Scenario
 
 HEAD = """
 import numpy as np
@@ -82,22 +81,6 @@ def test_an_import_path_works_as_a_file_does_and_context_is_handed_over():
     path = "stewart_drake.systems.library:DensityFeatures"
     made = PythonOptions(system=path, arguments={"window": 4}).construct({"period": 0.25, "robot": ROBOT})
     assert made.period == pytest.approx(0.25)
-
-
-def test_a_file_is_found_beside_the_scenario_and_what_was_read_is_what_runs(tmp_path):
-    (tmp_path / "mine.py").write_text(GOOD)
-    text = "duration: 0.05\nreference: {kind: hold}\ncontroller: {kind: python, system: 'mine.py:Mine'}\n"
-    (tmp_path / "scenario.yaml").write_text(text)
-    loaded = load_scenario(tmp_path / "scenario.yaml", trust_code=True)
-    assert loaded.controller.code.files[-1] == tmp_path / "mine.py"
-    assert run(loaded).status == "completed"
-    before = run_key(loaded)
-    (tmp_path / "mine.py").write_text(GOOD.replace("0.33", "0.11"))
-    assert run_key(loaded) != before
-    with pytest.raises(ConfigurationError, match=r"^controller\.system: .*it has changed since"):
-        run(loaded)
-    again = load_scenario(tmp_path / "scenario.yaml", trust_code=True)
-    np.testing.assert_allclose(run(again)["torque"], 0.11)
 
 
 BAD = [

@@ -102,21 +102,6 @@ def test_the_low_pass_is_of_first_order_with_the_corner_that_the_option_names():
 # --- what is not believed ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("share", "believed"), [(0.99, True), (1.01, False)])
-def test_a_reading_may_move_as_fast_as_the_option_says_and_no_faster(share, believed):
-    tick, initial = estimator(EncoderOptions(resolution_bits=0, max_speed=10.0, hold_ticks=0))
-    angles = at(HOME)
-    angles[2] += share * 10.0 * PERIOD
-    # Not at the first reading, which has none before it.
-    tick(angles, initial)
-    standing = tick(at(HOME), initial)
-    if believed:
-        assert tick(angles, standing)["crank_rate"][0, 2] == pytest.approx(share * 10.0)
-    else:
-        with pytest.raises(RunFailure, match="faster than 10"):
-            tick(angles, standing)
-
-
 @pytest.mark.parametrize(("axis", "limit"), [(1, 0.02), (4, 0.005)])
 def test_a_pose_may_move_as_far_as_the_option_says_and_no_farther(axis, limit):
     tick, initial = estimator(EncoderOptions(resolution_bits=0, max_speed=1e6, max_step=(0.02, 0.005), hold_ticks=0))

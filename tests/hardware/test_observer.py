@@ -102,14 +102,6 @@ def test_a_step_is_the_exact_model_to_second_order(pose, rate, push):
 
 
 @few
-@given(poses(0.4), vectors(6, 0.2), vectors(6, 5.0))
-def test_a_disturbance_is_an_acceleration_of_the_cranks(pose, rate, disturbance):
-    torque = static_torque(ROBOT, pose, GRAVITY)
-    with_it, without = (predicted(pose, rate, torque, each)[1] for each in (disturbance, STILL))
-    np.testing.assert_allclose(pose_jacobian(ROBOT, pose) @ (with_it - without) / PERIOD, disturbance, atol=1e-9)
-
-
-@few
 @given(poses(0.3), vectors(6, 0.2), st.integers(0, 4), st.sampled_from([6, 12]))
 def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay, size):
     torque = static_torque(ROBOT, pose, GRAVITY) + 0.2
