@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -49,12 +49,9 @@ TOO_FAST, OTHER_MODE = 10, 11
 class EstimatorOptions(Section, key="estimator"):
     """Base of the options of estimators."""
 
+    exact: ClassVar[bool] = False
+    """Whether it passes on what a sensor of pose and rate says."""
     kind: str
-
-    @property
-    def exact(self) -> bool:
-        """Whether it passes on what a sensor of pose and rate says."""
-        return False
 
     @property
     def expected(self) -> float:
@@ -77,12 +74,8 @@ class EstimatorOptions(Section, key="estimator"):
 class DifferenceOptions(EstimatorOptions):
     """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
 
+    exact: ClassVar[bool] = True
     kind: Literal["difference"] = "difference"
-
-    @property
-    def exact(self) -> bool:
-        """It is."""
-        return True
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `EstimatorOptions`."""
@@ -171,7 +164,11 @@ def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any
 
 
 def difference_part(
-    robot: RobotParameters, options: EncoderOptions, period: float, pose: np.ndarray, pose_rate: np.ndarray
+    robot: RobotParameters,
+    options: EncoderOptions,
+    period: float,
+    pose: np.ndarray,
+    pose_rate: np.ndarray | tuple[float, ...] = (0.0,) * 6,
 ) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
@@ -191,7 +188,7 @@ def difference_part(
     initial["measurement"][0, :6] = pose
     # A robot that cannot stand there: the first tick says so, with a log.
     with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
-        rates = crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
+        rates = crank_rates(robot, leg_geometry(robot, pose), pose, np.array(pose_rate))
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
     def tick(reading: np.ndarray, state: np.ndarray) -> None:

@@ -386,7 +386,7 @@ def observer_part(
     own, legs, first = (
         robot_record(robot),
         np.empty(1, LEGS),
-        difference_part(robot, EncoderOptions(), period, pose, np.zeros(6)),
+        difference_part(robot, EncoderOptions(), period, pose),
     )
     start = np.concatenate([pose, pose_rate])
     initial = new_record(STATE, measurement=start, ahead=start, health=WELL)

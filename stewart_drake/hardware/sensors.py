@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +24,8 @@ _STREAM = 1
 class SensorOptions(Section, key="sensors"):
     """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
 
+    reading_size: ClassVar[int] = 12
+    """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
     kind: str
     """Of sensor."""
     faults: tuple[Any, ...] = ()
@@ -43,11 +45,6 @@ class SensorOptions(Section, key="sensors"):
     def reading_noise(self) -> float:
         """[rad] standard deviation of a crank's angle as it is read."""
         return 0.0
-
-    @property
-    def reading_size(self) -> int:
-        """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
-        return 12
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
         """What makes of `plant_pose` or `crank_state` the signal `reading`; none where that is `plant_pose` itself."""
@@ -76,6 +73,7 @@ class IdealSensors(SensorOptions):
 class EncoderOptions(SensorOptions):
     """Motor encoders, and the estimator that knows nothing else."""
 
+    reading_size: ClassVar[int] = 6
     kind: Literal["encoders"] = "encoders"
     resolution_bits: Annotated[Natural, Field(le=40)] = 17
     """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
@@ -106,11 +104,6 @@ class EncoderOptions(SensorOptions):
     def reading_noise(self) -> float:
         """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
         return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
-
-    @property
-    def reading_size(self) -> int:
-        """See `SensorOptions`."""
-        return 6
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `SensorOptions`."""

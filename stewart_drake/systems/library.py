@@ -129,7 +129,7 @@ class PoseEstimator(PartSystem):
         options: See `EncoderOptions`.
         period: [s] tick period.
         pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
-        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start; None for rest.
+        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
 
     Ports:
         reading: in (6,) [rad].
@@ -137,15 +137,9 @@ class PoseEstimator(PartSystem):
     """
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        options: EncoderOptions,
-        period: float,
-        pose: np.ndarray,
-        pose_rate: np.ndarray | None = None,
+        self, robot: RobotParameters, options: EncoderOptions, period: float, *start: Any, **more: Any
     ) -> None:
-        rate = np.zeros(6) if pose_rate is None else pose_rate
-        super().__init__(difference_part(robot, options, period, pose, rate), period)
+        super().__init__(difference_part(robot, options, period, *start, **more), period)
 
 
 class PlatformObserver(PartSystem):
