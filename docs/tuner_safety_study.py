@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.control.policy import load_policy
-from stewart_drake.control.settings import NAMES, STEP, disturbance_of, weights_of
+from stewart_drake.control.policy import NAMES, STEP, disturbance_of, load_policy, weights_of
 from stewart_drake.plotting import panels as look
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import (

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
     from stewart_drake.calibration.pose_plan import plan_poses as plan_poses
     from stewart_drake.calibration.result import Calibration as Calibration
-    from stewart_drake.control.inputs import Measurement as Measurement
-    from stewart_drake.control.inputs import Setpoint as Setpoint
-    from stewart_drake.control.lqi_options import LqiOptions as LqiOptions
+    from stewart_drake.control.base import Measurement as Measurement
+    from stewart_drake.control.base import Setpoint as Setpoint
+    from stewart_drake.control.lqi import LqiOptions as LqiOptions
     from stewart_drake.control.network import load_network as load_network
     from stewart_drake.controller import Controller as Controller
     from stewart_drake.errors import ConfigurationError as ConfigurationError
@@ -70,9 +70,9 @@ _HOME = {
     "calibrate": "calibration.fit",
     "plan_poses": "calibration.pose_plan",
     "Controller": "controller",
-    "LqiOptions": "control.lqi_options",
-    "Measurement": "control.inputs",
-    "Setpoint": "control.inputs",
+    "LqiOptions": "control.lqi",
+    "Measurement": "control.base",
+    "Setpoint": "control.base",
     "ClosedLoop": "systems.diagram",
     "build_diagram": "systems.diagram",
     "ConfigurationError": "errors",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.part import Part, SystemPart
 from stewart_drake.parts import loop_of
 from stewart_drake.running import Running
 from stewart_drake.safety import LEVELS
@@ -39,16 +38,14 @@ class Controller:
         loop = loop_of(scenario, split=True)
         own = [*loop.parts[loop.first : loop.last], *(part for part in loop.parts[loop.last :] if part.late)]
         safety = [part for part in loop.parts if part.name == "safety"]
-        if any(isinstance(part, SystemPart) for part in own):
+        if any(part.system is not None for part in own):
             raise ConfigurationError("controller", scenario.controller.kind, "one that is no LeafSystem, to run alone")
         self.period, self.reading = scenario.controller.period, scenario.sensors.reading_size
         outside = {loop.reading: self.reading, **{source.signal: source.size for source in loop.sources}}
-        parts: list[Part] = [part for part in own if isinstance(part, Part)]
         for layer in safety:
-            assert isinstance(layer, Part)
             reads = {**layer.reads, "command": "torque", "age": np.zeros(1)}
-            parts.insert(len(parts) - sum(part.late for part in parts), layer._replace(reads=reads))
-        self._running = Running(parts, outside)
+            own.insert(len(own) - sum(part.late for part in own), layer._replace(reads=reads))
+        self._running = Running(own, outside)
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, self.period), each.evaluate)
             for each in loop.sources

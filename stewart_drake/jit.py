@@ -24,6 +24,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 _PREFIX = "compiled-"
 _PACKAGE = Path(__file__).parent
+_OWN = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
 
 
@@ -36,16 +37,22 @@ def fields(**shapes: int | tuple[int, ...]) -> np.dtype:
     return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 
-def new_record(kind: np.dtype, **values: Any) -> np.ndarray:
-    """A structured array (1,) with named values; what is not given is zero.
+def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
+    """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
+
+    An attribute that is None, a limit that is off, is infinite.
 
     Raises:
         ValueError: A name that the record does not have, or a value of another shape.
     """
-    made = np.zeros(1, dtype=kind)
+    result = np.zeros(1, dtype=kind)
+    for name in kind.names or ():
+        if hasattr(options, name) and name not in values:
+            value = getattr(options, name)
+            result[name][0] = np.inf if value is None else value
     for name, value in values.items():
-        made[name][0] = value
-    return made
+        result[name][0] = value
+    return result
 
 
 if _CONFIG.DISABLE_JIT:
@@ -97,22 +104,19 @@ def source_digest() -> str:
 
 def _folder(name: str) -> Path | None:
     """Where machine code of these sources is kept; None where nothing can be."""
-    own = _PACKAGE / "__pycache__"
     # Somebody's own choice comes first; an installation that is not ours to write to has its place at home.
-    places = [Path(_CONFIG.CACHE_DIR)] if _CONFIG.CACHE_DIR else []
-    places += [own, Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stewart-drake"]
-    for place in places:
-        folder = place.absolute() / name
+    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "stewart-drake"
+    for place in [*([_CONFIG.CACHE_DIR] if _CONFIG.CACHE_DIR else []), _OWN, home]:
         try:
+            folder = Path(place).expanduser().absolute() / name
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except (OSError, RuntimeError):  # RuntimeError: nobody's home
             continue
-        if place == own:
-            for other in own.glob(f"{_PREFIX}*"):
-                if other.name != name:
-                    shutil.rmtree(other, ignore_errors=True)
+        for other in _OWN.glob(f"{_PREFIX}*") if place == _OWN else ():
+            if other.name != name:
+                shutil.rmtree(other, ignore_errors=True)
         return folder
     return None
 

@@ -38,17 +38,19 @@ class Part(NamedTuple):
         says: Output -> name of the signal, where that is not its own.
         every_step: Whether it ticks at every step of the plant, not only at the ticks of the controller.
         late: Whether it ticks once all others have, so that what it says acts from the next tick on.
+        system: A user's own LeafSystem in the place of state and tick; it runs in a Diagram alone.
     """
 
     name: str
     inputs: Mapping[str, int]
     outputs: tuple[str, ...]
-    initial: np.ndarray
-    tick: Callable[..., None]
+    initial: np.ndarray = np.zeros(1)
+    tick: Callable[..., None] = lambda *_: None
     reads: Mapping[str, str | np.ndarray] = NOTHING
     says: Mapping[str, str] = NOTHING
     every_step: bool = False
     late: bool = False
+    system: Any = None
 
     def source(self, port: str) -> str | np.ndarray:
         """Name of the signal at an input port, or the array that stands there."""
@@ -61,38 +63,6 @@ class Part(NamedTuple):
     def size(self, field: str) -> int:
         """Numbers in a field of its state."""
         return int(np.prod(self.initial.dtype[field].shape, dtype=int))
-
-
-class SystemPart(NamedTuple):
-    """A user's own LeafSystem in the place of a part; it runs in a Diagram alone.
-
-    Attributes:
-        name: In the Diagram.
-        inputs: Ports -> size.
-        outputs: Ports, among them torque.
-        system: A pydrake System.
-        reads, says: As of `Part`.
-    """
-
-    name: str
-    inputs: Mapping[str, int]
-    outputs: tuple[str, ...]
-    system: Any
-    reads: Mapping[str, str | np.ndarray] = NOTHING
-    says: Mapping[str, str] = NOTHING
-    every_step: bool = False
-    late: bool = False
-
-    def source(self, port: str) -> str | np.ndarray:
-        """See `Part`."""
-        return self.reads.get(port, port)
-
-    def signal(self, output: str) -> str:
-        """See `Part`."""
-        return self.says.get(output, output)
-
-
-AnyPart = Part | SystemPart
 
 
 class Setup(NamedTuple):

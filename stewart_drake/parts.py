@@ -15,24 +15,17 @@ import numpy as np
 from stewart_drake.errors import NotFiniteError
 from stewart_drake.hardware.command_link import delay_part, link_part, standing_torque
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.friction_feedforward import friction_part
-from stewart_drake.hardware.motors import motor_part
+from stewart_drake.hardware.motors import friction_part, motor_part
 from stewart_drake.hardware.observer import SMALLEST_NOISE
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.part import AnyPart, Part, Setup, guarded
+from stewart_drake.part import Part, Setup, guarded
 from stewart_drake.safety import safety_part
 from stewart_drake.sampling import on_grid, steps_per
 from stewart_drake.scenario import Scenario
 
 
 class Source(NamedTuple):
-    """A signal that is a function of time alone.
-
-    Attributes:
-        signal: Its name.
-        size: Of the signal.
-        evaluate: Times (n,) [s] -> values (n, size).
-    """
+    """A signal that is a function of time alone: its name, its size, and times (n,) [s] -> values (n, size)."""
 
     signal: str
     size: int
@@ -56,17 +49,13 @@ class Loop(NamedTuple):
     their rates.
     """
 
-    parts: tuple[AnyPart, ...]
+    parts: tuple[Part, ...]
     sources: tuple[Source, ...]
     torque: str
     reading: str
     first: int
     last: int
     logged: Mapping[str, str | np.ndarray]
-
-    def source_of(self, part: AnyPart, port: str) -> str | np.ndarray:
-        """What is at an input port of a part: the name of a signal, or an array that stays."""
-        return part.source(port)
 
 
 def loop_of(scenario: Scenario, split: bool = False) -> Loop:
@@ -112,25 +101,31 @@ def setup_of(scenario: Scenario, split: bool = False) -> Setup:
 
 
 class _Builder:
+    """Adds the parts of a scenario in order; what one adds the next ones connect to by name."""
+
     def __init__(self, scenario: Scenario, split: bool) -> None:
         self.scenario, self.setup = scenario, setup_of(scenario, split)
-        self.parts: list[AnyPart] = []
+        self.parts: list[Part] = []
         self.logged: dict[str, str | np.ndarray] = {"reference": "reference"}
         self.late: list[Part] = []
 
     def loop(self) -> Loop:
         scenario, setup = self.scenario, self.setup
-        sources = [Source("reference", 18, _motion(scenario.reference))]
+
+        def motion(times: np.ndarray) -> np.ndarray:
+            return np.concatenate(scenario.reference.evaluate(times), axis=-1)
+
+        sources = [Source("reference", 18, motion)]
         if scenario.disturbances:
             sources.append(Source("wrench", 6, lambda times: total_wrench(scenario.disturbances, times)))
             self.logged["disturbance"] = "wrench"
-        self.reading = self.add_sensors()
-        first = len(self.parts)
-        self.add_estimator()
         if setup.ahead > 0:
             shift = setup.ahead * on_grid(setup.period)
-            motion = _motion(scenario.reference)
             sources.append(Source("reference_ahead", 18, lambda times: motion(times + shift)))
+        sensors = scenario.sensors.parts(setup)
+        self.parts.extend(sensors)
+        self.reading = "reading" if sensors else "plant_pose"
+        self.add_estimator()
         self.add_controller()
         self.add_command()
         self.add_tuner()
@@ -138,23 +133,13 @@ class _Builder:
         torque = self.add_way_to_motors()
         if torque != "torque":
             self.logged["torque_applied"] = torque
-        return Loop((*self.parts, *self.late), tuple(sources), torque, self.reading, first, last, self.logged)
-
-    def add(self, *parts: AnyPart) -> None:
-        """Adds parts in order."""
-        self.parts.extend(parts)
-
-    def add_sensors(self) -> str:
-        """What is read of the robot; the name of the reading."""
-        parts = self.scenario.sensors.parts(self.setup)
-        self.add(*parts)
-        return "reading" if parts else "plant_pose"
+        parts = (*self.parts, *self.late)
+        return Loop(parts, tuple(sources), torque, self.reading, len(sensors), last, self.logged)
 
     def add_estimator(self) -> None:
         """What the controller gets of the readings."""
-        setup, estimator = self.setup, self.scenario.estimator
-        parts = [part._replace(reads={**part.reads, "reading": self.reading}) for part in estimator.parts(setup)]
-        self.add(*(self._guarded(part, "sensor_health") for part in parts))
+        parts = [_reading(part, reading=self.reading) for part in self.scenario.estimator.parts(self.setup)]
+        self.parts.extend(self._guarded(part, "sensor_health") for part in parts)
         self.measurement = "measurement" if parts else self.reading
         self.logged["measurement"] = self.measurement
         self.observes = any("ahead" in part.outputs for part in parts)
@@ -163,100 +148,83 @@ class _Builder:
 
     def add_controller(self) -> None:
         """From measurement and reference to a torque."""
-        setup, options = self.setup, self.scenario.controller
-        sees = {
+        setup = self.setup
+        self.sees: dict[str, str | np.ndarray] = {
             "measurement": "ahead" if self.observes else self.measurement,
             "reference": "reference_ahead" if setup.ahead > 0 else "reference",
             "weights": "weights" if self.scenario.tuner.parts(setup) else np.array(setup.weights),
         }
         self.compensated = self.observes or self.scenario.friction_compensation is not None
-        (part,) = options.parts(setup)
-        part = part._replace(reads={**part.reads, **{port: sees[port] for port in sees if port in part.inputs}})
+        (part,) = self.scenario.controller.parts(setup)
+        part = _reading(part, **self.sees)
         if self.compensated:
             part = part._replace(says={**part.says, "torque": "control_torque"})
         self.weighted = "weights" in part.inputs
-        self.add(self._guarded(part, "controller_health"))
+        self.parts.append(self._guarded(part, "controller_health"))
         self.logged |= {"torque": "torque", "error": "error", "integral": "integral"}
         if "error" not in part.outputs:
-            self.add(_error_part(sees["measurement"], sees["reference"]))
-        self.sees = sees
+            self.parts.append(_reading(_ERROR, **self.sees))
 
     def add_command(self) -> None:
         """What is added to a controller's torque: against friction, and against what an observer cannot explain."""
         setup, friction = self.setup, self.scenario.friction_compensation
         if not self.compensated:
             return
-        none: str | np.ndarray = np.zeros(6)
-        against = none
+        against: dict[str, str | np.ndarray] = {"against_friction": np.zeros(6), "compensation": np.zeros(6)}
         if friction is not None:
-            self.add(friction_part(setup.robot, friction)._replace(reads={"reference": self.sees["reference"]}))
-            against = "against_friction"
-        compensation = "compensation" if self.observes else none
-        self.add(_command_part(compensation, against))
+            self.parts.append(_reading(friction_part(setup.robot, friction), **self.sees))
+            against["against_friction"] = "against_friction"
         if self.observes:
-            self.late.append(_sent_part(setup.robot.effort_limits, setup.still, against))
+            against["compensation"] = "compensation"
+            self.late.append(_reading(_sent_part(setup.robot.effort_limits, setup.still), **against))
+        self.parts.append(_reading(_COMMAND, **against))
 
     def add_tuner(self) -> None:
         """Densities, and the weights that a controller takes; nothing for one that takes none."""
         setup, tuner = self.setup, self.scenario.tuner
         if not self.weighted:
             return
-        self.add(tuner.density_part())
+        self.parts.append(tuner.density_part())
         self.logged |= {"density": "density", "weights": self.sees["weights"]}
         for part in tuner.parts(setup):
-            reads = {"reference": self.sees["reference"]} if "reference" in part.inputs else {}
-            self.late.append(part._replace(reads={**part.reads, **reads}))
+            self.late.append(_reading(part, reference=self.sees["reference"]))
             if "setting" in part.outputs:
                 self.logged["setting"] = "setting"
             if "disturbance" in part.outputs:
                 # The tuner says what the observer is to expect.
-                said = {"disturbance": part.signal("disturbance")}
-                self.parts = [
-                    each._replace(reads={**each.reads, **said}) if "disturbance" in each.inputs else each
-                    for each in self.parts
-                ]
+                self.parts = [_reading(each, disturbance=part.signal("disturbance")) for each in self.parts]
 
     def add_way_to_motors(self) -> str:
         """Delay, link, safety layer and motors; the name of the torque at the plant."""
         scenario, setup = self.scenario, self.setup
-        torque, age = "torque", None
+        torque, age = "torque", {}
         if scenario.command_delay > 0:
-            self.add(delay_part(scenario.command_delay, setup.still)._replace(says={"torque": "delayed"}))
+            self.parts.append(delay_part(scenario.command_delay, setup.still)._replace(says={"torque": "delayed"}))
             torque = "delayed"
         if not scenario.link.perfect:
             steps = steps_per("controller.period", setup.period, setup.time_step)
             part = link_part(scenario.link, steps, setup.still)
-            self.add(part._replace(reads={"torque": torque}, says={"torque": "arrived"}, every_step=True))
-            torque, age = "arrived", "age"
+            self.parts.append(_reading(part, torque=torque)._replace(says={"torque": "arrived"}))
+            torque, age = "arrived", {"age": "age"}
         if scenario.safety is not None:
-            self.add(self._safety(torque, age))
+            self.parts.append(self._safety(command=torque, **age))
             torque = "guarded"
             self.logged["safety"] = "safety"
         if not scenario.motors.perfect:
-            self.add(motor_part(scenario.motors)._replace(reads={"torque": torque}, says={"torque": "driven"}))
+            self.parts.append(_reading(motor_part(scenario.motors), torque=torque)._replace(says={"torque": "driven"}))
             torque = "driven"
-        unchecked = scenario.controller.code is not None or scenario.link.faults
-        if scenario.safety is None and unchecked:
+        if scenario.safety is None and (scenario.controller.code is not None or scenario.link.faults):
             # The plant would clip an infinite torque to one that looks valid; our own controllers never give one.
-            self.add(_finite_part(torque))
+            self.parts.append(_reading(_FINITE, torque=torque))
             torque = "checked"
         return torque
 
-    def _safety(self, command: str, age: str | None) -> Part:
+    def _safety(self, **reads: str) -> Part:
         scenario, setup = self.scenario, self.setup
         assert scenario.safety is not None
-        part = safety_part(
-            setup.robot,
-            scenario.safety,
-            setup.gravity,
-            setup.period,
-            setup.still,
-            scenario.sensors.quantum,
-            scenario.estimator.innovation_scale(setup),
-        )
-        reads = {**part.reads, "command": command, "measurement": self.measurement}
-        if age is not None:
-            reads["age"] = age
+        more = scenario.sensors.quantum, scenario.estimator.innovation_scale(setup)
+        part = safety_part(setup.robot, scenario.safety, setup.gravity, setup.period, setup.still, *more)
+        reads["measurement"] = self.measurement
         if setup.reading == 6:
             reads["angles"] = self.reading
         if self.observes:
@@ -265,23 +233,21 @@ class _Builder:
                 reads["pose_reading"] = self.reading
         for health in {"sensor_health", "controller_health"} & {each.signal("health") for each in self.parts}:
             reads[health] = health
-        return part._replace(reads=reads, says={"torque": "guarded"})
+        return _reading(part, **reads)._replace(says={"torque": "guarded"})
 
-    def _guarded(self, part: AnyPart, health: str) -> AnyPart:
+    def _guarded(self, part: Part, health: str) -> Part:
         """A part whose failing ticks the safety layer hears of, where there is one."""
-        if not self.setup.guarded or not isinstance(part, Part):
+        if not self.setup.guarded or part.system is not None:
             return part
         return guarded(part)._replace(says={**part.says, "health": health})
 
 
-def _motion(reference: Any) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda times: np.concatenate(reference.evaluate(times), axis=-1)
+def _reading(part: Part, **sources: str | np.ndarray) -> Part:
+    """The part with these signals, or arrays, at those of its ports that have such a name."""
+    return part._replace(reads={**part.reads, **{port: sources[port] for port in sources if port in part.inputs}})
 
 
-_COMMAND_STATE = fields(torque=6)
-_ERROR_STATE = fields(error=6, integral=6)
-_SENT_STATE = fields(sent=6)
-_CHECKED_STATE = fields(checked=6)
+# --- parts that no room has ------------------------------------------------------------------------------------------
 
 
 @njit
@@ -291,11 +257,14 @@ def _add_torques(control: Any, compensation: Any, friction: Any, states: Any) ->
         state.torque[i] = control[i] + compensation[i] + friction[i]
 
 
-def _command_part(compensation: str | np.ndarray, friction: str | np.ndarray) -> Part:
-    """The torque asked for: a controller's, what an observer adds, and what makes up for friction."""
-    inputs = {"control_torque": 6, "compensation": 6, "against_friction": 6}
-    reads = {"compensation": compensation, "against_friction": friction}
-    return Part("command", inputs, ("torque",), new_record(_COMMAND_STATE), _add_torques, reads)
+_COMMAND = Part(
+    "command",
+    {"control_torque": 6, "compensation": 6, "against_friction": 6},
+    ("torque",),
+    new_record(fields(torque=6)),
+    _add_torques,
+)
+"""The torque asked for: a controller's, what an observer adds, and what makes up for friction."""
 
 
 @njit
@@ -305,7 +274,7 @@ def _remember_sent(limit: Any, torque: Any, friction: Any, states: Any) -> None:
         state.sent[i] = min(max(torque[i], -limit[i]), limit[i]) - friction[i]
 
 
-def _sent_part(limit: np.ndarray, still: np.ndarray, friction: str | np.ndarray) -> Part:
+def _sent_part(limit: np.ndarray, still: np.ndarray) -> Part:
     """The command of a tick less what friction takes of it, for the observer at the next one.
 
     What the motors cannot give is cut by them, or by the safety layer, which has to see it.
@@ -314,34 +283,29 @@ def _sent_part(limit: np.ndarray, still: np.ndarray, friction: str | np.ndarray)
     def tick(torque: np.ndarray, against: np.ndarray, state: np.ndarray) -> None:
         _remember_sent(limit, torque, against, state)
 
-    inputs, start = {"torque": 6, "against_friction": 6}, new_record(_SENT_STATE, sent=still)
-    return Part("sent", inputs, ("sent",), start, tick, {"against_friction": friction}, late=True)
+    start = new_record(fields(sent=6), sent=still)
+    return Part("sent", {"torque": 6, "against_friction": 6}, ("sent",), start, tick, late=True)
 
 
-def _error_part(measurement: str | np.ndarray, reference: str | np.ndarray) -> Part:
-    """Tracking error of a controller that does not tell its own, and an integral state of zeros."""
-
-    def tick(measured: np.ndarray, wanted: np.ndarray, state: np.ndarray) -> None:
-        np.subtract(measured[:6], wanted[:6], out=state["error"][0])
-
-    reads = {"measurement": measurement, "reference": reference}
-    return Part(
-        "tracking_error",
-        {"measurement": 12, "reference": 18},
-        ("error", "integral"),
-        new_record(_ERROR_STATE),
-        tick,
-        reads,
-    )
+def _error_tick(measured: np.ndarray, wanted: np.ndarray, state: np.ndarray) -> None:
+    np.subtract(measured[:6], wanted[:6], out=state["error"][0])
 
 
-def _finite_part(torque: str) -> Part:
-    """Ends a run whose torques are no numbers, where there is no safety layer."""
+_ERROR = Part(
+    "tracking_error",
+    {"measurement": 12, "reference": 18},
+    ("error", "integral"),
+    new_record(fields(error=6, integral=6)),
+    _error_tick,
+)
+"""Tracking error of a controller that does not tell its own, and an integral state of zeros."""
 
-    def tick(asked: np.ndarray, state: np.ndarray) -> None:
-        if not np.isfinite(asked).all():
-            raise NotFiniteError("torque", asked.copy())
-        state["checked"][0] = asked
 
-    start = new_record(_CHECKED_STATE)
-    return Part("finite", {"torque": 6}, ("checked",), start, tick, {"torque": torque}, every_step=True)
+def _finite_tick(asked: np.ndarray, state: np.ndarray) -> None:
+    if not np.isfinite(asked).all():
+        raise NotFiniteError("torque", asked.copy())
+    state["checked"][0] = asked
+
+
+_FINITE = Part("finite", {"torque": 6}, ("checked",), new_record(fields(checked=6)), _finite_tick, every_step=True)
+"""Ends a run whose torques are no numbers, where there is no safety layer."""

@@ -26,7 +26,7 @@ REFERENCES = Family(
 )
 CONTROLLERS = Family(
     {
-        "lqi": "control.lqi_options:LqiOptions",
+        "lqi": "control.lqi:LqiOptions",
         "pid": "control.joint_pid:PidOptions",
         "computed_torque": "control.computed_torque:ComputedTorqueOptions",
         "python": "control.user_controller:PythonOptions",
@@ -50,7 +50,7 @@ ESTIMATORS = Family(
     {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",
 )
-OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", methods=("look",))
+OWN_MONITORS = Family({}, own="safety.safety_options:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
 OWN_METRICS = Family({}, own="logs.metric_table:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""

@@ -66,11 +66,7 @@ class Running:
         return next(state for part, state in zip(self._parts, self._states, strict=True) if part.name == name)
 
     def tick(self) -> None:
-        """A tick of all parts but the late ones.
-
-        Raises:
-            RunFailure: A part has failed; with the time.
-        """
+        """A tick of all parts but the late ones; a RunFailure of a part gets the time."""
         self._call(self._tick)
 
     def between(self) -> None:

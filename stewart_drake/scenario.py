@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.base import ControllerOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
@@ -22,8 +22,7 @@ from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, 
 from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation
-from stewart_drake.hardware.motors import MotorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY

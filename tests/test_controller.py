@@ -10,7 +10,7 @@ from pydrake.systems.framework import LeafSystem
 
 from stewart_drake import Controller, Scenario, load_scenario, run
 from stewart_drake.errors import ConfigurationError, RunFailure, SafetyStop
-from stewart_drake.hardware.sensors import EncoderOptions
+from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 
 ENCODERS = {"sensors": {"kind": "encoders", "rate_cutoff": 150.0}}
 OBSERVED = {
@@ -30,9 +30,14 @@ def short(name, changes=(), duration=0.1):
 def readings_of(log):
     """What the controller's side read at each tick of a run: poses, or what encoders make of the cranks' angles."""
     sensors = log.scenario.sensors
-    if isinstance(sensors, EncoderOptions):
-        return np.array([sensors.read(angles, tick) for tick, angles in enumerate(log["crank_angle"])])
-    return np.concatenate([log["pose"], log["pose_rate"]], axis=1)
+    if not isinstance(sensors, EncoderOptions):
+        return np.concatenate([log["pose"], log["pose_rate"]], axis=1)
+    part, readings = encoder_part(sensors), []
+    state = part.initial.copy()
+    for angles in log["crank_angle"]:
+        part.tick(np.append(angles, np.zeros(6)), state)
+        readings.append(state["reading"][0].copy())
+    return np.array(readings)
 
 
 def replayed(controller, log, names=("torque",)):

@@ -14,8 +14,8 @@ from stewart_drake.campaigns.plan import identity
 from stewart_drake.campaigns.run_store import run_key
 from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.cli.app import cli
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.base import ControllerOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.hardware.faults import EncoderFault, FaultKind
 from stewart_drake.hardware.sensors import SensorOptions

@@ -7,8 +7,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from reachy_mini_rust_kinematics import ReachyMiniRustKinematics
 
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 from stewart_drake.mechanics.kinematics import (

@@ -8,8 +8,7 @@ import pytest
 from conftest import field_of
 from strategies import ROBOTS, TANGENTIAL, UNEQUAL
 
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi import lqi_gain, lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_gain, lqi_part
 from stewart_drake.control.state_space import POSITION
 from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.errors import ConfigurationError

@@ -29,20 +29,6 @@ def test_a_multiple_of_a_period_is_the_same_multiple_on_the_grid():
     assert [pair for pair in PAIRS if Fraction(on_grid(pair[1])) != pair[2] * Fraction(on_grid(pair[0]))] == []
 
 
-@pytest.mark.parametrize(
-    ("fast", "slow"), [(0.0001, 0.001), (0.001, 0.005), (0.001, 0.002), (0.0001, 0.005), (0.001, 0.05), (1e-6, 0.001)]
-)
-def test_event_times_coincide_bit_for_bit_to_the_end_of_the_longest_run(fast, slow):
-    ratio, count = round(slow / fast), int(LAST / slow)
-    # As Drake computes them: a whole number times the period, rounded once.
-    indices = {*range(2001), *range(0, count, max(1, count // 20_000)), count}
-    assert all((k * ratio) * on_grid(fast) == k * on_grid(slow) for k in indices)
-
-
-def test_decimal_periods_do_not_coincide_which_is_why_there_is_a_grid():
-    assert sum((10 * k) * 0.0001 != k * 0.001 for k in range(2001)) == 384
-
-
 @given(st.integers(1, 5000), st.integers(1, 1000))
 def test_any_whole_number_of_microseconds_up_to_five_seconds_is_on_the_grid(microseconds, ratio):
     assert Fraction(on_grid(ratio * microseconds / 1e6)) == ratio * Fraction(on_grid(microseconds / 1e6))

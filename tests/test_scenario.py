@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from stewart_drake.control.joint_pid import PidOptions
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.controller import Controller
 from stewart_drake.errors import ConfigurationError, OlderFileWarning

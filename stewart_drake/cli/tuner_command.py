@@ -24,13 +24,12 @@ def show(file: Path | None) -> None:
 
     Exit status: 0 shown, 2 no policy file, or not as it was written.
     """
-    from stewart_drake.control.policy import default_policy_path, load_policy
-    from stewart_drake.control.policy_card import BOX_HEADER, box_rows, facts
+    from stewart_drake.control.policy import BOX_HEADER, default_policy_path, load_policy
 
     path = default_policy_path() if file is None else file
     policy = load_policy(path)
-    print_columns(f"{path.name}: settings, decades above the base", BOX_HEADER, box_rows(policy))
-    print_columns(path.name, ("", ""), facts(policy), numbers=())
+    print_columns(f"{path.name}: settings, decades above the base", BOX_HEADER, policy.box_rows())
+    print_columns(path.name, ("", ""), policy.facts(), numbers=())
 
 
 class _Runs(NamedTuple):

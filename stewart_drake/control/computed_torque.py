@@ -6,9 +6,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.control.controller_options import OwnControllerOptions
-from stewart_drake.control.inputs import TORQUE, failure, measured_legs
-from stewart_drake.control.robot_gains import FREQUENCY
+from stewart_drake.control.base import (
+    FREQUENCY,
+    TORQUE,
+    OwnControllerOptions,
+    controller_part,
+    failure,
+    measured_legs,
+)
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import motion_torque
 from stewart_drake.mechanics.kinematics_laws import LEGS, NOT_FINITE, OK, PARALLEL, robot_record
@@ -57,16 +62,7 @@ def computed_torque_tick(
 
     The integral grows by period * e after it has been used.
 
-    Args:
-        robots: `ROBOT` as the controller believes it to be.
-        setups: Numbers of `ComputedTorqueOptions`; the limit is infinite for none.
-        measurement: (12,) pose and rate now.
-        reference: (18,) now.
-        leg_records: `LEGS`, overwritten.
-        states: `COMPUTED_TORQUE_STATE` of the tick before; that of this one where the status is OK.
-
-    Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
+    Arguments and result are as of `joint_pid.pid_tick`, of the numbers of `ComputedTorqueOptions`.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
@@ -95,34 +91,14 @@ def computed_torque_tick(
 
 
 def computed_torque_part(options: ComputedTorqueOptions, robot: RobotParameters, gravity: float) -> Part:
-    """Computed torque as a part of a loop.
-
-    Args:
-        options: See `ComputedTorqueOptions`.
-        robot: Geometry and masses as the controller believes them.
-        gravity: [m/s^2].
-
-    Returns:
-        Its tick raises NotFiniteError for the measurement or the torque that comes of it; UnreachablePoseError and
-        SingularPoseError for the measured pose.
-    """
+    """Computed torque as a part of a loop, for a robot as believed, in a gravity [m/s^2]; raises as `failure`."""
     robots, legs = robot_record(robot), np.empty(1, LEGS)
-    setup = new_record(
-        _SETUP,
-        period=options.period,
-        gravity=gravity,
-        min_transmission=options.min_transmission,
-        min_conditioning=options.min_conditioning,
-        natural_frequency=options.natural_frequency,
-        damping=options.damping,
-        integral_frequency=options.integral_frequency,
-        limit=robot.effort_limits if options.saturation == "clamp" else np.inf,
-    )
+    limit = robot.effort_limits if options.saturation == "clamp" else np.inf
+    setup = new_record(_SETUP, options, gravity=gravity, limit=limit)
 
     def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
         ended = computed_torque_tick(robots, setup, measurement, reference, legs, state)
         if ended[0] != OK:
-            raise failure(options, ended, measurement, reference)
+            raise failure(options.near_singularity, ended, measurement, reference)
 
-    outputs = ("torque", "error", "integral")
-    return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(COMPUTED_TORQUE_STATE), tick)
+    return controller_part(tick, new_record(COMPUTED_TORQUE_STATE))

@@ -6,9 +6,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import fields, new_record, njit
 from stewart_drake.part import Part
+from stewart_drake.section import Window, check_value
 
 DensityKind = Literal["magnitude", "signed"]
 
@@ -39,15 +39,9 @@ def density_of(samples: Any, signed: bool, out: Any) -> None:
 
 @njit
 def density_tick(window: Any, filled: Any, error: Any, torque: Any, signed: bool, out: Any) -> None:
-    """`density_of` errors (6,) and torques (6,) that slide into a window.
+    """`density_of` an error (6,) [rad, m] and a torque (6,) [N m] that slide into a window (m + 1, 12), oldest first.
 
-    Args:
-        window: (m + 1, 12), oldest first; the last `filled` rows mean something. Shifted.
-        filled: (1,) counted on.
-        error: (6,) [rad, m].
-        torque: (6,) [N m].
-        signed: Kind of density.
-        out: (12,) out [-], of the errors, then of the torques.
+    The last `filled` (1,) rows mean something. out: (12,) [-], of the errors, then of the torques.
     """
     rows = window.shape[0]
     for row in range(rows - 1):
@@ -58,26 +52,19 @@ def density_tick(window: Any, filled: Any, error: Any, torque: Any, signed: bool
 
 
 def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
-    """`density_of` a window (n, k), oldest first.
-
-    Raises:
-        ConfigurationError: Another `kind`.
-    """
+    """`density_of` a window (n, k), oldest first."""
+    check_value("density", kind, DensityKind)
     values = np.ascontiguousarray(samples, dtype=float)
     out = np.empty(values.shape[1])
-    density_of(values, _signed(kind), out)
+    density_of(values, kind == "signed", out)
     return out
 
 
 def density_part(window: int, kind: DensityKind) -> Part:
-    """Densities of errors and torques over a window of m ticks as a part of a loop.
-
-    Raises:
-        ConfigurationError: A window below one tick; another `kind`.
-    """
-    if window < 1:
-        raise ConfigurationError("window", window, "at least 1 tick")
-    signed = _signed(kind)
+    """Densities of errors and torques over a window of m ticks as a part of a loop."""
+    check_value("window", window, Window)
+    check_value("density", kind, DensityKind)
+    signed = kind == "signed"
     initial = new_record(fields(density=12, filled=(), window=(window + 1, 12)), density=1.0)
 
     def tick(error: np.ndarray, torque: np.ndarray, state: np.ndarray) -> None:
@@ -85,9 +72,3 @@ def density_part(window: int, kind: DensityKind) -> Part:
         density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
 
     return Part("density", {"error": 6, "torque": 6}, ("density",), initial, tick)
-
-
-def _signed(kind: DensityKind) -> bool:
-    if kind not in ("magnitude", "signed"):
-        raise ConfigurationError("density", kind, "magnitude or signed")
-    return kind == "signed"

@@ -6,12 +6,10 @@ the units of the cost, innovations of the observer in those of the noise of a re
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales
 from stewart_drake.jit import fields, njit
 
 FEATURES = (
@@ -55,36 +53,6 @@ training. levels: mean squares over `TIMES`. drift: mean normalised innovations.
 heard. held: [s] that a schedule goes on."""
 
 
-class TunerContext(NamedTuple):
-    """What a tuner of settings is built for.
-
-    Attributes:
-        period: [s] of a tick.
-        noise: [rad] of a reading, as the observer believes it.
-        latency: [s] from a reading to the torque that it causes.
-        length: [m] characteristic length of the robot.
-        kappa: [-] from stiff, -1, to quiet, 1: the scale of torque changes in the cost is divided by 10^kappa.
-        scales: What counts as one in the cost.
-    """
-
-    period: float
-    noise: float
-    latency: float
-    length: float
-    kappa: float = 0.0
-    scales: CostScales = CostScales()
-
-    def numbers(self) -> dict[str, float]:
-        """Those of `SETUP`."""
-        return {
-            **{name: getattr(self, name) for name in ("period", "noise", "latency", "length", "kappa")},
-            "rotation": math.radians(self.scales.rotation),
-            "position": 1e-3 * self.scales.position,
-            # The scale is for a millisecond.
-            "torque_change": 1e3 * self.period * self.scales.torque_change,
-        }
-
-
 @njit
 def plausible(density: Any, error: Any, torque: Any, innovation: Any, reference: Any) -> bool:
     """Whether all that is heard is finite and below `LARGEST`."""
@@ -99,17 +67,10 @@ def plausible(density: Any, error: Any, torque: Any, innovation: Any, reference:
 def features(
     setup: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, state: Any, out: Any
 ) -> None:
-    """Features (13,) [-] at a tick, see `FEATURES`.
+    """Features (13,) [-] at a tick, see `FEATURES`; of a `SETUP` record, and a `TUNER_STATE` that is counted on.
 
-    Args:
-        setup: `SETUP` record.
-        density: (12,) [-] of errors and torques.
-        error: (6,) [rad, m] that the controller saw.
-        torque: (6,) [N m] that it asks for.
-        innovation: (6,) [rad] of the observer.
-        reference: (18,) that the controller follows.
-        state: `TUNER_STATE` record, counted on.
-        out: (13,) out.
+    Heard are densities (12,) [-], the error (6,) [rad, m] that the controller saw, the torque (6,) [N m] that it asks
+    for, the innovation (6,) [rad] of the observer, and the reference (18,).
     """
     period = setup.period
     innovations, drift, changes, rotation, position = 0.0, 0.0, 0.0, 0.0, 0.0

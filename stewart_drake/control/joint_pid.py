@@ -6,10 +6,17 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from stewart_drake.control.controller_options import OwnControllerOptions
-from stewart_drake.control.inputs import AT_REFERENCE, TORQUE, failure, measured_legs
-from stewart_drake.control.lqi_options import Saturation
-from stewart_drake.control.robot_gains import DERIVATIVE, INTEGRAL, PROPORTIONAL
+from stewart_drake.control.base import (
+    AT_REFERENCE,
+    DERIVATIVE,
+    INTEGRAL,
+    PROPORTIONAL,
+    TORQUE,
+    OwnControllerOptions,
+    controller_part,
+    failure,
+    measured_legs,
+)
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.kinematics_laws import (
@@ -49,22 +56,16 @@ class PidOptions(OwnControllerOptions):
     """gravity: adds the static torque of all bodies at the measured pose."""
     torque_limit: Positive | None = None
     """[N m] largest torque of a motor; null takes the robot's `effort_limit`, which nothing exceeds."""
-    saturation: Saturation = "clamp"
+    saturation: Literal["none", "clamp", "back_calculation"] = "clamp"
     """none: the torque asked for may exceed the limit. clamp: it is limited, and the integral of a motor at its limit
     grows no further. back_calculation: it is limited, and the integral gives back what was cut within `reset_time`."""
     reset_time: Positive = 0.05
     """[s] of back_calculation."""
 
-    @property
-    def back_share(self) -> float:
-        """[-] of what was cut off that back_calculation gives back in a tick."""
-        return min(1.0, self.period / self.reset_time)
-
     def limit(self, robot: RobotParameters) -> np.ndarray:
         """(6,) [N m] of the motors' torques."""
         own = np.inf if self.torque_limit is None else self.torque_limit
-        limits: np.ndarray = np.minimum(own, robot.effort_limits)
-        return limits
+        return np.asarray(np.minimum(own, robot.effort_limits))
 
     def parts(self, setup: Any) -> tuple[Part, ...]:
         """The controller in a loop, see `part.Setup`."""
@@ -130,37 +131,21 @@ def pid_tick(robots: Any, setups: Any, measurement: Any, reference: Any, leg_rec
 
 
 def pid_part(options: PidOptions, robot: RobotParameters, gravity: float) -> Part:
-    """The PID as a part of a loop.
-
-    Args:
-        options: See `PidOptions`.
-        robot: Geometry and masses as the controller believes them.
-        gravity: [m/s^2] for the feedforward.
-
-    Returns:
-        Its tick raises NotFiniteError for the measurement or the torque that comes of it; UnreachablePoseError and
-        SingularPoseError for the measured pose, the first for the reference's too.
-    """
+    """The PID as a part of a loop, for a robot as believed, in a gravity [m/s^2]; its tick raises as `failure`."""
     robots, legs = robot_record(robot), np.empty(2, LEGS)
     gives_back = options.saturation == "back_calculation" and options.ki > 0.0
     setup = new_record(
         _SETUP,
-        period=options.period,
+        options,
         gravity=gravity if options.feedforward == "gravity" else 0.0,
-        min_transmission=options.min_transmission,
-        min_conditioning=options.min_conditioning,
-        kp=options.kp,
-        ki=options.ki,
-        kd=options.kd,
         limit=np.inf if options.saturation == "none" else options.limit(robot),
         clamp=options.saturation == "clamp",
-        given_back=options.back_share / options.ki if gives_back else 0.0,
+        given_back=min(1.0, options.period / options.reset_time) / options.ki if gives_back else 0.0,
     )
 
     def tick(measurement: np.ndarray, reference: np.ndarray, state: np.ndarray) -> None:
         ended = pid_tick(robots, setup, measurement, reference, legs, state)
         if ended[0] != OK:
-            raise failure(options, ended, measurement, reference)
+            raise failure(options.near_singularity, ended, measurement, reference)
 
-    outputs = ("torque", "error", "integral")
-    return Part("controller", {"measurement": 12, "reference": 18}, outputs, new_record(PID_STATE), tick)
+    return controller_part(tick, new_record(PID_STATE))

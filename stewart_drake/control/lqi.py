@@ -1,21 +1,22 @@
-"""One tick of the LQI, (19)-(34), by the paper's model or by the exact one."""
+"""The LQI, (19)-(34), by the paper's model or by the exact one: options, the law of a tick, the part of a loop."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.control.inputs import (
+from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
     TORQUE,
+    OwnControllerOptions,
     all_finite,
+    controller_part,
     failure,
     measured_legs,
 )
-from stewart_drake.control.lqi_options import Feedforward, LqiOptions, Saturation
 from stewart_drake.control.riccati import RiccatiSolver, riccati_gain, solve_drake, split_gain, split_solution
 from stewart_drake.control.state_space import (
     AXES,
@@ -23,13 +24,15 @@ from stewart_drake.control.state_space import (
     POSITION,
     RATE,
     STATES,
+    Discretization,
     discretize,
     input_matrix,
     state_matrix,
 )
-from stewart_drake.errors import RiccatiError, RunFailure
+from stewart_drake.errors import ConfigurationError, RiccatiError
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
+from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     NO_GAIN,
@@ -43,6 +46,76 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
+from stewart_drake.section import Flag, Natural, Positive, PositivePair
+
+Feedforward = Literal["none", "gravity", "platform", "full"]
+NONE, GRAVITY, PLATFORM, FULL = range(4)
+Saturation = Literal["none", "clamp", "back_calculation"]
+CLAMP, BACK_CALCULATION = 1, 2
+
+
+class LqiOptions(OwnControllerOptions):
+    """Options of the LQI controller; the defaults are the paper's, with gravity compensated."""
+
+    kind: Literal["lqi"] = "lqi"
+    """The default kind."""
+    period: Positive = 0.005
+    model: Literal["paper", "exact"] = "paper"
+    """paper: (9), the platform's mass alone, moments as accelerations of Euler angles. exact: inertia of the whole
+    closed chain at the measured pose."""
+    force_map: ForceMapKind = "statics"
+    """tau_2 of (15) as printed, or by statics; the exact model has its own map."""
+    feedforward: Feedforward = "gravity"
+    """none: the paper, (34) alone. gravity: adds the static torque of all bodies at the measured pose. platform: adds
+    to that M q''_d of (9) through the force map at the measured pose. full: inverse dynamics of the exact model for the
+    reference's acceleration."""
+    feedforward_at: Literal["measured", "reference"] = "measured"
+    """Pose and rate at which `full` is evaluated: the measured ones, or the reference's."""
+    weight_length: Annotated[Positive | None, Field(le=LARGEST), CHARACTERISTIC_LENGTH] = 1.0
+    """[m] rotations in Q are multiplied by this, so that they compare with metres; 1 is the paper, the platform's joint
+    radius 0.11 makes an error of the joints count alike in both. In a scenario null takes the robot's
+    `characteristic_length`."""
+    discretization: Discretization = "exact"
+    """Zero-order hold of (25): exact, or first order (euler)."""
+    solver: RiccatiSolver = "drake"
+    """drake: one equation of 18 states. split: six of 3 states, without Drake."""
+    saturation: Saturation = "none"
+    """none: the torque asked for may exceed what the motors have. clamp: it is limited, and z stands still meanwhile.
+    back_calculation: it is limited, and z is led back by what was cut off."""
+    reset_time: Positive = 0.05
+    """[s] time in which back-calculation takes z back."""
+    integral_limit: PositivePair | None = None
+    """[rad s, m s] largest |z| of rotations and translations; null for none."""
+    bumpless: Flag = False
+    """When the weights change, z changes too, so that the torque by z does not."""
+    hold_ticks: Annotated[Natural, Field(le=1000)] = 0
+    """Ticks in a row for which a pose near a singularity, a gain that does not exist or a measurement that is not
+    finite is bridged by the last good gain and torque, before the run ends."""
+
+    @property
+    def length(self) -> float:
+        """[m] `weight_length`.
+
+        Raises:
+            ConfigurationError: It is null, and no scenario has put the robot's in.
+        """
+        if self.weight_length is None:
+            raise ConfigurationError("controller.weight_length", None, "a length, outside of a scenario")
+        return self.weight_length
+
+    @property
+    def label(self) -> str:
+        """In a few words, for titles."""
+        model = "exact model" if self.model == "exact" else f"force map {self.force_map}"
+        return f"{model}, feedforward {self.feedforward}"
+
+    def parts(self, setup: Any) -> tuple[Part, ...]:
+        """The controller in a loop, see `part.Setup`."""
+        solver: RiccatiSolver | None = "split" if setup.split else None
+        return (lqi_part(self, setup.robot, setup.gravity, len(setup.weights), solver),)
+
 
 LQI_STATE = fields(
     torque=6, error=6, integral=6, health=2, gain=(6, 18), feedforward=6, weights=4, held=()
@@ -50,26 +123,20 @@ LQI_STATE = fields(
 """torque [N m]. error: measured pose minus setpoint [rad, m]. integral: z for the next tick [rad s, m s]. gain: K.
 feedforward: part of the torque [N m]. weights: q_e, q_v, q_z, r of this tick, zeros before the first. held: ticks in a
 row that were bridged."""
-
 LQI_SETUP = fields(
     period=(), gravity=(), length=(), min_transmission=(), min_conditioning=(), integral_limit=6, back_share=(),
     exact_model=(), printed_map=(), feedforward=(), at_reference=(), exact_hold=(), saturation=(), bumpless=(),
     hold_ticks=(),
 )  # fmt: skip
-"""Numbers of `LqiOptions`; choices are 0 or 1, or count as below. integral_limit: infinite for none. back_share: of
+"""Numbers of `LqiOptions`; choices are 0 or 1, or count as above. integral_limit: infinite for none. back_share: of
 what was cut off that z gives back in a tick."""
-NONE, GRAVITY, PLATFORM, FULL = range(4)
-"""Kinds of feedforward."""
-CLAMP, BACK_CALCULATION = 1, 2
-"""Kinds of saturation but none."""
+PROBLEM = fields(weights=4, map=(6, 6), changed=(), gain=(6, 18), before=(6, 18))
+"""What a gain is for: q_e, q_v, q_z, r, and M^-1 tau; changed: whether z has to follow other weights than those of the
+tick before. gain: its solution; before: that for the weights of the tick before, where they have changed."""
 
 
 def block_weights(weights: np.ndarray) -> np.ndarray:
-    """q_e, q_v, q_z, r from either the paper's pair omega_Q, omega_R, (27), or all four.
-
-    Raises:
-        RiccatiError: Neither two nor four numbers, or one that is not positive and finite.
-    """
+    """q_e, q_v, q_z, r from either the paper's pair omega_Q, omega_R, (27), or all four; all positive and finite."""
     weights = np.asarray(weights, dtype=float)
     if weights.shape == (2,):
         weights = weights[[0, 0, 0, 1]]
@@ -81,16 +148,9 @@ def block_weights(weights: np.ndarray) -> np.ndarray:
 def lqi_gain(
     acceleration_map: np.ndarray, options: LqiOptions, weights: np.ndarray, solver: RiccatiSolver | None = None
 ) -> np.ndarray:
-    """K of (31) for M^-1 tau at the present pose, u = -K [e; z] in the paper's state order.
+    """K (6, 18) of (31) for M^-1 tau (6, 6) at the present pose, u = -K [e; z] in the paper's state order.
 
-    Args:
-        acceleration_map: (6, 6) M^-1 tau.
-        options: Period, discretisation, solver and `weight_length`.
-        weights: (2,) omega_Q, omega_R of (27), or (4,) q_e, q_v, q_z, r; all > 0.
-        solver: Another than the options'.
-
-    Returns:
-        (6, 18).
+    `weights` are two or four, see `block_weights`; `solver` another than the options'.
 
     Raises:
         RiccatiError: No stabilising solution.
@@ -111,6 +171,81 @@ def lqi_gain(
 
 
 @njit
+def lqi_tick(
+    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, problems: Any,
+    states: Any,
+) -> Any:  # fmt: skip
+    """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
+
+    Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
+
+    Args:
+        robots: `ROBOT` as the controller believes it to be.
+        setups: `LQI_SETUP`.
+        measurement: (12,) pose and rate now.
+        reference: (18,) now.
+        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
+        leg_records: `LEGS`, overwritten.
+        problems: `PROBLEM`, overwritten.
+        states: `LQI_STATE` of the tick before; that of this one where the status is OK.
+
+    Returns:
+        Status; leg or -1, or which signal is NOT_FINITE; margin.
+    """
+    setup, problem, state = record(setups), record(problems), record(states)
+    status, leg, margin = pose_problem(robots, setups, measurement, reference, weights, leg_records, problems, states)
+    if status == OK:
+        hold = setup.exact_hold == 1.0
+        done = split_solution(problem.map, setup.length, setup.period, problem.weights, hold, problem.gain)
+        if done and problem.changed == 1.0:
+            done = split_solution(problem.map, setup.length, setup.period, state.weights, hold, problem.before)
+        status = OK if done else NO_GAIN
+    return command(robots, setups, measurement, reference, leg_records, problems, status, leg, margin, states)
+
+
+@njit
+def pose_problem(
+    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, problems: Any,
+    states: Any,
+) -> Any:  # fmt: skip
+    """The first half of a tick: legs, and what a gain is for; arguments and result as of `lqi_tick`."""
+    robot, setup, legs, problem, state = (
+        record(robots), record(setups), record(leg_records), record(problems), record(states),
+    )  # fmt: skip
+    if all_finite(measurement[6:]) and not all_finite(reference):
+        return NOT_FINITE, REFERENCE, 0.0
+    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
+    if status != OK:
+        return status, leg, margin
+    for k in range(4):
+        problem.weights[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        if not 0.0 < problem.weights[k] < np.inf:
+            return NO_GAIN, -1, 0.0
+    problem.changed = 0.0
+    if setup.bumpless == 1.0 and state.weights[0] != 0.0 and np.any(state.weights != problem.weights):
+        problem.changed = 1.0
+    if setup.exact_model == 0.0:
+        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, problem.map)
+    elif not pose_acceleration_map(robot, legs, measurement[:6], problem.map):
+        return PARALLEL, -1, margin
+    return OK, -1, margin
+
+
+@njit
+def command(
+    robots: Any, setups: Any, measurement: Any, reference: Any, leg_records: Any, problems: Any, status: int, leg: int,
+    margin: float, states: Any,
+) -> Any:  # fmt: skip
+    """The second half of a tick, once the problem is solved: torque and state, or a bridge where that failed."""
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
+    if status == OK:
+        status, leg, margin = _command(robot, setup, measurement, reference, legs, record(problems), state)
+    if status != OK and _bridged(robot, setup, measurement, reference, state):
+        return OK, -1, 0.0
+    return status, leg, margin
+
+
+@njit
 def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> None:
     """M^-1 tau (6, 6) of (10): M the platform's mass and moments alone, tau by statics or tau_2 of (15) as printed."""
     for i in range(6):
@@ -118,35 +253,6 @@ def paper_acceleration_map(robot: Any, legs: Any, printed: bool, out: Any) -> No
         for k in range(3):
             out[k, i] = legs.line[i, k] * force / robot.platform_inertia[k]
             out[3 + k, i] = legs.line[i, 3 + k] * force / robot.platform_mass
-
-
-@njit
-def _model(
-    robot: Any, setup: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any
-) -> Any:
-    """What a gain is for: fills legs, weights (4,) and M^-1 tau (6, 6); status, leg, margin."""
-    if all_finite(measurement[6:]) and not all_finite(reference):
-        return NOT_FINITE, REFERENCE, 0.0
-    status, leg, margin = measured_legs(robot, setup.min_transmission, setup.min_conditioning, measurement, legs)
-    if status != OK:
-        return status, leg, margin
-    for k in range(4):
-        blocks[k] = weights[k] if weights.size == 4 else weights[k // 3]
-        if not 0.0 < blocks[k] < np.inf:
-            return NO_GAIN, -1, 0.0
-    if setup.exact_model == 0.0:
-        paper_acceleration_map(robot, legs, setup.printed_map == 1.0, own)
-    elif not pose_acceleration_map(robot, legs, measurement[:6], own):
-        return PARALLEL, -1, margin
-    return OK, -1, margin
-
-
-@njit
-def _weights_change(setup: Any, blocks: Any, state: Any) -> bool:
-    """Whether weights differ from those of the tick before in a way that z has to follow."""
-    if setup.bumpless == 0.0 or state.weights[0] == 0.0:
-        return False
-    return bool(np.any(state.weights != blocks))
 
 
 @njit
@@ -194,19 +300,15 @@ def _feedforward(robot: Any, setup: Any, measurement: Any, reference: Any, legs:
 
 @njit
 def _command(
-    robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, blocks: Any, gain: Any, before: Any, state: Any
-) -> Any:
-    """The rest of a tick, once its gain (6, 18) is known: (34), feedforward, limits, (23).
-
-    `before` is the gain for the weights of the tick before, where `_weights_change`. Changes the state where all is
-    well. Status, leg, margin.
-    """
+    robot: Any, setup: Any, measurement: Any, reference: Any, legs: Any, problem: Any, state: Any
+) -> Any:  # fmt: skip
+    """(34), feedforward, limits, (23) with the gain of a solved problem; changes the state where all is well."""
     integral, column = state.integral.copy(), np.zeros((6, 1))
-    if _weights_change(setup, blocks, state):
+    if problem.changed == 1.0:
         for i in range(6):
             for k in range(6):
-                column[i, 0] += before[i, 12 + k] * integral[k]
-        if not _integral_for(gain, column):
+                column[i, 0] += problem.before[i, 12 + k] * integral[k]
+        if not _integral_for(problem.gain, column):
             return NO_GAIN, -1, 0.0
         integral[:] = column[:, 0]
     force, torque, cut = np.empty(6), np.empty(6), np.zeros((6, 1))
@@ -215,7 +317,8 @@ def _command(
         return status, leg, margin
     saturated = False
     for i in range(6):
-        wanted, limit = force[i] - _feedback(gain, measurement, reference, integral, i), robot.effort_limit[i]
+        wanted = force[i] - _feedback(problem.gain, measurement, reference, integral, i)
+        limit = robot.effort_limit[i]
         if not np.isfinite(wanted):
             return NOT_FINITE, TORQUE, wanted
         torque[i] = wanted
@@ -224,7 +327,7 @@ def _command(
             torque[i] = limit if wanted > 0.0 else -limit
             cut[i, 0] = wanted - torque[i]
     if saturated and setup.saturation == BACK_CALCULATION:
-        if not _integral_for(gain, cut):
+        if not _integral_for(problem.gain, cut):
             return NO_GAIN, -1, 0.0
         integral += setup.back_share * cut[:, 0]
     for k in range(6):
@@ -233,8 +336,8 @@ def _command(
             integral[k] += setup.period * state.error[k]
         bound = setup.integral_limit[k]
         state.integral[k] = min(max(integral[k], -bound), bound)
-    state.torque[:], state.gain[:], state.feedforward[:], state.weights[:] = torque, gain, force, blocks
-    state.held = 0.0
+    state.torque[:], state.gain[:], state.feedforward[:] = torque, problem.gain, force
+    state.weights[:], state.held = problem.weights, 0.0
     return OK, -1, 0.0
 
 
@@ -259,144 +362,23 @@ def _bridged(robot: Any, setup: Any, measurement: Any, reference: Any, state: An
     return True
 
 
-@njit
-def lqi_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, leg_records: Any, states: Any
-) -> Any:
-    """The LQI of one tick: B(t) from the present pose, discretisation, Riccati, (34), feedforward, limits, (23).
-
-    Deviation: u = -K e as in (34), not (30). The integral grows by period * e after it has been used.
-
-    Args:
-        robots: `ROBOT` as the controller believes it to be.
-        setups: `LQI_SETUP`.
-        measurement: (12,) pose and rate now.
-        reference: (18,) now.
-        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
-        leg_records: `LEGS`, overwritten.
-        states: `LQI_STATE` of the tick before; that of this one where the status is OK.
-
-    Returns:
-        Status; leg or -1, or which signal is NOT_FINITE; margin.
-    """
-    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    blocks, own, gain, before = np.empty(4), np.empty((6, 6)), np.empty((6, 18)), np.empty((6, 18))
-    status, leg, margin = _model(robot, setup, measurement, reference, weights, legs, blocks, own)
-    if status == OK:
-        exact_hold = setup.exact_hold == 1.0
-        done = split_solution(own, setup.length, setup.period, blocks, exact_hold, gain)
-        if done and _weights_change(setup, blocks, state):
-            done = split_solution(own, setup.length, setup.period, state.weights, exact_hold, before)
-        if done:
-            status, leg, margin = _command(robot, setup, measurement, reference, legs, blocks, gain, before, state)
-        else:
-            status = NO_GAIN
-    if status != OK and _bridged(robot, setup, measurement, reference, state):
-        return OK, -1, 0.0
-    return status, leg, margin
-
-
-# --- the same around a gain of Drake's -------------------------------------------------------------------------------
-
-
-@njit
-def _model_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, weights: Any, legs: Any, blocks: Any, own: Any
-) -> Any:
-    return _model(record(robots), record(setups), measurement, reference, weights, record(legs), blocks, own)
-
-
-@njit
-def _change_tick(setups: Any, blocks: Any, states: Any) -> bool:
-    return _weights_change(record(setups), blocks, record(states))
-
-
-@njit
-def _command_tick(
-    robots: Any, setups: Any, measurement: Any, reference: Any, legs: Any, blocks: Any, gain: Any, before: Any,
-    states: Any,
-) -> Any:  # fmt: skip
-    robot, setup, state = record(robots), record(setups), record(states)
-    return _command(robot, setup, measurement, reference, record(legs), blocks, gain, before, state)
-
-
-@njit
-def _bridge_tick(robots: Any, setups: Any, measurement: Any, reference: Any, states: Any) -> bool:
-    return _bridged(record(robots), record(setups), measurement, reference, record(states))
-
-
 # --- the part --------------------------------------------------------------------------------------------------------
 
 
 def lqi_part(
     options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
 ) -> Part:
-    """The LQI as a part of a loop.
+    """The LQI as a part of a loop, for a robot as believed, in a gravity [m/s^2], with a port of 2 or 4 weights.
 
-    Args:
-        options: See `LqiOptions`.
-        robot: Geometry and masses as the controller believes them.
-        gravity: [m/s^2] for the feedforward; 0 switches the gravity torque off.
-        weights: Size of the port, 2 or 4.
-        solver: Another than the options': `split` is one compiled call and needs no Drake.
-
-    Returns:
-        Its tick raises where no good tick came before or more than `hold_ticks` failed in a row: NotFiniteError for
-        measurement, reference or the torque that comes of them; UnreachablePoseError and SingularPoseError for the
-        measured pose, or the reference's where `feedforward_at` is that; RiccatiError for a gain that does not exist.
+    Another `solver` than the options' may be named: `split` is one compiled call and needs no Drake. The part's tick
+    raises as `failure` where no good tick came before or more than `hold_ticks` failed in a row.
     """
-    robots, setup, legs = robot_record(robot), lqi_setup(options, gravity), np.empty(1, LEGS)
-
-    def error_of(ended: tuple[int, int, float], *inputs: np.ndarray) -> RunFailure:
-        if ended[0] == NO_GAIN:
-            try:
-                block_weights(inputs[2])
-            except RiccatiError as error:
-                return error
-        return failure(options, ended, *inputs[:2])
-
-    def split_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
-        ended = lqi_tick(robots, setup, measurement, reference, weights, legs, state)
-        if ended[0] != OK:
-            raise error_of(ended, measurement, reference, weights)
-
-    blocks, own = np.empty(4), np.empty((6, 6))
-
-    def drake_tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
-        inputs = measurement, reference, weights
-        try:
-            ended = _model_tick(robots, setup, *inputs, legs, blocks, own)
-            if ended[0] == OK:
-                gain = before = lqi_gain(own, options, blocks, "drake")
-                if _change_tick(setup, blocks, state):
-                    before = lqi_gain(own, options, state["weights"][0], "drake")
-                ended = _command_tick(robots, setup, *inputs[:2], legs, blocks, gain, before, state)
-            if ended[0] != OK:
-                raise error_of(ended, *inputs)
-        except RunFailure:
-            if not _bridge_tick(robots, setup, *inputs[:2], state):
-                raise
-
-    return Part(
-        "controller",
-        {"measurement": 12, "reference": 18, "weights": weights},
-        ("torque", "error", "integral"),
-        new_record(LQI_STATE),
-        split_tick if (solver or options.solver) == "split" else drake_tick,
-    )
-
-
-def lqi_setup(options: LqiOptions, gravity: float) -> np.ndarray:
-    """`LQI_SETUP` of options."""
-    limits: Sequence[float] = (np.inf, np.inf) if options.integral_limit is None else options.integral_limit
-    return new_record(
+    robots, legs, problem = robot_record(robot), np.empty(1, LEGS), np.zeros(1, PROBLEM)
+    setup = new_record(
         LQI_SETUP,
-        period=options.period,
+        options,
         gravity=gravity,
-        length=options.length,
-        min_transmission=options.min_transmission,
-        min_conditioning=options.min_conditioning,
-        integral_limit=np.repeat(limits, 3),
+        integral_limit=np.inf if options.integral_limit is None else np.repeat(options.integral_limit, 3),
         back_share=min(1.0, options.period / options.reset_time),
         exact_model=options.model == "exact",
         printed_map=options.force_map == "printed",
@@ -404,6 +386,31 @@ def lqi_setup(options: LqiOptions, gravity: float) -> np.ndarray:
         at_reference=options.feedforward_at == "reference",
         exact_hold=options.discretization == "exact",
         saturation=get_args(Saturation).index(options.saturation),
-        bumpless=options.bumpless,
-        hold_ticks=options.hold_ticks,
     )
+    by_drake, finish = (solver or options.solver) == "drake", cast(Any, command)
+
+    def tick(measurement: np.ndarray, reference: np.ndarray, weights: np.ndarray, state: np.ndarray) -> None:
+        inputs, error = (measurement, reference, weights), None
+        if not by_drake:
+            ended = lqi_tick(robots, setup, *inputs, legs, problem, state)
+        else:
+            ended = pose_problem(robots, setup, *inputs, legs, problem, state)
+            if ended[0] == OK:
+                try:
+                    _solve_by_drake(options, problem[0], state["weights"][0])
+                except RiccatiError as failed:
+                    error, ended = failed, (NO_GAIN, -1, 0.0)
+            ended = finish(robots, setup, *inputs[:2], legs, problem, *ended, state)
+        if ended[0] == NO_GAIN:
+            block_weights(weights)
+        if ended[0] != OK:
+            raise error or failure(options.near_singularity, ended, measurement, reference)
+
+    return controller_part(tick, new_record(LQI_STATE), weights)
+
+
+def _solve_by_drake(options: LqiOptions, problem: Any, weights_before: np.ndarray) -> None:
+    """Puts Drake's gains into a `PROBLEM`."""
+    problem["gain"] = lqi_gain(problem["map"], options, problem["weights"], "drake")
+    if problem["changed"]:
+        problem["before"] = lqi_gain(problem["map"], options, weights_before, "drake")

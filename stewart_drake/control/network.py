@@ -1,21 +1,20 @@
-"""The tuner's neural network, Fig. 5: 12 densities in, one hidden layer of 10, omega_Q and omega_R out.
+"""The tuner's neural network, Fig. 5: 12 densities in, one hidden layer of 10, omega_Q and omega_R out; weights files.
 
-Inference needs no torch. Weights live in a JSON file: readable, diffable, no
-pickle.
+Inference needs no torch. Weights live in a JSON file with a checksum: readable, diffable, no pickle.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
+from stewart_drake.control.base import all_finite
 from stewart_drake.control.density import DensityKind
-from stewart_drake.control.inputs import all_finite
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
@@ -23,16 +22,13 @@ from stewart_drake.part import Part
 from stewart_drake.section import Real, Window, check_value
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
-FORMAT = "stewart-drake tuner"
-VERSION = 2
+FORMAT, VERSION = "stewart-drake tuner", 2
 MAX_BYTES = 1_000_000
 """Of a weights file."""
-
 _LARGEST_DENSITY = 1e6
 """Densities lie within +-(m + 1); anything beyond this is as good as it, and products of it stay finite."""
 _LARGEST_NUMBER = 1e100
 """Numbers of a weights file beyond this, or their reciprocals, would overflow on the way through the network."""
-
 _SHAPES: dict[str, tuple[int, ...]] = {
     "input_mean": (INPUTS,),
     "input_scale": (INPUTS,),
@@ -44,6 +40,68 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "omega_max": (OUTPUTS,),
 }
 _NETWORK, _NETWORK_STATE = fields(**_SHAPES), fields(weights=OUTPUTS)
+_Read = TypeVar("_Read")
+
+
+# --- weights files ---------------------------------------------------------------------------------------------------
+
+
+def numbers(values: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], largest: float) -> dict[str, np.ndarray]:
+    """Values by name as arrays of these shapes; refuses one that is missing, of other shape or kind, or too large."""
+    arrays = {}
+    for name, shape in shapes.items():
+        value = values.get(name)
+        try:
+            array = np.array(value)
+        except ValueError:
+            array = np.array(None)
+        # Texts, truth values and integers beyond 64 bits come as other kinds; NaN is not below anything.
+        if array.dtype.kind not in "fi" or array.shape != shape or 0 in shape or not (np.abs(array) < largest).all():
+            raise ConfigurationError(name, value, f"finite numbers of shape {shape}")
+        arrays[name] = array.astype(float)
+    return arrays
+
+
+def weights_bytes(kind: str, version: int, content: dict[str, Any]) -> bytes:
+    """A weights file, as JSON with a checksum, for `load_weights`; numbers of its provenance may be not finite."""
+    plain = {**content, "provenance": plain_json(content["provenance"])}
+    return (json.dumps(seal({"format": kind, "version": version, **plain}), indent=1) + "\n").encode()
+
+
+def load_weights(path: Path, kind: str, version: int, made: Callable[[dict[str, Any]], _Read]) -> _Read:
+    """What is made of the content of a weights file of a kind and version; errors name the path."""
+    key = f"weights file {path}"
+    try:
+        document = json.loads(read_weights(path))
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "a JSON document") from error
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
+    if document.get("version") != version:
+        allowed = f"{version}; `stewart-drake train` makes a new one"
+        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
+    try:
+        content = unseal(document)
+        provenance = content.get("provenance", {})
+        if not isinstance(provenance, dict):
+            raise ConfigurationError("provenance", provenance, "a mapping")
+        return made({"provenance": {}, **content})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
+
+
+def read_weights(path: Path) -> str:
+    """Text of a weights file, not yet looked at."""
+    key = f"weights file {path}"
+    try:
+        return read_checked(path, key, MAX_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(key, str(error), "a JSON document") from None
+
+
+# --- the network -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -84,15 +142,8 @@ class TunerNetwork:
     def __post_init__(self) -> None:
         check_value("density", self.density, DensityKind)
         check_value("window", self.window, Window)
-        for name, shape in _SHAPES.items():
-            try:
-                array = np.asarray(getattr(self, name), dtype=float)
-            except (TypeError, ValueError):
-                raise ConfigurationError(name, getattr(self, name), f"finite numbers of shape {shape}") from None
+        for name, array in numbers(vars(self), _SHAPES, _LARGEST_NUMBER).items():
             object.__setattr__(self, name, array)
-            # NaN is not below anything.
-            if np.shape(array) != shape or not (np.abs(array) < _LARGEST_NUMBER).all():
-                raise ConfigurationError(name, array.tolist(), f"finite numbers of shape {shape}")
         for name in ("input_scale", "omega_min", "omega_max"):
             if not (getattr(self, name) > 1.0 / _LARGEST_NUMBER).all():
                 raise ConfigurationError(name, getattr(self, name).tolist(), "positive numbers")
@@ -100,64 +151,67 @@ class TunerNetwork:
             raise ConfigurationError("omega_min", self.omega_min.tolist(), "at most omega_max")
 
     def log_weights(self, densities: np.ndarray) -> np.ndarray:
-        """Raw network output, for whole data sets.
-
-        Args:
-            densities: (..., 12) [-], six of the errors, six of the torques.
-
-        Returns:
-            (..., 2) log10 of omega_Q, omega_R, not limited.
-        """
+        """Raw output (..., 2), log10 of omega_Q, omega_R, not limited, of densities (..., 12), for data sets."""
         hidden = np.tanh((densities - self.input_mean) / self.input_scale @ self.hidden_weights.T + self.hidden_bias)
         return np.asarray(hidden @ self.output_weights.T + self.output_bias)
 
     def weights(self, densities: np.ndarray) -> np.ndarray:
-        """omega_Q, omega_R, held within the range of the training data.
-
-        Args:
-            densities: (..., 12) [-].
-
-        Returns:
-            (..., 2), positive; NaN where a density is NaN.
-        """
+        """omega_Q, omega_R (..., 2) of densities (..., 12), see `network_weights`."""
         rows = np.ascontiguousarray(densities, dtype=float)
-        answers, own = np.empty((*rows.shape[:-1], OUTPUTS)), self.numbers()
+        answers, own = np.empty((*rows.shape[:-1], OUTPUTS)), new_record(_NETWORK, self)
         for row, out in zip(rows.reshape(-1, INPUTS), answers.reshape(-1, OUTPUTS), strict=True):
             network_weights(own, row, out)
         return answers
 
-    def numbers(self) -> np.ndarray:
-        """Record of the law."""
-        return new_record(_NETWORK, **{name: getattr(self, name) for name in _SHAPES})
-
     def to_bytes(self) -> bytes:
-        """The network as JSON with a checksum; the same network gives the same bytes.
-
-        Numbers of the provenance that are not finite become null, see `whole.plain_json`.
-        """
-        numbers = {name: getattr(self, name).tolist() for name in _SHAPES}
-        content = {"density": self.density, "window": self.window, **numbers}
-        return sealed(FORMAT, VERSION, content, self.provenance)
+        """The network as JSON with a checksum; the same network gives the same bytes."""
+        arrays = {name: getattr(self, name).tolist() for name in _SHAPES}
+        content = {"density": self.density, "window": self.window, **arrays, "provenance": self.provenance}
+        return weights_bytes(FORMAT, VERSION, content)
 
     def save(self, path: str | Path) -> None:
-        """Writes `to_bytes` to a file.
-
-        Raises:
-            ConfigurationError: The folder is missing or not writable.
-        """
+        """Writes `to_bytes` to a file."""
         write_atomically(Path(path), self.to_bytes())
+
+
+def load_network(path: str | Path | None = None) -> TunerNetwork:
+    """Reads a weights file.
+
+    Args:
+        path: File written by `TunerNetwork.save`; None takes the one that the package carries.
+
+    Raises:
+        ConfigurationError: The file is missing, no weights file, corrupt, or not of this version.
+    """
+
+    def made(found: Any) -> TunerNetwork:
+        return TunerNetwork(**{name: found.get(name) for name in (*_SHAPES, "density", "window", "provenance")})
+
+    return load_weights(default_network_path() if path is None else Path(path), FORMAT, VERSION, made)
+
+
+def default_network_path() -> Path:
+    """The trained tuner that the package carries."""
+    return PACKAGE / "weights" / "tuner.json"
 
 
 @njit
 def network_weights(networks: Any, densities: Any, out: Any) -> None:
-    """omega_Q and omega_R of the network, held within the range of its training data.
+    """omega_Q and omega_R (2,) of the record of a network for densities (12,), held within its training's range.
 
-    Args:
-        networks: `TunerNetwork.numbers`.
-        densities: (12,) [-].
-        out: (2,) out; NaN where a density is NaN.
+    NaN where a density is NaN.
     """
-    network, hidden = record(networks), network_hidden(record(networks), densities)
+    network = record(networks)
+    hidden = network.hidden_bias.copy()
+    for k in range(INPUTS):
+        # Limited: the layers would overflow. NaN stays.
+        density = densities[k]
+        if abs(density) > _LARGEST_DENSITY:
+            density = _LARGEST_DENSITY if density > 0.0 else -_LARGEST_DENSITY
+        scaled = (density - network.input_mean[k]) / network.input_scale[k]
+        for i in range(HIDDEN):
+            hidden[i] += network.hidden_weights[i, k] * scaled
+    hidden = np.tanh(hidden)
     for m in range(OUTPUTS):
         log = network.output_bias[m]
         for i in range(HIDDEN):
@@ -170,35 +224,19 @@ def network_weights(networks: Any, densities: Any, out: Any) -> None:
 
 
 @njit
-def network_hidden(network: Any, densities: Any) -> Any:
-    """Hidden units (10,) for densities (12,)."""
-    hidden = network.hidden_bias.copy()
-    for k in range(INPUTS):
-        # Limited: the layers would overflow. NaN stays.
-        density = densities[k]
-        if abs(density) > _LARGEST_DENSITY:
-            density = _LARGEST_DENSITY if density > 0.0 else -_LARGEST_DENSITY
-        scaled = (density - network.input_mean[k]) / network.input_scale[k]
-        for i in range(HIDDEN):
-            hidden[i] += network.hidden_weights[i, k] * scaled
-    return np.tanh(hidden)
+def network_tick(networks: Any, densities: Any, states: Any) -> bool:
+    """`network_weights` into a state; False where a density is not finite."""
+    network_weights(networks, densities, record(states).weights)
+    return all_finite(densities)
 
 
 def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
     """The network as a part of a loop: what a tick finds acts from the next one on.
 
-    Args:
-        network: Trained.
-        initial: omega_Q, omega_R at first, clipped to the range that it was trained on.
-
-    Returns:
-        Its tick raises NotFiniteError where a density is not finite.
-
-    Raises:
-        ConfigurationError: `initial` is not two finite numbers.
+    `initial` omega_Q, omega_R are clipped to the range that it was trained on.
     """
     check_value("initial", list(initial), tuple[Real, Real])
-    own = network.numbers()
+    own = new_record(_NETWORK, network)
     first = new_record(_NETWORK_STATE, weights=np.clip(initial, network.omega_min, network.omega_max))
 
     def tick(density: np.ndarray, state: np.ndarray) -> None:
@@ -206,96 +244,3 @@ def network_part(network: TunerNetwork, initial: Sequence[float]) -> Part:
             raise NotFiniteError("density", density)
 
     return Part("tuner", {"density": INPUTS}, ("weights",), first, tick, late=True)
-
-
-@njit
-def network_tick(networks: Any, densities: Any, states: Any) -> bool:
-    """`network_weights` into a state; False where a density is not finite."""
-    network_weights(networks, densities, record(states).weights)
-    return all_finite(densities)
-
-
-def load_network(path: str | Path | None = None) -> TunerNetwork:
-    """Reads a weights file.
-
-    Args:
-        path: File written by `TunerNetwork.save`; None takes the one that the package carries.
-
-    Raises:
-        ConfigurationError: See `read_weights`; wrong format, version, checksum or shape, numbers that are not finite or
-            beyond 1e100, scales or ranges that are not positive.
-    """
-    path = default_network_path() if path is None else Path(path)
-    key = f"weights file {path}"
-    document = read_sealed(path, FORMAT, VERSION)
-    provenance = document.get("provenance", {})
-    if not isinstance(provenance, dict):
-        raise ConfigurationError(f"{key}: provenance", provenance, "a mapping")
-    try:
-        arrays = {name: numbers(name, document.get(name), shape) for name, shape in _SHAPES.items()}
-        kind, window = cast(DensityKind, document.get("density")), cast(int, document.get("window"))
-        return TunerNetwork(**arrays, density=kind, window=window, provenance=provenance)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
-
-
-def sealed(kind: str, version: int, content: dict[str, Any], provenance: dict[str, Any]) -> bytes:
-    """A weights file of a kind and version, as JSON with a checksum, for `read_sealed`."""
-    document = {"format": kind, "version": version, **content, "provenance": plain_json(provenance)}
-    return (json.dumps(seal(document), indent=1) + "\n").encode()
-
-
-def read_sealed(path: Path, kind: str, version: int) -> dict[str, Any]:
-    """What a weights file of a kind and version holds.
-
-    Raises:
-        ConfigurationError: See `read_weights`; another kind or version, a checksum that does not fit.
-    """
-    key = f"weights file {path}"
-    try:
-        document = json.loads(read_weights(path))
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a JSON document") from error
-    if not isinstance(document, dict) or document.get("format") != kind:
-        raise ConfigurationError(key, f"no {kind.partition(' ')[2]}", f'"format": "{kind}"')
-    if document.get("version") != version:
-        allowed = f"{version}; `stewart-drake train` makes a new one"
-        raise ConfigurationError(f"{key}: version", document.get("version"), allowed)
-    try:
-        return unseal(document)
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(key, str(error), "a file as `stewart-drake train` left it") from None
-
-
-def read_weights(path: Path) -> str:
-    """Text of a weights file, not yet looked at.
-
-    Raises:
-        ConfigurationError: Missing, unreadable, no regular file, larger than `MAX_BYTES`, or no text in UTF-8.
-    """
-    key = f"weights file {path}"
-    try:
-        return read_checked(path, key, MAX_BYTES).decode()
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(key, str(error), "a JSON document") from None
-
-
-def numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """A list of numbers of a weights file as an array.
-
-    Raises:
-        ConfigurationError: It is none.
-    """
-    try:
-        array = np.array(value)
-    except ValueError:
-        array = np.array(None)
-    # Texts and integers beyond 64 bits come as other kinds.
-    if array.dtype.kind not in "fi":
-        raise ConfigurationError(name, value, f"finite numbers of shape {shape}")
-    return array.astype(float)
-
-
-def default_network_path() -> Path:
-    """The trained tuner that the package carries."""
-    return PACKAGE / "weights" / "tuner.json"

@@ -25,16 +25,10 @@ class CostScales(Section, key="cost"):
 
 
 def cost(rotation: Any, position: Any, torque_change: Any, scales: CostScales) -> Any:
-    """J = sqrt((rotation / its scale)^2 + (position / its scale)^2 + (torque_change / its scale)^2).
+    """J = sqrt((rotation / its scale)^2 + (position / its scale)^2 + (torque_change / its scale)^2) [-].
 
-    Args:
-        rotation: [deg] RMS length of the error; a number, or an array of numpy or torch of any shape.
-        position: [mm] likewise.
-        torque_change: [N m] RMS change of a motor's torque in a millisecond.
-        scales: What counts as one.
-
-    Returns:
-        [-] like the arguments, broadcast together.
+    Takes numbers, or arrays of any shape: RMS length of the error [deg] and [mm], RMS change of a motor's torque in a
+    millisecond [N m].
     """
     squares = (rotation / scales.rotation) ** 2 + (position / scales.position) ** 2
     return (squares + (torque_change / scales.torque_change) ** 2) ** 0.5

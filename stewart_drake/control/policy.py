@@ -1,65 +1,71 @@
 """Tuners of settings: a network, or two settings and a threshold; from what they hear to weights and disturbance.
 
-Whatever they want, a setting stays within a box and moves by a small share of it in a tick; where what they hear lies
-outside of what a network was trained on, its answer fades to the middle of the box, the best fixed setting.
+A setting is four numbers that a tuner can change in a loop with an observer: powers of ten on top of a base.
+
+    speed        of the regulator: q_pose by its fourth power, q_rate by its second, q_integral by its sixth, as the
+                 poles of a chain of integrators move together
+    damping      of the regulator: q_rate on top of that
+    integral     action of the regulator: q_integral on top of that
+    disturbance  that the observer expects, see `ObserverOptions`: its bandwidth moves by the third root
+
+so that any combination within a box is a sensible loop, which four weights on their own are not. Whatever a tuner
+wants, a setting stays within a box and moves by a small share of it in a tick; where what it hears lies outside of what
+a network was trained on, its answer fades to the middle of the box, the best fixed setting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, TunerContext, features, plausible
-from stewart_drake.control.network import numbers, read_sealed, sealed
-from stewart_drake.control.settings import SIZE, STEP, disturbance_of, weights_of
+from stewart_drake.control.features import FEATURES, SETUP, TUNER_STATE, features, plausible
+from stewart_drake.control.network import load_weights, numbers, weights_bytes
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part
 
-FORMAT = "stewart-drake policy"
-VERSION = 1
+NAMES = ("speed", "damping", "integral", "disturbance")
+"""Of the numbers of a setting."""
+SIZE = len(NAMES)
+STEP = 0.03
+"""[-] share of its box by which a setting moves in a tick, at most. By shares of a second a slow robot would jump, and
+its loop can grow by that: docs/results/tuner_safety.md."""
+FORMAT, VERSION = "stewart-drake policy", 1
 FADE = 0.5
 """[-] what a feature may lie outside of the training data, in their standard deviations, until the answer has faded."""
 LARGEST = 30.0
 """[-] features are held within it."""
+BOX_HEADER = ("setting", "least", "centre", "largest")
 _COUNT = len(FEATURES)
 _SCHEDULE = fields(calm=SIZE, alert=SIZE, threshold=(), hold=())
 
 
-class Layers(NamedTuple):
-    """A policy in arrays; h hidden units.
-
-    Attributes:
-        mean: (13,) subtracted from the features.
-        scale: (13,) divides them afterwards; > 0. Zero weights and not this leave a feature out.
-        hidden: (h, 13). hidden_bias: (h,). Hidden units are tanh.
-        output: (4, h). output_bias: (4,). Outputs too.
-        centre: (4,) setting in the middle of the box, the best fixed one.
-        below: (4,) how far the box reaches below it; > 0.
-        above: (4,) likewise above.
-        low: (13,) least features of the training data.
-        high: (13,) largest.
-    """
-
-    mean: np.ndarray
-    scale: np.ndarray
-    hidden: np.ndarray
-    hidden_bias: np.ndarray
-    output: np.ndarray
-    output_bias: np.ndarray
-    centre: np.ndarray
-    below: np.ndarray
-    above: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-
 # --- the laws --------------------------------------------------------------------------------------------------------
+
+
+@njit
+def weights_of(base: Any, setting: Any) -> Any:
+    """Block weights (4,) q_pose, q_rate, q_integral, r of a setting (4,), from those of the base (4,)."""
+    speed, damping, integral = setting[0], setting[1], setting[2]
+    weights = np.empty(4)
+    weights[0] = base[0] * 10.0 ** (4.0 * speed)
+    weights[1] = base[1] * 10.0 ** (2.0 * speed + damping)
+    weights[2] = base[2] * 10.0 ** (6.0 * speed + integral)
+    weights[3] = base[3]
+    return weights
+
+
+@njit
+def disturbance_of(base: float, setting: Any) -> float:
+    """Disturbance [rad/s^2 per sqrt(s)] of a setting (4,), from that of the base."""
+    return base * 10.0 ** setting[3]
 
 
 @njit
@@ -116,15 +122,7 @@ def policy_tick(
 ) -> None:
     """A tick of a policy; where what it hears is not finite, or absurd, the setting goes to the centre.
 
-    Args:
-        setups: `SETUP`.
-        policies: Record of `Layers` (1,).
-        density: (12,) [-].
-        error: (6,) [rad, m].
-        torque: (6,) [N m].
-        innovation: (6,) [rad].
-        reference: (18,).
-        states: `TUNER_STATE` of the tick before; that of this one.
+    Takes `SETUP`, the record of `Layers`, what `features` hears, and `TUNER_STATE` of the tick before, in place.
     """
     setup, state, heard, wanted, own = record(setups), record(states), np.empty(_COUNT), np.empty(SIZE), 0.0
     wanted[:] = setup.centre
@@ -176,6 +174,42 @@ class Chooser(Protocol):
         """Its own record (1,), the second argument of the tick."""
 
 
+class Layers(NamedTuple):
+    """A policy in arrays; h hidden units.
+
+    Attributes:
+        mean: (13,) subtracted from the features.
+        scale: (13,) divides them afterwards; > 0. Zero weights and not this leave a feature out.
+        hidden: (h, 13). hidden_bias: (h,). Hidden units are tanh.
+        output: (4, h). output_bias: (4,). Outputs too.
+        centre: (4,) setting in the middle of the box, the best fixed one.
+        below: (4,) how far the box reaches below it; > 0.
+        above: (4,) likewise above.
+        low: (13,) least features of the training data.
+        high: (13,) largest.
+    """
+
+    mean: np.ndarray
+    scale: np.ndarray
+    hidden: np.ndarray
+    hidden_bias: np.ndarray
+    output: np.ndarray
+    output_bias: np.ndarray
+    centre: np.ndarray
+    below: np.ndarray
+    above: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _shapes(hidden: Any) -> dict[str, tuple[int, ...]]:
+    """Of `Layers` with these hidden weights."""
+    h = len(hidden) if isinstance(hidden, (list, np.ndarray)) else 0
+    own = {"hidden": (h, _COUNT), "hidden_bias": (h,), "output": (SIZE, h)}
+    small = dict.fromkeys(("output_bias", "centre", "below", "above"), (SIZE,))
+    return dict.fromkeys(Layers._fields, (_COUNT,)) | own | small
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A trained policy.
@@ -188,41 +222,33 @@ class Policy:
         ConfigurationError: Wrong shapes, numbers that are not finite, scales or a box that are not positive.
     """
 
+    law: ClassVar[Callable[..., None]] = staticmethod(policy_tick)
     layers: Layers
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        hidden = np.asarray(self.layers.hidden).shape[0] if np.ndim(self.layers.hidden) == 2 else 0
-        for name, value in self.layers._asdict().items():
-            shape = _shape(name, hidden)
-            array = np.asarray(value, dtype=float)
-            if array.shape != shape or 0 in shape or not (np.abs(array) < 1e6).all():
-                raise ConfigurationError(name, value, f"finite numbers of shape {shape}")
+        layers = Layers(**numbers(self.layers._asdict(), _shapes(self.layers.hidden), 1e6))
+        object.__setattr__(self, "layers", layers)
         for name in ("scale", "below", "above"):
-            if not (getattr(self.layers, name) > 0.0).all():
-                raise ConfigurationError(name, getattr(self.layers, name).tolist(), "positive numbers")
-        if not (self.layers.low <= self.layers.high).all():
-            raise ConfigurationError("low", self.layers.low.tolist(), "at most `high`")
+            if not (getattr(layers, name) > 0.0).all():
+                raise ConfigurationError(name, getattr(layers, name).tolist(), "positive numbers")
+        if not (layers.low <= layers.high).all():
+            raise ConfigurationError("low", layers.low.tolist(), "at most `high`")
 
     @property
     def centre(self) -> np.ndarray:
         """(4,) setting at the start."""
-        return np.asarray(self.layers.centre)
+        return self.layers.centre
 
     @property
     def lowest(self) -> np.ndarray:
         """(4,) lower end of the box."""
-        return self.centre - np.asarray(self.layers.below)
+        return self.centre - self.layers.below
 
     @property
     def width(self) -> np.ndarray:
         """(4,) of the box."""
-        return np.asarray(self.layers.below) + np.asarray(self.layers.above)
-
-    @property
-    def law(self) -> Callable[..., None]:
-        """Its tick."""
-        return policy_tick
+        return self.layers.below + self.layers.above
 
     def numbers(self) -> np.ndarray:
         """Record of its layers."""
@@ -233,29 +259,36 @@ class Policy:
 
     def to_bytes(self) -> bytes:
         """The policy as JSON with a checksum; the same policy gives the same bytes."""
-        layers = {name: np.asarray(value).tolist() for name, value in self.layers._asdict().items()}
-        content = {"features": list(FEATURES), **layers}
-        return sealed(FORMAT, VERSION, content, self.provenance)
+        layers = {name: value.tolist() for name, value in self.layers._asdict().items()}
+        return weights_bytes(FORMAT, VERSION, {"features": list(FEATURES), **layers, "provenance": self.provenance})
 
     def save(self, path: str | Path) -> None:
-        """Writes `to_bytes` to a file.
-
-        Raises:
-            ConfigurationError: The folder is missing or not writable.
-        """
+        """Writes `to_bytes` to a file."""
         write_atomically(Path(path), self.to_bytes())
 
+    def box_rows(self) -> list[tuple[str, ...]]:
+        """A row for each number of a setting, under `BOX_HEADER`."""
+        ends = self.lowest, self.centre, self.lowest + self.width
+        return [(name, *(f"{each[k]:.3g}" for each in ends)) for k, name in enumerate(NAMES)]
 
-def _shape(name: str, hidden: int) -> tuple[int, ...]:
-    return {
-        "hidden": (hidden, _COUNT),
-        "hidden_bias": (hidden,),
-        "output": (SIZE, hidden),
-        "output_bias": (SIZE,),
-        "centre": (SIZE,),
-        "below": (SIZE,),
-        "above": (SIZE,),
-    }.get(name, (_COUNT,))
+    def facts(self) -> list[tuple[str, str]]:
+        """Rows of two texts: what it is made of, then its provenance, dotted keys."""
+        heard = [name for name, column in zip(FEATURES, self.layers.hidden.T, strict=True) if column.any()]
+        made = [("hears", ", ".join(heard) or "nothing"), ("hidden units", str(len(self.layers.hidden)))]
+        return [*made, *_rows("", self.provenance)]
+
+
+def _rows(place: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Nested plain values as rows; lists of plain values are one."""
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            yield from _rows(f"{place}.{key}" if place else str(key), each)
+    elif isinstance(value, list) and any(isinstance(each, (Mapping, list)) for each in value):
+        for index, each in enumerate(value):
+            yield from _rows(f"{place}[{index}]", each)
+    else:
+        parts = value if isinstance(value, list) else [value]
+        yield place, ", ".join(f"{each:.4g}" if isinstance(each, float) else str(each) for each in parts)
 
 
 def default_policy_path() -> Path:
@@ -264,29 +297,14 @@ def default_policy_path() -> Path:
 
 
 def load_policy(path: str | Path | None = None) -> Policy:
-    """Reads a policy file.
+    """Reads a policy file; None takes the one that the package carries. Raises as `network.load_weights`."""
 
-    Args:
-        path: File written by `Policy.save`; None takes the one that the package carries.
+    def made(found: dict[str, Any]) -> Policy:
+        if found.get("features") != list(FEATURES):
+            raise ConfigurationError("features", found.get("features"), f"{list(FEATURES)}")
+        return Policy(Layers(*map(found.get, Layers._fields)), found["provenance"])  # type: ignore[arg-type]
 
-    Raises:
-        ConfigurationError: See `network.read_sealed`; other features than ours, wrong shapes or numbers.
-    """
-    path = default_policy_path() if path is None else Path(path)
-    document = read_sealed(path, FORMAT, VERSION)
-    key = f"weights file {path}"
-    if document.get("features") != list(FEATURES):
-        raise ConfigurationError(f"{key}: features", document.get("features"), f"{list(FEATURES)}")
-    try:
-        hidden = document.get("hidden")
-        units = len(hidden) if isinstance(hidden, list) else 0
-        layers = Layers(*(numbers(name, document.get(name), _shape(name, units)) for name in Layers._fields))
-        provenance = document.get("provenance", {})
-        if not isinstance(provenance, dict):
-            raise ConfigurationError("provenance", provenance, "a mapping")
-        return Policy(layers, provenance)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None
+    return load_weights(default_policy_path() if path is None else Path(path), FORMAT, VERSION, made)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +318,7 @@ class Schedule:
         hold: [s] that the second one stays.
     """
 
+    law: ClassVar[Callable[..., None]] = staticmethod(schedule_tick)
     calm: np.ndarray
     alert: np.ndarray
     threshold: float
@@ -320,38 +339,38 @@ class Schedule:
         """(4,) of the smallest box that has both."""
         return np.abs(self.alert - self.calm)
 
-    @property
-    def law(self) -> Callable[..., None]:
-        """Its tick."""
-        return schedule_tick
-
     def numbers(self) -> np.ndarray:
         """Record of its attributes."""
-        return new_record(_SCHEDULE, calm=self.calm, alert=self.alert, threshold=self.threshold, hold=self.hold)
+        return new_record(_SCHEDULE, self)
 
 
-def setting_part(chooser: Chooser, context: TunerContext, weights: np.ndarray, disturbance: float) -> Part:
+def setting_part(chooser: Chooser, context: Any, weights: np.ndarray, kappa: float = 0.0) -> Part:
     """A tuner of settings as a part of a loop: what a tick finds acts from the next one on.
 
     Args:
         chooser: What wants a setting.
-        context: What it is built for.
+        context: What it is built for, of `part.Setup`: period, noise, latency, robot, and disturbance of the base.
         weights: (4,) those of the base.
-        disturbance: [rad/s^2 per sqrt(s)] that of the base.
+        kappa: [-] from stiff, -1, to quiet, 1: the scale of torque changes in the cost is divided by 10^kappa.
     """
-    law, own, centre = chooser.law, chooser.numbers(), chooser.centre
+    law, own, centre, scales = chooser.law, chooser.numbers(), chooser.centre, CostScales()
     setup = new_record(
         SETUP,
-        **context.numbers(),
+        context,
+        length=context.robot.characteristic_length,
+        kappa=kappa,
+        rotation=math.radians(scales.rotation),
+        position=1e-3 * scales.position,
+        # The scale is for a millisecond.
+        torque_change=1e3 * context.period * scales.torque_change,
         centre=centre,
         step=STEP * chooser.width,
         weights=weights,
-        disturbance=disturbance,
     )
     initial = new_record(
         TUNER_STATE,
         weights=weights_of(np.asarray(weights, dtype=float), centre),
-        disturbance=disturbance_of(disturbance, centre),
+        disturbance=disturbance_of(context.disturbance, centre),
         setting=[*centre, 0.0],
         levels=[1.0, 1.0, 0.0, 0.0, 0.0],
     )

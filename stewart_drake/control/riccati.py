@@ -39,18 +39,10 @@ def solve_drake(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> n
     Deviation: (32) as printed has sizes that do not fit and lacks a factor; this is the standard equation with Q of
     (27).
 
-    Args:
-        a: (n, n) of x+ = A x + B u.
-        b: (n, m).
-        q: (n, n) positive semidefinite.
-        r: (m, m) positive definite.
-
-    Returns:
-        (n, n).
+    Args: A (n, n) and B (n, m) of x+ = A x + B u; Q (n, n) positive semidefinite, R (m, m) positive definite.
 
     Raises:
-        RiccatiError: Drake finds the pair not stabilisable or not detectable, or the matrices unusable; what it finds
-            does not stabilise, as happens where weights lie too far apart for it.
+        RiccatiError: Drake finds none, or one that does not stabilise, as where weights lie too far apart for it.
         ConfigurationError: Drake is not installed.
     """
     try:
@@ -160,17 +152,7 @@ def split_gain(
     method: Discretization = "exact",
     length: float = 1.0,
 ) -> np.ndarray:
-    """`split_solution` with its input checked.
-
-    Args:
-        acceleration_map: (6, 6) M^-1 tau.
-        period: [s] control period.
-        weights: q_e, q_v, q_z, r, each > 0.
-        method: As in `state_space.discretize`.
-        length: [m] rotations in Q are multiplied by this.
-
-    Returns:
-        K (6, 18) in the paper's state order, u = -K x.
+    """`split_solution` with its input checked; K (6, 18) in the paper's state order, u = -K x.
 
     Raises:
         RiccatiError: The map is singular, not finite or not (6, 6), a weight, the period or the length is not positive
@@ -179,10 +161,10 @@ def split_gain(
     own, blocks, gain = np.ascontiguousarray(acceleration_map, dtype=float), np.array(weights, float), np.empty((6, 18))
     if own.shape != (6, 6):
         raise RiccatiError(f"M^-1 tau has the shape {own.shape}; expected (6, 6)")
-    if not np.isfinite(own).all() or not (np.isfinite(blocks) & (blocks > 0.0)).all():
-        raise RiccatiError(f"no gain for weights {weights}: they and M^-1 tau must be finite, the weights positive")
-    if not (0.0 < period < math.inf and 0.0 < length < math.inf):
-        raise RiccatiError(f"no gain for a period of {period} s and a length of {length} m: both must be positive")
+    positive = np.array([*blocks, period, length])
+    if not np.isfinite(own).all() or not (np.isfinite(positive) & (positive > 0.0)).all():
+        numbers = f"weights {weights}, a period of {period} s and a length of {length} m"
+        raise RiccatiError(f"no gain for {numbers}: they and M^-1 tau must be finite, and they positive")
     with np.errstate(all="ignore"):
         done = split_solution(own, length, period, blocks, method == "exact", gain)
     if not done:

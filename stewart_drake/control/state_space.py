@@ -27,31 +27,16 @@ INTEGRAL = np.arange(12, 18)
 
 
 def mass_diagonal(robot: RobotParameters) -> np.ndarray:
-    """Diagonal of M in (9): Ixx, Iyy, Izz, m, m, m of the platform alone.
+    """Diagonal (6,) [kg m^2, kg] of M in (9): Ixx, Iyy, Izz, m, m, m of the platform alone.
 
     Deviation, kept from the paper: legs, gravity and gyroscopic terms are left out, and moments in B act on inertia in
     P.
-
-    Returns:
-        (6,) [kg m^2, kg].
     """
     return np.array([*robot.platform_inertia, *(robot.platform_mass,) * 3])
 
 
 def acceleration_map(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind = "statics") -> np.ndarray:
-    """M^-1 tau of (10): second derivative of the pose per unit of motor torque, in the paper's model.
-
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m].
-        kind: Force map, `statics` or `printed`.
-
-    Returns:
-        (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """M^-1 tau (..., 6, 6) of (10): second derivative of poses (..., 6) per unit of torque, in the paper's model."""
     return force_map(robot, pose, kind) / mass_diagonal(robot)[:, None]
 
 
@@ -64,16 +49,7 @@ def state_matrix() -> np.ndarray:
 
 
 def input_matrix(acceleration_map: np.ndarray) -> np.ndarray:
-    """B of (25) from M^-1 tau.
-
-    Deviation: (22) prints tau where (10) demands M^-1 tau.
-
-    Args:
-        acceleration_map: (..., 6, 6) M^-1 tau [rad/s^2/(N m), m/s^2/(N m)].
-
-    Returns:
-        (..., 18, 6).
-    """
+    """B (..., 18, 6) of (25) from M^-1 tau (..., 6, 6). Deviation: (22) prints tau where (10) demands M^-1 tau."""
     matrix = np.zeros((*acceleration_map.shape[:-2], STATES, AXES))
     matrix[..., RATE, :] = acceleration_map
     return matrix
@@ -95,17 +71,10 @@ def discretize(
     `exact` uses that A of (25) is nilpotent, A^3 = 0, so that the matrix exponential is a polynomial of degree two.
     Deviation: the paper puts continuous A, B into the discrete equations (31), (32).
 
-    Args:
-        a: (18, 18) [1/s].
-        b: (..., 18, 6).
-        period: [s].
-        method: `exact` or `euler`.
+    Args: A (18, 18) [1/s], B (..., 18, 6), the period [s], and `exact` or `euler`.
 
     Returns:
         A_d (18, 18), B_d (..., 18, 6).
-
-    Raises:
-        ConfigurationError: Another `method`.
     """
     identity = np.eye(a.shape[0])
     if method == "euler":
@@ -122,18 +91,13 @@ def hautus_stabilisability(a: np.ndarray, b: np.ndarray) -> int:
 
     Deviation: the test concerns Re(lambda) >= 0; the print says lambda <= 0 and counts columns of B.
 
-    Returns:
-        The rank; stabilisable where it equals the number of states. The number of states if every mode is stable.
+    Stabilisable where it equals the number of states, which it is too if every mode is stable.
     """
     return _smallest_rank(a, lambda mode: np.hstack([mode * np.eye(a.shape[0]) - a, b]))
 
 
 def hautus_detectability(a: np.ndarray, c: np.ndarray) -> int:
-    """Smallest rank of [lambda I - A; C] over the modes that are not asymptotically stable, (29).
-
-    Returns:
-        The rank; detectable where it equals the number of states.
-    """
+    """Smallest rank of [lambda I - A; C] likewise, (29); detectable where it equals the number of states."""
     return _smallest_rank(a, lambda mode: np.vstack([mode * np.eye(a.shape[0]) - a, c]))
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.control.density import DensityKind, density_part
-from stewart_drake.control.features import TunerContext
 from stewart_drake.control.network import (
     TunerNetwork,
     default_network_path,
@@ -18,9 +18,16 @@ from stewart_drake.control.network import (
     network_part,
     read_weights,
 )
-from stewart_drake.control.policy import Chooser, Policy, Schedule, default_policy_path, load_policy, setting_part
-from stewart_drake.control.robot_gains import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
-from stewart_drake.control.settings import disturbance_of, weights_of
+from stewart_drake.control.policy import (
+    Chooser,
+    Policy,
+    Schedule,
+    default_policy_path,
+    disturbance_of,
+    load_policy,
+    setting_part,
+    weights_of,
+)
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.part import Part
 from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Window
@@ -28,16 +35,13 @@ from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Wi
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
 
 
-class Levels(NamedTuple):
-    """Shares of the observer's disturbance that a tuner asks for: at the start, and the least ever."""
-
-    start: float = 1.0
-    least: float = 1.0
-
-
 class Tuner(Section, ABC, key="tuner"):
     """What every tuner has."""
 
+    label: ClassVar[str] = "Weights, held fixed"
+    """What its weights are, for titles."""
+    listens: ClassVar[bool] = False
+    """Whether it needs the innovations of an observer."""
     kind: str
     density: DensityKind = "magnitude"
     """Kind of density (35), (36); for a network, the one that it was trained on."""
@@ -51,19 +55,9 @@ class Tuner(Section, ABC, key="tuner"):
         """Weights at the start, as the controller takes them."""
 
     @property
-    def label(self) -> str:
-        """What its weights are, for titles."""
-        return "Weights, held fixed"
-
-    @property
-    def levels(self) -> Levels:
-        """What it makes of the disturbance that the observer expects."""
-        return Levels()
-
-    @property
-    def listens(self) -> bool:
-        """Whether it needs the innovations of an observer."""
-        return False
+    def levels(self) -> tuple[float, float]:
+        """Shares of the observer's disturbance that it asks for: at the start, and the least ever."""
+        return 1.0, 1.0
 
     def density_part(self) -> Part:
         """The densities in a loop; they are logged whether a network hears them or not."""
@@ -74,20 +68,11 @@ class Tuner(Section, ABC, key="tuner"):
         return ()
 
     def network(self) -> TunerNetwork | None:
-        """The network that it asks, or None where the weights stay.
-
-        Raises:
-            ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
-                the range that it was trained on.
-        """
+        """The network that it asks, or None where the weights stay."""
         return None
 
     def content(self) -> str | None:
-        """Text of the file that it depends on, or None where there is none.
-
-        Raises:
-            ConfigurationError: It cannot be read.
-        """
+        """Text of the file that it depends on, or None where there is none."""
         return None
 
 
@@ -144,17 +129,18 @@ class BlockTuner(BlockWeights):
 class AnnTuner(PairTuner):
     """Weights from the paper's neural network, Fig. 5."""
 
+    label: ClassVar[str] = "Output of the ANN"
     kind: Literal["paper"] = "paper"
     weights_file: Text | None = None
     """Path of a trained network, relative to the scenario file; null takes the one of the package."""
 
-    @property
-    def label(self) -> str:
-        """What its weights are, for titles."""
-        return "Output of the ANN"
-
     def network(self) -> TunerNetwork:
-        """See `Tuner.network`."""
+        """The network that it asks.
+
+        Raises:
+            ConfigurationError: Missing or corrupt file, trained on another kind of density, or first weights outside of
+                the range that it was trained on.
+        """
         path = self.weights_file or default_network_path()
         network = load_network(path)
         if network.density != self.density:
@@ -181,20 +167,12 @@ class SettingTuner(BlockWeights):
     They hear the innovations of an observer, see `features`, and change its bandwidth too.
     """
 
+    listens: ClassVar[bool] = True
     kind: str
 
     @abstractmethod
     def chooser(self) -> Chooser:
-        """What wants a setting.
-
-        Raises:
-            ConfigurationError: Missing or corrupt file.
-        """
-
-    @property
-    def smoothness(self) -> float:
-        """[-] kappa, see `features.TunerContext`."""
-        return 0.0
+        """What wants a setting."""
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -202,43 +180,27 @@ class SettingTuner(BlockWeights):
         return tuple(weights_of(np.array(super().weights), self.chooser().centre).tolist())
 
     @property
-    def levels(self) -> Levels:
-        """What it makes of the disturbance that the observer expects."""
+    def levels(self) -> tuple[float, float]:
+        """See `Tuner`."""
         chooser = self.chooser()
-        return Levels(float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest)))
-
-    @property
-    def listens(self) -> bool:
-        """Whether it needs the innovations of an observer."""
-        return True
+        return float(disturbance_of(1.0, chooser.centre)), float(disturbance_of(1.0, chooser.lowest))
 
     def parts(self, setup: Any) -> tuple[Part, ...]:
-        """The tuner in a loop: of `setup` period, noise, latency, robot and the base's disturbance."""
+        """The tuner in a loop."""
         base = np.array([self.q_pose, self.q_rate, self.q_integral, self.r])
-        length = setup.robot.characteristic_length
-        context = TunerContext(setup.period, setup.noise, setup.latency, length, self.smoothness)
-        part = setting_part(self.chooser(), context, base, setup.disturbance)
+        part = setting_part(self.chooser(), setup, base, getattr(self, "kappa", 0.0))
         return (part._replace(says={"disturbance": "expected_disturbance"}),)
 
 
 class PolicyTuner(SettingTuner):
     """Settings from a neural network that was trained in the loop, for the least cost."""
 
+    label: ClassVar[str] = "Output of the policy"
     kind: Literal["policy"] = "policy"
     kappa: Annotated[Real, Field(ge=-1.0, le=1.0)] = 0.0
     """From stiff, -1, to quiet, 1: a change of torque counts 10^kappa times as much against an error."""
     weights_file: Text | None = None
     """Path of a trained policy, relative to the scenario file; null takes the one of the package."""
-
-    @property
-    def label(self) -> str:
-        """What its weights are, for titles."""
-        return "Output of the policy"
-
-    @property
-    def smoothness(self) -> float:
-        """[-] kappa."""
-        return self.kappa
 
     def chooser(self) -> Policy:
         """What wants a setting."""
@@ -255,20 +217,16 @@ FourNumbers = tuple[Decades, Decades, Decades, Decades]
 class ScheduleTuner(SettingTuner):
     """Two settings: one while readings are as expected, one when they are not and for a while after."""
 
+    label: ClassVar[str] = "Weights of the schedule"
     kind: Literal["schedule"] = "schedule"
     calm: FourNumbers = (0.0, 0.0, 0.0, 0.0)
-    """Decades of speed, damping, integral and disturbance, see `settings`."""
+    """Decades of speed, damping, integral and disturbance, see `control.policy`."""
     alert: FourNumbers = (0.0, 0.0, 0.0, 0.0)
     """Likewise."""
     threshold: Positive = 2.0
     """[-] RMS of the innovations of some 10 ms over the noise of a reading, above which the second one holds."""
     hold: NotNegative = 0.1
     """[s] that it stays afterwards."""
-
-    @property
-    def label(self) -> str:
-        """What its weights are, for titles."""
-        return "Weights of the schedule"
 
     def chooser(self) -> Schedule:
         """What wants a setting."""

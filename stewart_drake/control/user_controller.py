@@ -1,20 +1,25 @@
-"""A controller of the user's own: where its class comes from."""
+"""A controller of the user's own: a plain function, or a System of pydrake, by import path or as it is."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.function_part import function_part
-from stewart_drake.errors import ConfigurationError
+from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
+from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
 from stewart_drake.files.code_path import UserCodePath
-from stewart_drake.files.user_errors import UserCode
-from stewart_drake.part import AnyPart, Setup, SystemPart
+from stewart_drake.files.user_errors import ControllerError, UserCode
+from stewart_drake.jit import fields, new_record
+from stewart_drake.part import Part, Setup
 from stewart_drake.section import Positive
+
+_EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
+FUNCTION_STATE = fields(torque=6, error=6, integral=6, health=2)
 
 
 class PythonOptions(UserMade, ControllerOptions):
@@ -54,7 +59,7 @@ class PythonOptions(UserMade, ControllerOptions):
             raise ConfigurationError(self.code_key, self.code, _EXPECTED)
         return found
 
-    def parts(self, setup: Setup) -> tuple[AnyPart, ...]:
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
         """The user's LeafSystem, or a function that is called at every tick."""
         made = self.load()
         if isinstance(made, type):
@@ -63,32 +68,27 @@ class PythonOptions(UserMade, ControllerOptions):
             return (self._system_part(made, len(setup.weights)),)
         return (function_part(made),)
 
-    def _system_part(self, system: Any, weights: int) -> SystemPart:
-        """A System of pydrake as a part of a loop, its ports checked.
-
-        Raises:
-            ConfigurationError: A port is missing or of the wrong size.
-        """
+    def _system_part(self, system: Any, weights: int) -> Part:
+        """A System of pydrake as a part of a loop, its ports checked."""
         from pydrake.systems.framework import PortDataType
 
-        weighted = {"weights": weights} if system.HasInputPort("weights") else {}
         answers = {"error": 6, "integral": 6}
-        inputs = {"measurement": 12, "reference": 18, **weighted}
+        inputs = {"measurement": 12, "reference": 18} | ({"weights": weights} if system.HasInputPort("weights") else {})
         outputs = {"torque": 6, **(answers if any(map(system.HasOutputPort, answers)) else {})}
         for side, ports in (("Input", inputs), ("Output", outputs)):
             for name, size in ports.items():
-                expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
-                if not getattr(system, f"Has{side}Port")(name):
-                    raise ConfigurationError(self.code_key, self.code, f"{expected}; it has no such port")
-                port = getattr(system, f"Get{side}Port")(name)
-                if port.get_data_type() != PortDataType.kVectorValued:
-                    raise ConfigurationError(self.code_key, self.code, f"{expected}; its own is abstract")
-                if port.size() != size:
-                    raise ConfigurationError(self.code_key, self.code, f"{expected}; its own is ({port.size()},)")
-        return SystemPart("controller", inputs, tuple(outputs), system)
-
-
-_EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
+                port = getattr(system, f"Get{side}Port")(name) if getattr(system, f"Has{side}Port")(name) else None
+                problem = ""
+                if port is None:
+                    problem = "it has no such port"
+                elif port.get_data_type() != PortDataType.kVectorValued:
+                    problem = "its own is abstract"
+                elif port.size() != size:
+                    problem = f"its own is ({port.size()},)"
+                if problem:
+                    expected = f"a LeafSystem with the {side.lower()} port {name} ({size},); {problem}"
+                    raise ConfigurationError(self.code_key, self.code, expected)
+        return Part("controller", inputs, tuple(outputs), system=system)
 
 
 def _is_system(found: Any) -> bool:
@@ -102,3 +102,36 @@ def _is_system(found: Any) -> bool:
 def user_code(section: Any) -> UserCode:
     """The guard around what may call a user's code, see `UserCode`: of a scenario or of a part of it."""
     return UserCode(*(part.code.own_module for part in user_parts(section)))
+
+
+def function_part(function: Callable[[Measurement, Setpoint, float], Any]) -> Part:
+    """`torque = function(measurement, setpoint, time)` as a part of a loop, six torques [N m] at a time [s].
+
+    An object that is called likewise may remember what it likes: then each run needs one of its own. The part's tick
+    raises ControllerError where the function raises or returns something else, NotFiniteError where a torque is not
+    finite. Its outputs `error` and `integral` are pose minus setpoint and zeros.
+    """
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    guard = UserCode(getattr(function, "__module__", None) or type(function).__module__)
+
+    def tick(measurement: np.ndarray, reference: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
+        # Copies: what it keeps or changes is its own.
+        pose, wanted = measurement.copy(), reference.copy()
+        with guard:
+            answer = function(
+                Measurement(pose[:6], pose[6:]), Setpoint(wanted[:6], wanted[6:12], wanted[12:]), float(time[0])
+            )
+        try:
+            torque = np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            torque = np.empty(())
+        if torque.shape != (6,):
+            what = f"an array of shape {torque.shape}" if torque.ndim else repr(answer)
+            raise ControllerError(f"{name} returned {what}; expected six torques [N m]")
+        if not np.isfinite(torque).all():
+            raise NotFiniteError(f"torque of {name}", torque)
+        state["torque"][0] = torque
+        state["error"][0] = measurement[:6] - reference[:6]
+
+    inputs = {"measurement": 12, "reference": 18, "time": 1}
+    return Part("controller", inputs, ("torque", "error", "integral"), new_record(FUNCTION_STATE), tick)

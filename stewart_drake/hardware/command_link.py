@@ -10,9 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import UnreachablePoseError
-from stewart_drake.hardware.faults import CommandFault, Signal
-from stewart_drake.hardware.seeded import tick_uniform
-from stewart_drake.jit import fields, new_record, njit
+from stewart_drake.hardware.faults import CommandFault, Signal, tick_numbers
+from stewart_drake.jit import fields, new_record
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
@@ -51,17 +50,13 @@ class LinkOptions(Section, key="link"):
         chance = self.drop_probability or self.late_probability or self.dropped or self.late or self.faults
         return not chance and self.stop_time is None
 
-    @cached_property
-    def _listed(self) -> tuple[frozenset[int], frozenset[int]]:
-        return frozenset(self.dropped), frozenset(self.late)
-
     def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
         """What becomes of the command of a tick."""
-        drop, late = tick_uniform(self.seed, _STREAM, tick, 2)
+        drop, late = tick_numbers(self.seed, _STREAM, tick, 2, normal=False)
         stopped = self.stop_time is not None and time >= self.stop_time
-        if stopped or tick in self._listed[0] or drop < self.drop_probability:
+        if stopped or tick in self.dropped or drop < self.drop_probability:
             return "dropped"
-        return "late" if tick in self._listed[1] or late < self.late_probability else "arrives"
+        return "late" if tick in self.late or late < self.late_probability else "arrives"
 
 
 LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), arrived=())
@@ -72,10 +67,7 @@ LINK_STATE = fields(torque=6, age=(1,), steps=(), arriving=6, due=(), sent=(), a
 def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) -> Part:
     """What has arrived by each step of the plant: `torque` (6,) [N m] and `time` (1,) [s] -> `torque`, `age`.
 
-    Args:
-        options: See `LinkOptions`.
-        steps_per_tick: Steps of the plant in a control period.
-        initial: (6,) [N m] until the first command arrives.
+    `initial` (6,) [N m] stands until the first command arrives.
     """
 
     def tick(torque: np.ndarray, time: np.ndarray, state: np.ndarray) -> None:
@@ -99,20 +91,14 @@ def link_part(options: LinkOptions, steps_per_tick: int, initial: np.ndarray) ->
     return Part("link", {"torque": 6, "time": 1}, ("torque", "age"), first, tick, every_step=True)
 
 
-@njit
-def _delay_tick(torque: Any, out: Any, under_way: Any) -> None:
-    out[0] = under_way[0, 0]
-    for row in range(under_way.shape[1] - 1):
-        under_way[0, row] = under_way[0, row + 1]
-    under_way[0, -1] = torque
-
-
 def delay_part(ticks: int, initial: np.ndarray) -> Part:
     """A constant delay of commands: `torque` (6,) [N m] -> that of so many ticks ago, and `initial` (6,) until then."""
     first = new_record(fields(torque=6, under_way=(ticks, 6)), torque=initial, under_way=initial)
 
     def tick(torque: np.ndarray, state: np.ndarray) -> None:
-        _delay_tick(torque, state["torque"], state["under_way"])
+        state["torque"][0], under_way = state["under_way"][0, 0], state["under_way"][0]
+        under_way[:-1] = under_way[1:]
+        under_way[-1] = torque
 
     return Part("command_delay", {"torque": 6}, ("torque",), first, tick)
 

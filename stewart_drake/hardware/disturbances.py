@@ -30,7 +30,7 @@ class ConstantWrench(Section, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """Wrench (..., 6) at times (...) [s]."""
-        return np.broadcast_to(np.array(self.wrench), (*np.shape(time), 6))
+        return _shares(time)[..., None] * np.array(self.wrench)
 
 
 class StepWrench(Section, key="disturbances"):
@@ -51,7 +51,9 @@ class StepWrench(Section, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """Wrench (..., 6) at times (...) [s]."""
-        return _within(time, self.time, math.inf if self.until is None else self.until) * np.array(self.wrench)
+        return _shares(time, self.time, math.inf if self.until is None else self.until)[..., None] * np.array(
+            self.wrench
+        )
 
 
 class ImpulseWrench(Section, key="disturbances"):
@@ -70,8 +72,8 @@ class ImpulseWrench(Section, key="disturbances"):
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
         """Wrench (..., 6) at times (...) [s]."""
-        during = _within(time, self.time, self.time + self.duration)
-        return during * (np.array(self.impulse) / self.duration)
+        during = _shares(time, self.time, self.time + self.duration)
+        return during[..., None] * (np.array(self.impulse) / self.duration)
 
 
 class SineWrench(Section, key="disturbances"):
@@ -126,6 +128,13 @@ class NoiseWrench(Section, key="disturbances"):
         return self.low + (self.high - self.low) * share, rng.uniform(0.0, 2.0 * math.pi, (6, _SINES))
 
 
+def _shares(time: float | np.ndarray, start: float = -math.inf, end: float = math.inf) -> np.ndarray:
+    """(...) 1 from `start` on, 0 from `end` on."""
+    # Times of steps are stretched by 1.4e-10 of themselves (`sampling.on_grid`), never shrunk: >= finds the right one.
+    time = np.asarray(time, dtype=float)
+    return ((time >= start) & (time < end)).astype(float)
+
+
 class UserDisturbance(UserMade, key="disturbances"):
     """What a class of the user's own says with `evaluate(time)`: a wrench (6,) [N m, N] at a time."""
 
@@ -149,30 +158,12 @@ class Disturbance(Protocol):
     """Anything that pushes the platform."""
 
     def evaluate(self, time: float | np.ndarray) -> np.ndarray:
-        """Wrench (..., 6) [N m, N] at times (...) [s], see `total_wrench`."""
+        """Wrench (..., 6) [N m, N] at times (...) [s]."""
 
 
 AnyDisturbance = Annotated[Disturbance, DISTURBANCES]
 
 
 def total_wrench(disturbances: Sequence[Disturbance], time: float | np.ndarray) -> np.ndarray:
-    """Sum of disturbances.
-
-    Args:
-        disturbances: Any number of them.
-        time: (...) [s].
-
-    Returns:
-        (..., 6) [N m, N] moment about P and force, in B.
-    """
-    total = np.zeros((*np.shape(time), 6))
-    for one in disturbances:
-        total += one.evaluate(time)
-    return total
-
-
-def _within(time: float | np.ndarray, start: float, end: float) -> np.ndarray:
-    """(..., 1) 1 from `start` on, 0 from `end` on."""
-    # Times of steps are stretched by 1.4e-10 of themselves (`sampling.on_grid`), never shrunk: >= finds the right one.
-    time = np.asarray(time, dtype=float)
-    return ((time >= start) & (time < end)).astype(float)[..., None]
+    """Sum of disturbances (..., 6) [N m, N], moment about P and force, in B, at times (...) [s]."""
+    return sum((one.evaluate(time) for one in disturbances), np.zeros((*np.shape(time), 6)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -49,12 +49,9 @@ TOO_FAST, OTHER_MODE = 10, 11
 class EstimatorOptions(Section, key="estimator"):
     """Base of the options of estimators."""
 
+    exact: ClassVar[bool] = False
+    """Whether it passes on what a sensor of pose and rate says."""
     kind: str
-
-    @property
-    def exact(self) -> bool:
-        """Whether it passes on what a sensor of pose and rate says."""
-        return False
 
     @property
     def expected(self) -> float:
@@ -77,12 +74,8 @@ class EstimatorOptions(Section, key="estimator"):
 class DifferenceOptions(EstimatorOptions):
     """The pose as it is read, its rate from the difference of two readings; a sensor that measures both is believed."""
 
+    exact: ClassVar[bool] = True
     kind: Literal["difference"] = "difference"
-
-    @property
-    def exact(self) -> bool:
-        """It is."""
-        return True
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `EstimatorOptions`."""
@@ -100,7 +93,7 @@ need not have been believed."""
 
 
 @njit
-def difference_tick(robots: Any, setups: Any, angles: Any, states: Any) -> Any:
+def difference_tick(robots: Any, setups: Any, angles: Any, leg_records: Any, states: Any) -> Any:
     """One tick: forward kinematics from the last pose, and the pose's rate from the difference of the angles.
 
     Two readings one tick apart belong to the middle of the tick, so that the rate lags by half a period. The first tick
@@ -114,13 +107,14 @@ def difference_tick(robots: Any, setups: Any, angles: Any, states: Any) -> Any:
         robots: `ROBOT` record.
         setups: `SETUP` record.
         angles: (6,) [rad] readings.
+        leg_records: `LEGS`, overwritten.
         states: `STATE` record, in place.
 
     Returns:
         Status, leg or -1, margin; of NO_CONVERGENCE the steps taken and the error [m] in place of these.
     """
     state = record(states)
-    status, leg, margin = _estimate(record(robots), record(setups), angles, state, np.empty(1, LEGS))
+    status, leg, margin = _estimate(record(robots), record(setups), angles, state, record(leg_records))
     if status != OK and state.started > 0.0 and state.held < record(setups).hold_ticks:
         state.held += 1.0
         return OK, -1, 0.0
@@ -128,9 +122,9 @@ def difference_tick(robots: Any, setups: Any, angles: Any, states: Any) -> Any:
 
 
 @njit
-def _estimate(robot: Any, setup: Any, angles: Any, state: Any, scratch: Any) -> Any:
+def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any:
     """`difference_tick` without the bridge; where the status is not OK only `candidate` changes."""
-    legs, pose, last = record(scratch), state.candidate, state.measurement
+    pose, last = state.candidate, state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
     pose[:] = last[:6]
     for i in range(6):
@@ -170,62 +164,57 @@ def _estimate(robot: Any, setup: Any, angles: Any, state: Any, scratch: Any) -> 
 
 
 def difference_part(
-    robot: RobotParameters, options: EncoderOptions, period: float, pose: np.ndarray, pose_rate: np.ndarray
+    robot: RobotParameters,
+    options: EncoderOptions,
+    period: float,
+    pose: np.ndarray,
+    pose_rate: np.ndarray | tuple[float, ...] = (0.0,) * 6,
 ) -> Part:
     """`reading` (6,) [rad] of encoders -> `measurement` (12,), pose [rad, m] and its rate; see `difference_tick`.
 
-    Args:
-        robot: As the controller believes it to be.
-        options: Of the encoders.
-        period: [s] of the ticks.
-        pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
-        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
+    `pose` is roughly where the platform stands at first, which picks the assembly mode; `pose_rate` of a robot that is
+    in motion at the start.
     """
     cutoff = options.rate_cutoff
     setup = new_record(
         SETUP,
+        options,
         period=period,
         smoothing=1.0 if cutoff is None else 1.0 - math.exp(-2.0 * math.pi * cutoff * period),
-        max_speed=options.max_speed,
         max_turn=options.max_step[0],
         max_shift=options.max_step[1],
-        hold_ticks=options.hold_ticks,
     )
-    measurement = np.concatenate([pose, np.zeros(6)])
-    rates = _starting_crank_rates(robot, pose, pose_rate)
-    initial = new_record(STATE, measurement=measurement, health=WELL, crank_rate=rates)
-    own = robot_record(robot)
+    initial, own, legs = new_record(STATE, health=WELL), robot_record(robot), np.empty(1, LEGS)
+    initial["measurement"][0, :6] = pose
+    # A robot that cannot stand there: the first tick says so, with a log.
+    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+        rates = crank_rates(robot, leg_geometry(robot, pose), pose, np.array(pose_rate))
+        initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
     def tick(reading: np.ndarray, state: np.ndarray) -> None:
-        status, leg, margin = difference_tick(own, setup, reading, state)
+        status, leg, margin = difference_tick(own, setup, reading, legs, state)
         if status != OK:
             raise _error(status, leg, margin, reading, options, state)
 
     return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
 
 
+def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> SingularPoseError:
+    """The error of a pose that ends a tick as SERIAL, a crank carried slightly across its dead centre, or PARALLEL."""
+    if status == SERIAL:
+        return SingularPoseError("serial", pose, margin, 0.0, leg)
+    return SingularPoseError("parallel", pose, 0.0, 0.0)
+
+
 def _error(
     status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
 ) -> RunFailure:
-    """What is wrong with a tick."""
     pose, last = state["candidate"][0].copy(), state["measurement"][0, :6].copy()
     if status == NO_CONVERGENCE:
         return ForwardKinematicsError(margin, leg)
-    if status == SERIAL:
-        return SingularPoseError("serial", pose, margin, 0.0, leg)
-    if status == PARALLEL:
-        return SingularPoseError("parallel", pose, 0.0, 0.0)
+    if status in (SERIAL, PARALLEL):
+        return singular_pose(status, leg, margin, pose)
     if status == OTHER_MODE:
         return AssemblyModeError(pose, last)
     what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
     return RunFailure(f"encoder readings {pose_text(angles)}: {what}", reason="encoder")
-
-
-def _starting_crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-    """Crank rates (6,) [rad/s] of the robot, as believed, at a pose; zeros where it cannot stand there."""
-    # In that case the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
-        rates = crank_rates(robot, leg_geometry(robot, pose), pose, pose_rate)
-        if np.isfinite(rates).all():
-            return rates
-    return np.zeros(6)

@@ -1,4 +1,4 @@
-"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while.
+"""How sensors, commands and motors fail: on a leg, or on all, from a time on, for a while; and chance, tick by tick.
 
 What a kind of fault does is one function of the fault and of the signal that it spoils, and a line in the registry.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -18,6 +19,25 @@ from stewart_drake.families import Table
 from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
 from stewart_drake.section import LegNumber, NotNegative, Positive, Real, Section, Text
 from stewart_drake.wording import describe, either
+
+_BLOCK = 1024
+
+
+def tick_numbers(seed: int, stream: int, tick: int, size: int, normal: bool) -> np.ndarray:
+    """Random numbers (size,) of a tick, standard normal or in [0, 1): the same whenever and as often as it is asked.
+
+    Different streams of one seed are independent.
+    """
+    return _block(seed, stream, tick // _BLOCK, size, normal)[tick % _BLOCK]
+
+
+@lru_cache(maxsize=64)
+def _block(seed: int, stream: int, block: int, size: int, normal: bool) -> np.ndarray:
+    # Philox counts: a block is reached without drawing those before it. The low counter words run within the block.
+    generator = np.random.Generator(np.random.Philox(key=[seed, stream], counter=[0, 0, 0, block]))
+    values = generator.standard_normal((_BLOCK, size)) if normal else generator.random((_BLOCK, size))
+    values.flags.writeable = False
+    return values
 
 
 @dataclass
@@ -53,13 +73,13 @@ class FaultKind(NamedTuple):
     keeps: bool = False
 
 
-def _set(value: Callable[[Any, Signal], Any]) -> Callable[[Any, Signal], None]:
-    """A kind's function, from what its channels say instead."""
+def _kind(value: Callable[[Any, Signal, Any], Any], needs: str = "", keeps: bool = False) -> FaultKind:
+    """A kind by what its channels say instead, of fault, signal and what they say now."""
 
     def spoil(fault: Any, signal: Signal) -> None:
-        signal.says[fault.channels] = value(fault, signal)
+        signal.says[fault.channels] = value(fault, signal, signal.says[fault.channels])
 
-    return spoil
+    return FaultKind(spoil, needs, keeps)
 
 
 def _swapped(fault: Any, signal: Signal) -> None:
@@ -67,18 +87,14 @@ def _swapped(fault: Any, signal: Signal) -> None:
     signal.says[pair] = signal.says[pair[::-1]]
 
 
-def _now(fault: Any, signal: Signal) -> np.ndarray:
-    return signal.says[fault.channels]
-
-
-NAN, INF = FaultKind(_set(lambda f, s: math.nan)), FaultKind(_set(lambda f, s: math.inf))  # noqa: ARG005
-FREEZE = FaultKind(_set(lambda f, s: s.good[f.channels]), keeps=True)
-REVERSED = FaultKind(_set(lambda f, s: 2.0 * s.good[f.channels] - _now(f, s)), keeps=True)
-LATE = FaultKind(_set(lambda f, s: s.late[f.channels]), needs="delay")
-JUMP = FaultKind(_set(lambda f, s: _now(f, s) + f.size))
-DRIFT = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (s.time - f.time)))
-CHATTER = FaultKind(_set(lambda f, s: _now(f, s) + f.size * (-1.0) ** s.tick))
-INVERTED = FaultKind(_set(lambda f, s: -_now(f, s)))
+NAN, INF = _kind(lambda *_: math.nan), _kind(lambda *_: math.inf)
+FREEZE = _kind(lambda f, s, now: s.good[f.channels], keeps=True)  # noqa: ARG005
+REVERSED = _kind(lambda f, s, now: 2.0 * s.good[f.channels] - now, keeps=True)
+LATE = _kind(lambda f, s, now: s.late[f.channels], needs="delay")  # noqa: ARG005
+JUMP = _kind(lambda f, s, now: now + f.size)  # noqa: ARG005
+DRIFT = _kind(lambda f, s, now: now + f.size * (s.time - f.time))
+CHATTER = _kind(lambda f, s, now: now + f.size * (-1.0) ** s.tick)
+INVERTED = _kind(lambda f, s, now: -now)  # noqa: ARG005
 SWAPPED = FaultKind(_swapped, needs="other")
 
 
@@ -90,13 +106,9 @@ class Fault(Section):
     time: NotNegative = 0.0
     """[s] when it begins."""
 
-    def has(self, key: str) -> Any:
-        """Value of a key; None where it is null, and where faults of this target have no such key."""
-        return getattr(self, key, None)
-
     def spoil(self, signal: Signal) -> bool:
         """Does what its kind does, if it is there at the signal's time; whether it is."""
-        duration = self.has("duration")
+        duration = getattr(self, "duration", None)
         acts = self.time <= signal.time < self.time + (math.inf if duration is None else duration)
         if acts:
             self.kinds[self.kind].spoil(self, signal)
@@ -105,27 +117,31 @@ class Fault(Section):
     @property
     def channels(self) -> slice:
         """Entries that it spoils: of its leg, or all."""
-        leg = self.has("leg")
+        leg = getattr(self, "leg", None)
         return slice(None) if leg is None else slice(leg, leg + 1)
 
     def ticks_late(self, period: float) -> int:
         """Whole ticks of a period [s] by which it delays a reading; 0 for a kind that does not."""
-        delay = self.has("delay")
+        delay = getattr(self, "delay", None)
         return 0 if delay is None else math.ceil(delay / period - 1e-6)
 
     def rules(self) -> None:
         """The keys that the kind needs, and no others."""
         for key in ("delay", "other"):
-            value, kinds = self.has(key), [name for name in self.kinds.names if self.kinds[name].needs == key]
+            value, kinds = (
+                getattr(self, key, None),
+                [name for name in self.kinds.names if self.kinds[name].needs == key],
+            )
             if value is not None and self.kind not in kinds:
                 raise ConfigurationError(key, value, f"null, but for kind {either(kinds)}")
             if value is None and self.kind in kinds:
-                field = self.__pydantic_fields__[key]
-                raise ConfigurationError(key, value, f"{describe(field.annotation)}, for kind {self.kind}")
-        leg, other = self.has("leg"), self.has("other")
-        if other is not None and (leg is None or leg == other):
-            key, value = ("leg", leg) if leg is None else ("other", other)
-            raise ConfigurationError(key, value, f"a leg from 0 to 5, other than {other if leg is None else leg}")
+                words = describe(self.__pydantic_fields__[key].annotation)
+                raise ConfigurationError(key, value, f"{words}, for kind {self.kind}")
+        leg, other = getattr(self, "leg", None), getattr(self, "other", None)
+        if other is not None and leg is None:
+            raise ConfigurationError("leg", leg, f"a leg from 0 to 5, other than {other}")
+        if other is not None and leg == other:
+            raise ConfigurationError("other", other, f"a leg from 0 to 5, other than {leg}")
 
 
 Delay = Annotated[Positive, Field(le=1.0)]

@@ -1,20 +1,25 @@
-"""What a motor and its amplifier make of the torque asked for."""
+"""Motors: what they make of the torque asked for, what is added against their friction, what five of six hold."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from itertools import combinations, product
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.faults import MotorFault, Signal
-from stewart_drake.jit import fields, new_record
+from stewart_drake.jit import fields, new_record, njit, record
+from stewart_drake.mechanics.friction import dry_level
+from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.part import Part
-from stewart_drake.robot.leg import LEGS, SMALLEST
-from stewart_drake.section import LegNumber, Natural, NotNegative, Section
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.friction_options import FrictionOptions
+from stewart_drake.robot.leg import SMALLEST
+from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Section
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -52,16 +57,7 @@ class MotorOptions(Section, key="motors"):
         return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
     def torque(self, wanted: np.ndarray, crank_angles: np.ndarray, time: float) -> np.ndarray:
-        """What the motors give.
-
-        Args:
-            wanted: (6,) [N m] asked for.
-            crank_angles: (6,) [rad].
-            time: [s].
-
-        Returns:
-            (6,) [N m], before the plant's effort limit.
-        """
+        """What the motors give (6,) [N m] for torques (6,) that are wanted, before the plant's effort limit."""
         torque = np.array(wanted, dtype=float)
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
@@ -82,6 +78,68 @@ def motor_part(options: MotorOptions) -> Part:
 
     inputs = {"torque": 6, "time": 1, "crank_state": 12}
     return Part("motors", inputs, ("torque",), new_record(fields(torque=6)), tick, every_step=True)
+
+
+# --- against friction -------------------------------------------------------------------------------------------------
+
+
+class FrictionCompensation(FrictionOptions, key="friction_compensation"):
+    """Friction of the motors as the controller believes it; its torque along the reference is added to the command.
+
+    Along the reference and not along the measurement: noise cannot make it chatter, nor can it push a robot that is to
+    stand still.
+    """
+
+    width: Positive = 0.002
+    """[rad/s] a crank that is to turn at this rate gets 76 % of its dry friction: reversals are that smooth."""
+
+
+_BELIEVED = fields(coulomb=6, break_away=6, stribeck_rate=6, viscous=6, width=())
+"""[N m], [N m], [rad/s], [N m s/rad], [rad/s]."""
+_FRICTION_STATE = fields(against_friction=6)
+
+
+@njit
+def against_friction(robots: Any, believed: Any, reference: Any, leg_records: Any, states: Any) -> None:
+    """Torques g(rate) tanh(rate / width) + viscous rate of cranks that follow a reference.
+
+    Zeros where the reference is out of reach, or a crank at its dead centre.
+
+    Args:
+        robots: `ROBOT` record.
+        believed: `_BELIEVED` record.
+        reference: (18,) pose [rad, m], its rate and its acceleration.
+        leg_records: `LEGS`, overwritten.
+        states: `_FRICTION_STATE` record, out.
+    """
+    robot, friction, legs, out = record(robots), record(believed), record(leg_records), record(states).against_friction
+    twist, rates = np.empty(6), np.empty(6)
+    out[:] = 0.0
+    if legs_at(robot, reference[:6], legs) >= 0:
+        return
+    twist_of(reference[:6], reference[6:12], twist)
+    crank_rates(legs, twist, rates)
+    for i in range(6):
+        if not np.isfinite(rates[i]):
+            return
+    for i in range(6):
+        dry = dry_level(friction.coulomb[i], friction.break_away[i], friction.stribeck_rate[i], rates[i])
+        out[i] = dry * np.tanh(rates[i] / friction.width) + friction.viscous[i] * rates[i]
+
+
+def friction_part(robot: RobotParameters, options: FrictionCompensation) -> Part:
+    """`reference` (18,) -> `against_friction` (6,) [N m], for a robot as believed."""
+    own, legs = robot_record(robot), np.empty(1, LEGS)
+    levels = dict(zip(("coulomb", "break_away", "stribeck_rate", "viscous"), options.levels, strict=True))
+    believed = new_record(_BELIEVED, **levels, width=options.width)
+
+    def tick(reference: np.ndarray, state: np.ndarray) -> None:
+        against_friction(own, believed, reference, legs, state)
+
+    return Part("friction_compensation", {"reference": 18}, ("against_friction",), new_record(_FRICTION_STATE), tick)
+
+
+# --- what five motors hold -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -115,35 +173,27 @@ def holdable_load(weight_torque: np.ndarray, jacobian: np.ndarray, limit: float,
         dead: The leg without torque.
     """
     per_wrench = -np.linalg.inv(jacobian.T)
-    weight = abs(weight_torque[dead]) < 1e-9 * limit and bool((np.abs(weight_torque) <= limit).all())
     forces = _corners(weight_torque, per_wrench[:, 3:], limit, dead)
-    nearest = _nearest(weight_torque, per_wrench[:, 3:], limit, dead, forces)
-    if not weight:
-        return HoldableLoad(False, nearest, None, None)
-    moments = _corners(weight_torque, per_wrench[:, :3], limit, dead)
-    return HoldableLoad(True, 0.0, *(float(np.linalg.norm(c, axis=1).max()) for c in (forces, moments)))
+    if abs(weight_torque[dead]) < 1e-9 * limit and bool((np.abs(weight_torque) <= limit).all()):
+        moments = _corners(weight_torque, per_wrench[:, :3], limit, dead)
+        return HoldableLoad(True, 0.0, *(float(np.linalg.norm(c, axis=1).max()) for c in (forces, moments)))
+    # The smallest force in the polygon: the nearest in its plane, or else one of its corners.
+    normal = per_wrench[dead, 3:]
+    load = -weight_torque[dead] * normal / (normal @ normal)
+    if not (np.abs(weight_torque + per_wrench[:, 3:] @ load) <= limit * (1.0 + 1e-9)).all():
+        return HoldableLoad(False, float(np.linalg.norm(forces, axis=1).min(initial=np.inf)), None, None)
+    return HoldableLoad(False, float(np.linalg.norm(load)), None, None)
 
 
 def _corners(weight: np.ndarray, per_load: np.ndarray, limit: float, dead: int) -> np.ndarray:
     """Corners (n, 3) of the polygon of loads that the motors hold; a norm is largest at one of them."""
-    alive = [leg for leg in range(LEGS) if leg != dead]
     found = []
-    for index, one in enumerate(alive):
-        for other in alive[index + 1 :]:
-            rows = per_load[[dead, one, other]]
-            for bounds in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-                wanted = np.array([0.0, limit * bounds[0], limit * bounds[1]]) - weight[[dead, one, other]]
-                load = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-                torque = weight + per_load @ load
-                if abs(torque[dead]) < 1e-9 * limit and (np.abs(torque) <= limit * (1.0 + 1e-9)).all():
-                    found.append(load)
+    for one, other in combinations([leg for leg in range(6) if leg != dead], 2):
+        legs = [dead, one, other]
+        for bounds in product((1, -1), repeat=2):
+            wanted = np.array([0.0, limit * bounds[0], limit * bounds[1]]) - weight[legs]
+            load = np.linalg.lstsq(per_load[legs], wanted, rcond=None)[0]
+            torque = weight + per_load @ load
+            if abs(torque[dead]) < 1e-9 * limit and (np.abs(torque) <= limit * (1.0 + 1e-9)).all():
+                found.append(load)
     return np.array(found).reshape(-1, 3)
-
-
-def _nearest(weight: np.ndarray, per_load: np.ndarray, limit: float, dead: int, corners: np.ndarray) -> float:
-    """[N] size of the smallest load in the polygon."""
-    normal = per_load[dead]
-    load = -weight[dead] * normal / (normal @ normal)
-    if (np.abs(weight + per_load @ load) <= limit * (1.0 + 1e-9)).all():
-        return float(np.linalg.norm(load))
-    return float(np.linalg.norm(corners, axis=1).min()) if len(corners) else float("inf")

@@ -22,8 +22,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError, RunFailure, SingularPoseError, UnreachablePoseError, pose_text
-from stewart_drake.hardware.estimator import EstimatorOptions, difference_part
+from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, pose_text
+from stewart_drake.hardware.estimator import EstimatorOptions, difference_part, singular_pose
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
@@ -99,19 +99,9 @@ class ObserverOptions(EstimatorOptions):
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `EstimatorOptions`."""
-        part = observer_part(
-            setup.robot,
-            self,
-            setup.gravity,
-            setup.period,
-            setup.noise,
-            setup.pose,
-            setup.pose_rate,
-            setup.still,
-            command_delay=setup.delay,
-            friction=setup.friction,
-            size=setup.reading,
-        )
+        start = setup.noise, setup.pose, setup.pose_rate, setup.still
+        more: dict[str, Any] = {"command_delay": setup.delay, "friction": setup.friction, "size": setup.reading}
+        part = observer_part(setup.robot, self, setup.gravity, setup.period, *start, **more)
         return (part._replace(reads={"disturbance": np.array([self.disturbance])}),)
 
 
@@ -159,32 +149,16 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
 
 
 def innovation_scale(noise: float, disturbance: float, period: float) -> tuple[float, float]:
-    """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves.
-
-    Args:
-        noise: [rad] `SensorOptions.reading_noise`.
-        disturbance: [rad/s^2 per sqrt(s)] the least that is expected.
-        period: [s].
-    """
+    """[rad] of an innovation that noise explains, and [rad per rad/s^2] what an unexplained acceleration leaves."""
     noise = max(noise, SMALLEST_NOISE)
     return NOISE_AT_MOST * noise, 1.0 / bandwidth(noise, disturbance, period) ** 2 + period**2
 
 
 @njit
 def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period, by the exact model.
+    """Moves pose and rate (6,) by a period, by the exact model, in place; as `observe`, SERIAL is out of reach.
 
-    Args:
-        robot: `ROBOT` record.
-        setup: `SETUP` record.
-        torque: (6,) [N m], constant meanwhile.
-        disturbance: (6,) [rad/s^2] more of the cranks.
-        pose: (6,) [rad, m] in place.
-        rate: (6,) [rad/s, m/s] in place.
-        legs: `LEGS` record, overwritten.
-
-    Returns:
-        OK, SERIAL out of reach or PARALLEL at a singularity; leg or -1; margin.
+    The torque (6,) [N m] is constant meanwhile; the disturbance (6,) [rad/s^2] is added to the cranks' accelerations.
     """
     acceleration, h = np.empty(6), setup.period
     bad = legs_at(robot, pose, legs)
@@ -199,7 +173,9 @@ def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, ra
 
 
 @njit
-def observe(robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: Any, states: Any) -> Any:
+def observe(
+    robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, expected: Any, leg_records: Any, states: Any
+) -> Any:
     """One tick: predicts, corrects by what is believed of the readings, and looks ahead.
 
     Args:
@@ -209,51 +185,46 @@ def observe(robots: Any, setups: Any, reading: Any, sent: Any, reference: Any, e
         sent: (6,) [N m] the last command, of the tick before, less what of it the friction takes.
         reference: (18,) wanted now: pose [rad, m], its rate and its acceleration.
         expected: (1,) disturbance [rad/s^2 per sqrt(s)] for this tick, see `ObserverOptions`.
+        leg_records: `LEGS`, overwritten.
         states: `STATE` record, in place.
 
     Returns:
         Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
     """
-    robot, setup, state = record(robots), record(setups), record(states)
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     if state.side == 0.0:
         return FIRST, -1, 0.0
-    cosine, sine, scratch = np.empty(6), np.empty(6), np.empty(1, LEGS)
-    status, leg, margin = _directions(robot, reading, cosine, sine, scratch)
+    cosine, sine = np.empty(6), np.empty(6)
+    status, leg, margin = _directions(robot, reading, cosine, sine, legs)
     if status == OK:
-        _remember(state, int(setup.delay), sent)
-        status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected[0], state, scratch)
+        for row in range(int(setup.delay)):
+            state.commands[row] = state.commands[row + 1]
+        # What is not a number no motor gives; the safety layer repeats the last command for it.
+        if np.isfinite(sent).all():
+            state.commands[int(setup.delay)] = sent
+        status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected[0], state, legs)
     if status == OK:
-        status, leg, margin = _look_ahead(robot, setup, state, scratch)
+        status, leg, margin = _look_ahead(robot, setup, state, legs)
     return status, leg, margin
 
 
 @njit
-def begin(robots: Any, setups: Any, pose: Any, states: Any) -> Any:
-    """The first tick, from the pose (6,) that its readings tell; the rate is that of the state.
-
-    Args and returns: As of `observe`.
-    """
-    state, scratch = record(states), np.empty(1, LEGS)
+def begin(robots: Any, setups: Any, pose: Any, leg_records: Any, states: Any) -> Any:
+    """The first tick, from the pose (6,) that its readings tell; the rate is that of the state. As `observe`."""
+    robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
     state.measurement[:6] = pose
-    state.side = _side(record(robots), pose, scratch)
-    return _look_ahead(record(robots), record(setups), state, scratch)
-
-
-@njit
-def _side(robot: Any, pose: Any, scratch: Any) -> float:
-    legs = record(scratch)
     legs_at(robot, pose, legs)
-    return solve(legs.line, np.empty((6, 1)))
+    state.side = solve(legs.line.copy(), np.empty((6, 1)))
+    return _look_ahead(robot, setup, state, legs)
 
 
 @njit
-def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, scratch: Any) -> Any:
+def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, legs: Any) -> Any:
     """Cosine and sine (6,) of the cranks' angles that a sensor reads; of a pose those that belong to it."""
     if reading.size == 6:
         for i in range(6):
             cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
         return OK, -1, 0.0
-    legs = record(scratch)
     bad = legs_at(robot, reading[:6], legs)
     cosine[:], sine[:] = legs.cosine, legs.sine
     if bad >= 0 and np.isfinite(reading[:6]).all():
@@ -264,21 +235,11 @@ def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, scratch: Any) 
 
 
 @njit
-def _remember(state: Any, delay: int, sent: Any) -> None:
-    """The last command joins those under way."""
-    for row in range(delay):
-        state.commands[row] = state.commands[row + 1]
-    # What is not a number no motor gives; the safety layer repeats the last command for it.
-    if np.isfinite(sent).all():
-        state.commands[delay] = sent
-
-
-@njit
 def _correct(
-    robot: Any, setup: Any, cosine: Any, sine: Any, reference: Any, expected: float, state: Any, scratch: Any
+    robot: Any, setup: Any, cosine: Any, sine: Any, reference: Any, expected: float, state: Any, legs: Any
 ) -> Any:
     """Prediction and correction; pose and rate in the state become those of now."""
-    legs, h = record(scratch), setup.period
+    h = setup.period
     pose, rate = state.measurement[:6].copy(), state.measurement[6:].copy()
     status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance, pose, rate, legs)
     if status != OK:
@@ -343,9 +304,9 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
 
 
 @njit
-def _look_ahead(robot: Any, setup: Any, state: Any, scratch: Any) -> Any:
+def _look_ahead(robot: Any, setup: Any, state: Any, legs: Any) -> Any:
     """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
-    legs, ahead, inertia = record(scratch), state.ahead, np.empty((6, 6))
+    ahead, inertia = state.ahead, np.empty((6, 6))
     ahead[:] = state.measurement
     for row in range(1, int(setup.delay) + 1):
         status, leg, margin = predict(robot, setup, state.commands[row], state.disturbance, ahead[:6], ahead[6:], legs)
@@ -371,13 +332,6 @@ def _look_ahead(robot: Any, setup: Any, state: Any, scratch: Any) -> Any:
     for i in range(6):
         state.compensation[i] = -legs.lever[i] * wrench[i, 0]
     return OK, -1, 0.0
-
-
-def slip_of(robot: RobotParameters, friction: float) -> float:
-    """[rad/s^2] of a crank by `SLIP` of a torque [N m], at home."""
-    home = robot.home_pose
-    mobility = pose_jacobian(robot, home) @ pose_acceleration_map(robot, home)
-    return SLIP * friction * float(np.diag(mobility).max())
 
 
 def observer_part(
@@ -417,18 +371,23 @@ def observer_part(
         given = ("command_delay", command_delay) if options.delay is None else ("estimator.delay", options.delay)
         allowed = f"at most {int(FARTHEST / period)} ticks: an observer looks no farther ahead than {FARTHEST:g} s"
         raise ConfigurationError(*given, allowed)
+    # [1/(kg m^2)] acceleration of a crank for its own torque, at home.
+    mobility = np.diag(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
     setup = new_record(
         SETUP,
+        options,
         period=period,
         gravity=gravity,
         noise=noise,
-        max_innovation=options.max_innovation,
-        hold_ticks=options.hold_ticks,
         arrived=ARRIVED * noise if friction > 0.0 else -1.0,
-        slip=slip_of(robot, friction),
+        slip=SLIP * friction * float(mobility.max()),
         delay=delay,
     )
-    own, first = robot_record(robot), difference_part(robot, EncoderOptions(), period, pose, np.zeros(6))
+    own, legs, first = (
+        robot_record(robot),
+        np.empty(1, LEGS),
+        difference_part(robot, EncoderOptions(), period, pose),
+    )
     start = np.concatenate([pose, pose_rate])
     initial = new_record(STATE, measurement=start, ahead=start, health=WELL)
     initial["commands"][0, : delay + 1] = still
@@ -439,12 +398,12 @@ def observer_part(
             finite = bool(np.isfinite(reading[:6]).all())
             angles = inverse_kinematics(robot, reading[:6]) if finite else np.full(6, np.nan)
         first.tick(angles, estimate)
-        return begin(own, setup, estimate["measurement"][0, :6], state)
+        return begin(own, setup, estimate["measurement"][0, :6], legs, state)
 
     def tick(
         reading: np.ndarray, sent: np.ndarray, reference: np.ndarray, disturbance: np.ndarray, state: np.ndarray
     ) -> None:
-        status, leg, margin = observe(own, setup, reading, sent, reference, disturbance, state)
+        status, leg, margin = observe(own, setup, reading, sent, reference, disturbance, legs, state)
         if status == FIRST:
             status, leg, margin = first_tick(reading, state)
         if status != OK:
@@ -455,14 +414,9 @@ def observer_part(
 
 
 def _error(status: int, leg: int, margin: float, reading: np.ndarray, state: np.ndarray) -> RunFailure:
-    """What is wrong with a tick."""
-    pose = state["measurement"][0, :6].copy()
     if status == UNREACHABLE:
         return UnreachablePoseError(reading[:6].copy(), leg, margin)
-    if status == SERIAL:
-        # A crank carried across its dead centre, slightly.
-        return SingularPoseError("serial", pose, margin, 0.0, leg)
-    if status == PARALLEL:
-        return SingularPoseError("parallel", pose, 0.0, 0.0)
+    if status in (SERIAL, PARALLEL):
+        return singular_pose(status, leg, margin, state["measurement"][0, :6].copy())
     text = f"encoder readings {pose_text(reading[:6])}: {leg} is missing or not believed"
     return RunFailure(text, reason="encoder", leg=leg)

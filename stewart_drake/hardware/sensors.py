@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal
-from stewart_drake.hardware.seeded import tick_normal
+from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part, Setup
 from stewart_drake.robot.leg import LARGEST
@@ -19,12 +18,14 @@ from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
 
 _STREAM = 1
-"""Of random numbers, see `seeded`."""
+"""Of random numbers, see `faults.tick_numbers`."""
 
 
 class SensorOptions(Section, key="sensors"):
     """Base of the options of sensors; wiring, safety and logs ask these, not which kind it is."""
 
+    reading_size: ClassVar[int] = 12
+    """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
     kind: str
     """Of sensor."""
     faults: tuple[Any, ...] = ()
@@ -44,11 +45,6 @@ class SensorOptions(Section, key="sensors"):
     def reading_noise(self) -> float:
         """[rad] standard deviation of a crank's angle as it is read."""
         return 0.0
-
-    @property
-    def reading_size(self) -> int:
-        """Numbers in a reading: 6 angles of the cranks [rad], or 12 of pose [rad, m] and its rate."""
-        return 12
 
     def parts(self, setup: Setup) -> tuple[Part, ...]:  # noqa: ARG002 - exact readings need none
         """What makes of `plant_pose` or `crank_state` the signal `reading`; none where that is `plant_pose` itself."""
@@ -77,6 +73,7 @@ class IdealSensors(SensorOptions):
 class EncoderOptions(SensorOptions):
     """Motor encoders, and the estimator that knows nothing else."""
 
+    reading_size: ClassVar[int] = 6
     kind: Literal["encoders"] = "encoders"
     resolution_bits: Annotated[Natural, Field(le=40)] = 17
     """Counts a turn: 2 to the power of this; 0 for encoders without steps."""
@@ -108,11 +105,6 @@ class EncoderOptions(SensorOptions):
         """[rad] standard deviation of a reading: noise, and rounding to counts as noise."""
         return math.hypot(self.noise, self.quantum / math.sqrt(12.0))
 
-    @property
-    def reading_size(self) -> int:
-        """See `SensorOptions`."""
-        return 6
-
     def parts(self, setup: Setup) -> tuple[Part, ...]:
         """See `SensorOptions`."""
         if not self.faults:
@@ -120,29 +112,14 @@ class EncoderOptions(SensorOptions):
         true = encoder_part(self)._replace(says={"reading": "true_reading"})
         return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
 
-    def read(self, crank_angles: np.ndarray, tick: int | None = None) -> np.ndarray:
-        """What the encoders say, while none fails.
-
-        Args:
-            crank_angles: (..., 6) [rad] true.
-            tick: Whose noise it has; None for none.
-
-        Returns:
-            (..., 6) [rad].
-        """
-        result = np.array(crank_angles, dtype=float)
-        drawn = np.zeros(6) if tick is None else self.drawn(tick)
-        for angles in result.reshape(-1, 6):
-            read(self._setup, angles, drawn, angles)
-        return result
+    def read(self, crank_angles: np.ndarray) -> np.ndarray:
+        """Readings (..., 6) [rad] of true angles, without noise and faults."""
+        angles = np.asarray(crank_angles) + self.offset
+        return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
 
     def drawn(self, tick: int) -> np.ndarray:
         """Standard normal numbers (6,) of the noise of a tick."""
-        return tick_normal(self.noise_seed, _STREAM, tick, 6)
-
-    @cached_property
-    def _setup(self) -> np.ndarray:
-        return new_record(ENCODERS, offset=self.offset, noise=self.noise, quantum=self.quantum)
+        return tick_numbers(self.noise_seed, _STREAM, tick, 6, normal=True)
 
 
 ENCODERS = fields(offset=6, noise=(), quantum=())
@@ -152,35 +129,29 @@ ENCODER_STATE = fields(reading=6, ticks=())
 
 
 @njit
-def read(setups: Any, angles: Any, drawn: Any, reading: Any) -> None:
+def read_encoders(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
     """Readings of encoders: the true angle with an offset and noise, rounded to whole counts.
 
     Args:
         setups: `ENCODERS` record.
-        angles: (6,) [rad] true; more may follow.
+        crank_state: (12,) true angles [rad] and their rates.
         drawn: (6,) standard normal numbers.
-        reading: (6,) [rad] out.
+        states: `ENCODER_STATE` record, in place.
     """
-    setup = record(setups)
+    setup, state = record(setups), record(states)
     for k in range(6):
-        angle = angles[k] + setup.offset[k] + setup.noise * drawn[k]
-        reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
-
-
-@njit
-def _read_tick(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
-    state = record(states)
-    read(setups, crank_state, drawn, state.reading)
+        angle = crank_state[k] + setup.offset[k] + setup.noise * drawn[k]
+        state.reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
     state.ticks += 1.0
 
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders, while none fails: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
-    setup, noisy, nothing = options._setup, options.noise > 0.0, np.zeros(6)
+    setup, noisy, nothing = new_record(ENCODERS, options), options.noise > 0.0, np.zeros(6)
 
     def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
         drawn = options.drawn(int(state["ticks"][0])) if noisy else nothing
-        _read_tick(setup, crank_state, drawn, state)
+        read_encoders(setup, crank_state, drawn, state)
 
     return Part("encoders", {"crank_state": 12}, ("reading",), new_record(ENCODER_STATE), tick)
 
@@ -188,10 +159,7 @@ def encoder_part(options: EncoderOptions) -> Part:
 def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
     """A sensor that may fail: its true `reading` (n,) and the `time` (1,) [s] -> what it says, `reading` (n,).
 
-    Args:
-        faults: Those of the scenario, in order: each acts on what those before it have made of the reading.
-        size: Numbers in a reading.
-        period: [s] of the ticks.
+    Each fault acts on what those before it have made of the reading.
     """
     late = [fault.ticks_late(period) for fault in faults]
     # good: for each channel the last reading before it froze or began to count backwards. before: the true readings of

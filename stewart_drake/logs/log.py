@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.control.settings import NAMES
+from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.tables import (

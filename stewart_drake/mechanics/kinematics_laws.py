@@ -16,7 +16,7 @@ from stewart_drake.mechanics.linear_algebra import singular_vectors, solve
 from stewart_drake.robot import RobotParameters
 
 OK, UNREACHABLE, SERIAL, PARALLEL, NOT_FINITE, NO_CONVERGENCE, NO_GAIN = range(7)
-"""How a law ended; its caller raises the error of that name, see `control.inputs.failure`."""
+"""How a law ended; its caller raises the error of that name, see `control.base.failure`."""
 
 ROBOT = fields(
     shaft=(6, 3), joint=(6, 3), crank_x=(6, 3), crank_y=(6, 3), crank_length=6, rod_length=6, branch=6,

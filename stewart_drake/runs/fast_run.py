@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
-from stewart_drake.part import Part
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
 from stewart_drake.running import Running
@@ -40,8 +39,7 @@ class FastRun(Engine):
         if meshcat is not None:
             raise ConfigurationError("plant.engine", "reduced", "drake, for a live view")
         self.scenario, self._loop = scenario, loop_of(scenario, split=True)
-        parts = [part for part in self._loop.parts if isinstance(part, Part)]
-        if len(parts) < len(self._loop.parts):
+        if any(part.system is not None for part in self._loop.parts):
             raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
         time_step = scenario.plant.time_step
         self._step = on_grid(time_step)
@@ -49,7 +47,7 @@ class FastRun(Engine):
         self._chain = ClosedChain(scenario.robot, scenario.plant, scenario.gravity)
         outside = {"plant": CHAIN_STATE.itemsize // 8, "wrench": 6}
         outside |= {source.signal: source.size for source in self._loop.sources}
-        self._running = Running(parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
+        self._running = Running(self._loop.parts, outside, {"plant_pose": _POSE, "crank_state": _CRANKS})
         self._sources = [
             (self._running.signal(each.signal), InBlocks(each.evaluate, time_step)) for each in self._loop.sources
         ]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.control.inputs import checked_legs
+from stewart_drake.control.base import checked_legs
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import (
     ConfigurationError,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,11 +30,9 @@ from stewart_drake.safety.monitors import (
     unexplained,
     unusable,
 )
-from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyOptions
-from stewart_drake.safety.user_monitor import SafetyInputs
+from stewart_drake.safety.safety_options import MEANINGS, MONITORS, SafetyInputs, SafetyOptions
 
-Level = Literal["none", "hold", "ramp", "safe_hold", "end"]
-LEVELS: tuple[Level, ...] = ("none", "hold", "ramp", "safe_hold", "end")
+LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 
 REFILL = 0.05
@@ -56,9 +54,8 @@ monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros befor
 that of the last tick, if it was finite [N m]. acceleration: see `monitors.unexplained` [rad/s^2]. readings, anchors,
 encoders: see `monitors.frozen`."""
 
-CLEAR, TRIPPED, BLIND, RUNAWAY, HELD = range(5)
-"""How a tick ends: nothing is wrong with measurement and messages; something is, and the layer reacts; the run is over
-for want of a measurement, because the robot runs away, or because it was held for long enough."""
+GOES_ON, BLIND, RUNAWAY, HELD = range(4)
+"""How a tick ends: the run goes on, or is over: blind, with a robot that runs away, or held for long enough."""
 
 NOT_THERE = {
     "age": np.zeros(1),
@@ -74,7 +71,7 @@ NOT_THERE = {
 @njit
 def safety_tick(
     robots: Any, setups: Any, command: Any, measurement: Any, reference: Any, age: Any, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, states: Any,
+    angles: Any, innovation: Any, pose_reading: Any, own: Any, leg_records: Any, seens: Any, states: Any,
 ) -> Any:  # fmt: skip
     """One tick of the safety layer.
 
@@ -91,25 +88,19 @@ def safety_tick(
         innovation: (6,) [rad] of an observer, or NaN.
         pose_reading: (12,) of a sensor of the pose behind which an observer stands, or NaN.
         own: (2,) monitor of the user's own that trips, and its leg; zeros for none.
+        leg_records: `LEGS` record, overwritten.
+        seens: `monitors.SEEN` record, overwritten.
         states: `SAFETY_STATE` record, in place.
 
     Returns:
-        CLEAR, TRIPPED, BLIND, RUNAWAY or HELD, and the fastest crank [rad/s].
+        GOES_ON, BLIND, RUNAWAY or HELD, and the fastest crank [rad/s].
     """
-    return _tick(
-        record(robots), record(setups), command, measurement, reference, age[0], sensor, controller, angles,
-        innovation, pose_reading, own, record(states), np.empty(1, LEGS), np.empty(1, SEEN),
+    robot, setup, legs, seen, state = (
+        record(robots), record(setups), record(leg_records), record(seens), record(states),
     )  # fmt: skip
-
-
-@njit
-def _tick(
-    robot: Any, setup: Any, command: Any, measurement: Any, reference: Any, age: float, sensor: Any, controller: Any,
-    angles: Any, innovation: Any, pose_reading: Any, own: Any, state: Any, scratch: Any, seens: Any,
-) -> Any:  # fmt: skip
-    legs, seen, health = record(scratch), record(seens), sensor.copy()
+    health, wanted = sensor.copy(), reference[:6]
     pose = pose_reading[:6] if pose_reading[0] == pose_reading[0] else measurement[:6]
-    leg = frozen(robot, setup, angles, pose, reference[:6], state, legs)
+    leg = frozen(robot, setup, angles, pose, wanted, state, legs)
     if leg != NOTHING_FROZEN:
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
@@ -117,8 +108,7 @@ def _tick(
     is_measured = measured(setup, measurement)
     is_seen = is_measured and not failed(setup, health[0])
     if is_seen:
-        pose, rate = measurement[:6], measurement[6:]
-        see(robot, setup.home, setup.horizon, pose, rate, reference[:6], state.side, legs, seen)
+        see(robot, setup.home, setup.horizon, measurement[:6], measurement[6:], wanted, state.side, legs, seen)
         _weigh(robot, setup, legs, seen, state)
     if state.safety[0] >= RAMP:
         return _stop(setup, is_seen, seen, state)
@@ -128,18 +118,16 @@ def _tick(
         monitor, leg = broken(setup, seen)
     if monitor == QUIET:
         level = HOLD
-        monitor, leg, cause = unusable(setup, command, is_measured, age, health, controller)
-    status = CLEAR if monitor == QUIET and is_seen else TRIPPED
-    if status == CLEAR and own[0] > 0.0:
-        monitor, leg, level, status = int(own[0]), int(own[1]), RAMP, TRIPPED
+        monitor, leg, cause = unusable(setup, command, is_measured, age[0], health, controller)
     if monitor == QUIET:
-        monitor, leg = _pass_on(setup, command, state)
         level = RAMP
+        if is_seen and own[0] > 0.0:
+            monitor, leg = int(own[0]), int(own[1])
+        else:
+            monitor, leg = _pass_on(setup, command, state)
     if monitor == QUIET:
-        return status, 0.0
-    ended, fastest = _react(setup, monitor, level, leg, cause, is_seen, seen, state)
-    # Monitors of the user's own are asked before those that `_pass_on` has.
-    return status if ended == TRIPPED else ended, fastest
+        return GOES_ON, 0.0
+    return _react(setup, monitor, level, leg, cause, is_seen, seen, state)
 
 
 @njit
@@ -219,7 +207,7 @@ def _react(setup: Any, monitor: int, level: int, leg: int, cause: int, is_seen: 
     if level == RAMP:
         return _stop(setup, is_seen, seen, state)
     state.torque[:] = _led(setup, state.good, state)
-    return TRIPPED, 0.0
+    return GOES_ON, 0.0
 
 
 @njit
@@ -246,7 +234,7 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
     state.held = 0.0 if is_seen else state.held + 1.0
-    return TRIPPED, 0.0
+    return GOES_ON, 0.0
 
 
 def safety_part(
@@ -260,19 +248,11 @@ def safety_part(
 ) -> Part:
     """The safety layer, see `safety_tick` for its inputs; `torque` (6,) [N m] for the motors, `safety` (3,).
 
-    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced.
-
-    Args:
-        robot: As the controller believes it to be.
-        options: Limits and reactions.
-        gravity: [m/s^2].
-        period: [s] of the ticks.
-        initial: (6,) [N m] that hold the robot at its start; what is held where the very first command is bad.
-        quantum: [rad] of a count of the encoders.
-        innovation_scale: Of the innovations, see `observer.innovation_scale`.
+    Its ports for which a loop may have no signal read `NOT_THERE`, unless `reads` is replaced. `initial` (6,) [N m] are
+    held where the very first command is bad; `quantum` [rad] is a count of the encoders; for `innovation_scale` see
+    `observer.innovation_scale`.
     """
-    own, nothing = robot_record(robot), np.zeros(2)
-    setup = setup_of(robot, options, gravity, period, quantum, innovation_scale)
+    own, setup = robot_record(robot), setup_of(robot, options, gravity, period, quantum, innovation_scale)
     none = np.full((6, 6), np.nan)
     first = new_record(
         SAFETY_STATE,
@@ -284,39 +264,22 @@ def safety_part(
         readings=none[0],
         anchors=none,
     )
-    before, law = first.copy(), cast(Any, safety_tick)
+    nothing, legs, seen, law = np.zeros(2), np.empty(1, LEGS), np.empty(1, SEEN), cast(Any, safety_tick)
 
     def tick(*ports: np.ndarray) -> None:
         *inputs, state = ports
-        if options.monitors:
-            np.copyto(before, state)
-        status, fastest = law(own, setup, *inputs, nothing, state)
-        trip = further(options, _inputs(inputs, state)) if options.monitors and status == CLEAR else None
-        if trip is not None:
-            # Once more, with what only Python knows.
-            np.copyto(state, before)
-            status, fastest = law(own, setup, *inputs, np.array(trip, dtype=float), state)
-        if status >= BLIND:
+        trip = None
+        if options.monitors and np.isfinite(inputs[1]).all():
+            command, measured_now, wanted, age, sensor, controller, *_ = inputs
+            pose, rate, health = measured_now[:6], measured_now[6:], (tuple(sensor), tuple(controller))
+            trip = options.first_own(SafetyInputs(command, pose, rate, wanted[:6], float(age[0]), *health))
+        asked = nothing if trip is None else np.array(trip, dtype=float)
+        status, fastest = law(own, setup, *inputs, asked, legs, seen, state)
+        if status != GOES_ON:
             raise _stopped(options, period, status, fastest, state)
 
     sizes = {"command": 6, "measurement": 12, "reference": 18} | {name: len(each) for name, each in NOT_THERE.items()}
     return Part("safety", sizes, ("torque", "safety"), first, tick, reads=NOT_THERE)
-
-
-def _inputs(inputs: Sequence[Any], state: np.ndarray) -> SafetyInputs:
-    """What a monitor of the user's own gets of the inputs of a tick."""
-    command, measurement, reference, age, sensor, controller, *_ = inputs
-    pose, rate, odd = measurement[:6], measurement[6:], float(state["acceleration"][0])
-    return SafetyInputs(command, pose, rate, reference[:6], float(age[0]), tuple(sensor), tuple(controller), odd)
-
-
-def further(options: SafetyOptions, inputs: SafetyInputs) -> tuple[int, int] | None:
-    """Number and leg of the user's own monitor that a finite measurement trips; None for none."""
-    for index, monitor in enumerate(options.monitors):
-        leg = monitor.look(inputs)
-        if leg is not None:
-            return len(MONITORS) + index, leg
-    return None
 
 
 def _stopped(options: SafetyOptions, period: float, status: int, fastest: float, state: np.ndarray) -> SafetyStop:

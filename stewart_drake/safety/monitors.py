@@ -14,7 +14,6 @@ import numpy as np
 from stewart_drake.errors import failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.kinematics_laws import (
-    LEGS,
     conditioning,
     crank_rates,
     legs_at,
@@ -78,13 +77,11 @@ def setup_of(
     innovation_scale: tuple[float, float] = (0.0, 1.0),
 ) -> np.ndarray:
     """`SETUP` record, see `layer.safety_part` for the arguments."""
-    given = {name: getattr(options, name) for name in _PLAIN}
-    numbers = {name: _OFF.get(name, math.inf) if value is None else value for name, value in given.items()}
     pose, rate, share = options.frozen_pose, options.torque_rate, options.torque_limit
     fastest = 15.0 if options.crank_speed is None else options.crank_speed
     return new_record(
         SETUP,
-        **numbers,
+        options,
         period=period,
         gravity=gravity,
         home=robot.home_pose,
@@ -95,19 +92,13 @@ def setup_of(
         innovation_scale=innovation_scale[1],
         torque_limit=(math.inf if share is None else share) * robot.effort_limits,
         torque_change=math.inf if rate is None else rate * period,
+        transmission=-math.inf if options.transmission is None else options.transmission,
+        conditioning=-math.inf if options.conditioning is None else options.conditioning,
         budget=options.budget(period),
         damping=0.7 * options.largest_damping(robot, period) if options.damping is None else options.damping,
         most_torque=(1.0 if share is None else share) * robot.effort_limits,
         most_speed=options.runaway * fastest,
     )
-
-
-_PLAIN = (
-    "horizon", "finite", "failures", "deadline", "innovation", "innovation_time", "torque_limit_time",
-    "torque_rate_time", "workspace", "transmission", "conditioning", "crank_speed", "following_error", "ramp_time",
-    "safe_hold_time",
-)  # fmt: skip
-_OFF = {"transmission": -math.inf, "conditioning": -math.inf}
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------
@@ -179,39 +170,21 @@ def _distance(pose: Any, other: Any) -> float:
 
 
 @njit
-def _below(limit: float, value: float) -> float:
-    """Margin to an upper limit; infinite where that is off."""
-    return limit - value if limit < np.inf else np.inf
-
-
-@njit
-def _above(limit: float, value: float) -> float:
-    """Margin to a lower limit; infinite where that is off."""
-    return value - limit if limit > -np.inf else np.inf
-
-
-@njit
 def margins(setup: Any, seen: Any, out: Any) -> None:
-    """By which each of `LIMITS` is kept, negative where it is broken, infinite where it is off.
-
-    Args:
-        setup: `SETUP` record.
-        seen: `SEEN` record.
-        out: (5, 6) for each leg; six times the same where a limit is the robot's as a whole.
-    """
-    out[0] = _nearer(setup.workspace, seen.from_home)
-    out[4] = _nearer(setup.following_error, seen.from_reference)
-    out[3] = _above(setup.conditioning, seen.conditioning)
+    """By which each of `LIMITS` is kept, for each leg (5, 6): negative where it is broken, infinite where it is off."""
+    out[:] = np.inf
+    if setup.workspace[0] < np.inf:
+        out[0] = np.minimum(setup.workspace[0] - seen.from_home[0], setup.workspace[1] - seen.from_home[1])
+    if setup.following_error[0] < np.inf:
+        apart, limit = seen.from_reference, setup.following_error
+        out[4] = np.minimum(limit[0] - apart[0], limit[1] - apart[1])
+    if setup.conditioning > -np.inf:
+        out[3] = seen.conditioning - setup.conditioning
     for i in range(6):
-        out[1, i] = _below(setup.crank_speed, abs(seen.speed[i]))
-        out[2, i] = _above(setup.transmission, seen.transmission[i])
-
-
-@njit
-def _nearer(limit: Any, apart: Any) -> float:
-    if limit[0] == np.inf:
-        return np.inf
-    return np.minimum(limit[0] - apart[0], limit[1] - apart[1])
+        if setup.crank_speed < np.inf:
+            out[1, i] = setup.crank_speed - abs(seen.speed[i])
+        if setup.transmission > -np.inf:
+            out[2, i] = seen.transmission[i] - setup.transmission
 
 
 @njit
@@ -231,23 +204,14 @@ def broken(setup: Any, seen: Any) -> tuple[int, int]:
 
 @njit
 def margins_along(
-    robots: Any, setups: Any, horizon: float, poses: Any, rates: Any, references: Any, side: float, out: Any
-) -> float:
-    """`margins` of poses (n, 6) [rad, m] with their rates (n, 6) and the poses that are wanted; out (n, 5, 6).
-
-    Returns:
-        Sign of the rods' determinant at the last.
-    """
-    robot, setup, scratch, seens = record(robots), record(setups), np.empty(1, LEGS), np.empty(1, SEEN)
-    return _along(robot, setup, horizon, poses, rates, references, side, out, scratch, seens)
-
-
-@njit
-def _along(
-    robot: Any, setup: Any, horizon: float, poses: Any, rates: Any, references: Any, side: float, out: Any,
-    scratch: Any, seens: Any,
+    robots: Any, setups: Any, horizon: float, poses: Any, rates: Any, references: Any, side: float, leg_records: Any,
+    seens: Any, out: Any,
 ) -> float:  # fmt: skip
-    legs, seen = record(scratch), record(seens)
+    """`margins` (n, 5, 6) of poses (n, 6) [rad, m] with their rates (n, 6) and the poses that are wanted, led ahead.
+
+    Returns the sign of the rods' determinant at the last; `leg_records` and `seens` are overwritten.
+    """
+    robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
     for row in range(len(poses)):
         see(robot, setup.home, horizon, poses[row], rates[row], references[row], side, legs, seen)
         margins(setup, seen, out[row])
@@ -274,19 +238,7 @@ def failed(setup: Any, cause: float) -> bool:
 
 @njit
 def unusable(setup: Any, command: Any, is_measured: bool, age: float, sensor: Any, controller: Any) -> Any:
-    """What is wrong with this tick's messages, apart from what they say.
-
-    Args:
-        setup: `SETUP` record.
-        command: (6,) [N m].
-        is_measured: See `measured`.
-        age: [ticks] of the command.
-        sensor: (2,) cause as `errors.FAILURES` counts it and leg, 0 and -1 for nothing.
-        controller: (2,) likewise.
-
-    Returns:
-        Monitor or `QUIET`, leg or -1, cause or 0.
-    """
+    """What is wrong with this tick's messages, apart from what they say: monitor or `QUIET`, leg or -1, cause or 0."""
     if setup.finite != 0.0 and not is_measured:
         return MEASUREMENT, -1, 0
     stuck = sensor[0] == FROZEN
@@ -317,10 +269,7 @@ def _whole(value: float) -> int:
 
 @njit
 def unexplained(setup: Any, innovation: Any) -> float:
-    """[rad/s^2] acceleration of a crank that the largest innovation (6,) [rad] of an observer speaks of, beyond noise.
-
-    NaN where there is no observer counts as nothing.
-    """
+    """[rad/s^2] of a crank that the largest innovation (6,) [rad] speaks of, beyond noise; NaN counts as nothing."""
     largest = 0.0
     for i in range(6):
         largest = max(largest, abs(innovation[i])) if innovation[i] == innovation[i] else largest
@@ -340,15 +289,9 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
     of freedom, so they can never contradict each other and nobody can tell which. Nor can anybody tell while the robot
     stands still. A crank that friction holds where it turns back does not count: it stands about where it is wanted.
 
-    Args:
-        robot: `ROBOT` record.
-        setup: `SETUP` record.
-        angles: (6,) [rad] readings of encoders; NaN from the start where there are none.
-        pose: (6,) [rad, m] that is read.
-        reference: (6,) [rad, m].
-        state: With `readings` (6,) of the tick before, for each of the six in `anchors` (6, 6) what it is compared with
-            as it was when the reading changed, and whether there are `encoders`; NaN before the first tick.
-        legs: `LEGS` record, overwritten.
+    Readings are angles (6,) [rad] of encoders, NaN from the start where there are none, or else the pose (6,). The
+    state has `readings` (6,) of the tick before; for each of them in `anchors` (6, 6) what it is compared with as it
+    was when the reading changed; and whether there are `encoders`. The `LEGS` are overwritten.
 
     Returns:
         Leg whose reading is stuck, -1 for the pose as a whole, or `NOTHING_FROZEN`.

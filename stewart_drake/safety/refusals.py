@@ -9,14 +9,15 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.mechanics.kinematics_laws import LEGS, robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.safety.layer import further
-from stewart_drake.safety.monitors import LIMITS, OF_LEGS, margins_along, setup_of
-from stewart_drake.safety.safety_options import MONITORS, SafetyOptions
-from stewart_drake.safety.user_monitor import SafetyInputs
+from stewart_drake.safety.monitors import LIMITS, OF_LEGS, SEEN, margins_along, setup_of
+from stewart_drake.safety.safety_options import MONITORS, SafetyInputs, SafetyOptions
 
-_SAMPLES = 4000
+
+def sample_times(duration: float, period: float) -> np.ndarray:
+    """Times (n,) [s] at which a motion is looked at before the start: ticks, or some thousand evenly spread."""
+    return np.linspace(0.0, duration, min(4000, max(2, round(duration / period) + 1)))
 
 
 def refuse_motion(
@@ -28,12 +29,7 @@ def refuse_motion(
 ) -> None:
     """Refuses a motion that, followed without error, would trip a monitor.
 
-    Args:
-        robot: As believed.
-        options: Limits.
-        gravity: [m/s^2].
-        time: (n,) [s].
-        motion: Poses (n, 6) [rad, m] with their first and second derivatives (n, 6).
+    Args: robot as believed, gravity [m/s^2], times (n,) [s], and poses (n, 6) [rad, m] with their two derivatives.
 
     Raises:
         ConfigurationError: Names the limit, its time and leg.
@@ -54,7 +50,7 @@ def refuse_motion(
                 _refuse("horizon", options.horizon, margin, time, allowed)
     torque = inverse_dynamics(robot, *motion, gravity)
     for row in range(len(time) if options.monitors else 0):
-        trip = further(options, SafetyInputs(torque[row], pose[row], rate[row], pose[row]))
+        trip = options.first_own(SafetyInputs(torque[row], pose[row], rate[row], pose[row]))
         if trip is not None:
             key = f"monitors.{trip[0] - len(MONITORS)}"
             allowed = "one that the reference does not trip, as it does"
@@ -95,38 +91,26 @@ def refuse_start(
 ) -> None:
     """Refuses a start at which a monitor would trip in the very first tick, or where the motors cannot hold the robot.
 
-    Args:
-        robot: As believed.
-        options: Limits.
-        gravity: [m/s^2].
-        pose: (6,) [rad, m] at the start.
-        pose_rate: (6,) [rad/s, m/s].
-        reference: (6,) [rad, m].
+    Args are as of `refuse_motion`, at the start: pose and rate of the robot, and the pose that is wanted.
 
     Raises:
         ConfigurationError: Names the monitor.
     """
-    trip = broken_at_start(robot, options, pose, pose_rate, reference)
-    if trip is not None:
-        name = MONITORS[trip]
+    by, _ = _margins(robot, options, options.horizon, pose[None], pose_rate[None], reference[None])
+    trips = [MONITORS[monitor] for (monitor, _), margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
+    if trips:
         if np.array_equal(pose, reference):
             # The motion itself has been looked at: it is the look ahead that leads out of bounds.
-            raise ConfigurationError("safety.horizon", options.horizon, f"one whose first tick does not trip {name}")
-        raise ConfigurationError("initial_offset", (pose - reference).tolist(), f"a start that does not trip {name}")
+            raise ConfigurationError(
+                "safety.horizon", options.horizon, f"one whose first tick does not trip {trips[0]}"
+            )
+        away = (pose - reference).tolist()
+        raise ConfigurationError("initial_offset", away, f"a start that does not trip {trips[0]}")
     if options.torque_limit is not None:
         needed = np.abs(static_torque(robot, pose, gravity)[None])
         allowed = f"enough to stand at the start, which needs up to {needed.max():.3g} N m; the limit is exceeded"
         margin = options.torque_limit * robot.effort_limits - needed
         _refuse("torque_limit", options.torque_limit, margin, np.zeros(1), allowed)
-
-
-def broken_at_start(
-    robot: RobotParameters, options: SafetyOptions, pose: np.ndarray, pose_rate: np.ndarray, reference: np.ndarray
-) -> int | None:
-    """Number of the first monitor that a measurement in the very first tick trips; None for none."""
-    by, _ = _margins(robot, options, options.horizon, pose[None], pose_rate[None], reference[None])
-    trips = [monitor for (monitor, _), margin in zip(LIMITS, by[0], strict=True) if not margin.min() >= 0.0]
-    return trips[0] if trips else None
 
 
 def _margins(
@@ -141,13 +125,10 @@ def _margins(
     """Margins (n, 5, 6) of `LIMITS` along a motion led ahead by a horizon [s], and the side at its end."""
     # Of these limits none asks for gravity or period.
     by, setup = np.empty((len(pose), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
-    pose, rate, reference = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, reference))
-    return by, margins_along(robot_record(robot), setup, horizon, pose, rate, reference, side, by)
-
-
-def sample_times(duration: float, period: float) -> np.ndarray:
-    """Times (n,) [s] at which a motion is looked at before the start: ticks, or some thousand evenly spread."""
-    return np.linspace(0.0, duration, min(_SAMPLES, max(2, round(duration / period) + 1)))
+    poses, rates, wanted = (np.ascontiguousarray(each, dtype=float) for each in (pose, rate, reference))
+    return by, margins_along(
+        robot_record(robot), setup, horizon, poses, rates, wanted, side, np.empty(1, LEGS), np.empty(1, SEEN), by
+    )
 
 
 def _refuse(

@@ -1,13 +1,16 @@
-"""Options of the safety layer."""
+"""Options of the safety layer, and a monitor of the user's own."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+import reprlib
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import UserMade
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
@@ -123,3 +126,63 @@ class SafetyOptions(Section, key="safety"):
     def largest_damping(self, robot: RobotParameters, period: float) -> float:
         """[N m s/rad] that a crank alone, its rod broken off, bears in torques held over a period."""
         return 2.0 * float(robot.crank_axis_inertias.min()) / period
+
+    def first_own(self, inputs: SafetyInputs) -> tuple[int, int] | None:
+        """Number and leg of the first of `monitors` that trips; None for none."""
+        for index, monitor in enumerate(self.monitors):
+            leg = monitor.look(inputs)
+            if leg is not None:
+                return len(MONITORS) + index, leg
+        return None
+
+
+class SafetyInputs(NamedTuple):
+    """What a monitor of the user's own gets.
+
+    Attributes:
+        command: (6,) [N m].
+        pose: (6,) [rad, m] measured.
+        pose_rate: (6,) [rad/s, m/s] measured.
+        reference: (6,) [rad, m] pose that is wanted.
+        age: [ticks] of the command.
+        sensor: What is wrong with the estimator, see `errors.FAILURES`, and its leg or -1.
+        controller: What is wrong with the controller, likewise.
+    """
+
+    command: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    reference: np.ndarray
+    age: float = 0.0
+    sensor: tuple[float, float] = (0.0, -1.0)
+    controller: tuple[float, float] = (0.0, -1.0)
+
+
+class UserMonitor(UserMade, key="safety.monitors"):
+    """What a class of the user's own says with `look(inputs)`, once a tick.
+
+    It gets `SafetyInputs` with a measurement that is finite, and returns the leg with which something is wrong, -1 for
+    the robot as a whole, None for nothing. Where something is, and no other monitor trips, the robot is taken from its
+    controller.
+    """
+
+    asked = "look(inputs) returns a leg, -1 or None"
+
+    @property
+    def name(self) -> str:
+        """Stable name, for the log."""
+        return self.code.name
+
+    def look(self, inputs: SafetyInputs) -> int | None:
+        """Leg, -1, or None.
+
+        Raises:
+            ConfigurationError: The class cannot be used, or answers something else.
+        """
+        leg = self.made.look(inputs)
+        if leg is None:
+            return None
+        number = isinstance(leg, (int, float, np.number)) and not isinstance(leg, bool)
+        if not number or leg not in range(-1, 6):
+            raise self.refusal(reprlib.repr(leg))
+        return int(leg)

@@ -18,8 +18,7 @@ from scipy.linalg import expm
 
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
 from stewart_drake.control.joint_pid import PidOptions, pid_part
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
 from stewart_drake.hardware.estimator import difference_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
@@ -274,7 +273,7 @@ def estimator_at(scenario: Scenario, ground: Ground) -> Linearised | None:
             size=len(ground.reading),
         )
         # Without friction the reference says nothing to it.
-        more = np.concatenate([pose, np.zeros(12)]), np.array([options.expected * scenario.tuner.levels.start])
+        more = np.concatenate([pose, np.zeros(12)]), np.array([options.expected * scenario.tuner.levels[0]])
         linear = _linearised(part, ("ahead", "compensation"), ("measurement", "disturbance", "commands"), more)
         # Of the commands it has place for more than are under way.
         linear = linear._replace(kept=linear.kept[: 18 + 6 * (1 + options.ahead(scenario.command_delay))])

@@ -11,15 +11,13 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.primitives import ConstantVectorSource, Demultiplexer, LogVectorOutput, VectorLogSink
 
 from stewart_drake.errors import drake_guard
-from stewart_drake.part import AnyPart, SystemPart
-from stewart_drake.parts import Loop, loop_of
+from stewart_drake.part import Part
+from stewart_drake.parts import loop_of
 from stewart_drake.plant.multibody_plant import StewartPlant, add_plant
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario, require_scenario
 from stewart_drake.systems.part_system import PartSystem
-from stewart_drake.systems.platform_wrench import PlatformWrench
-from stewart_drake.systems.reference_source import ReferenceSource
-from stewart_drake.systems.task_space_sensor import TaskSpaceSensor
+from stewart_drake.systems.sources import PlatformWrench, ReferenceSource, TaskSpaceSensor
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -59,7 +57,7 @@ class ClosedLoop(Diagram):
         super().__init__()
         require_scenario(scenario)
         self.scenario, self.loop = scenario, loop_of(scenario)
-        wiring = _Wiring(scenario, meshcat, self.loop)
+        wiring = _Wiring(scenario, meshcat)
         for source in self.loop.sources:
             wiring.add_source(source.signal)
         for part in self.loop.parts:
@@ -76,15 +74,8 @@ class ClosedLoop(Diagram):
         self.plant: StewartPlant = wiring.plant
         self.systems = wiring.systems
 
-    @property
-    def controller(self) -> Any:
-        """The LeafSystem of the controller."""
-        return self.systems["controller"]
-
     def create_start_context(self) -> Context:
-        """A Context assembled at the scenario's start: the reference's pose (plus the offset) and velocity.
-
-        A default Context stands at the home pose, at rest.
+        """A Context assembled at the scenario's start, in motion; a default Context stands at the home pose, at rest.
 
         Raises:
             UnreachablePoseError: The start pose cannot be assembled.
@@ -99,14 +90,9 @@ class ClosedLoop(Diagram):
 
 
 class _Wiring:
-    """A closed loop under construction.
+    """A closed loop under construction: ports by the names of their signals, systems by those of the parts."""
 
-    Attributes:
-        signals: Ports by the names of their signals.
-        systems: Of the parts, by name.
-    """
-
-    def __init__(self, scenario: Scenario, meshcat: Meshcat | None, loop: Loop) -> None:
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
         self.scenario, self.period = scenario, scenario.controller.period
         self.builder = DiagramBuilder()
         self.plant: StewartPlant = add_plant(
@@ -122,13 +108,6 @@ class _Wiring:
         self.builder.Connect(self.plant.state_output_port, sensor.plant_state)
         self.signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
         self.systems: dict[str, Any] = {}
-        # Signals that somebody reads before they are said: of the tick before.
-        said, self._held = {source.signal for source in loop.sources} | set(self.signals), set()
-        for part in loop.parts:
-            self._held |= {signal for signal in map(part.source, part.inputs) if isinstance(signal, str)} - said
-            if not part.late:
-                said |= set(map(part.signal, part.outputs))
-        self._held.discard("time")
 
     def add(self, name: str, system: _System) -> _System:
         """Adds a system."""
@@ -145,9 +124,9 @@ class _Wiring:
             ahead = scenario.ahead * on_grid(self.period) if signal == "reference_ahead" else 0.0
             self.signals[signal] = self.add(signal, ReferenceSource(scenario.reference, step, ahead)).reference
 
-    def add_part(self, part: AnyPart) -> None:
+    def add_part(self, part: Part) -> None:
         """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
-        if isinstance(part, SystemPart):
+        if part.system is not None:
             self.systems[part.name] = self.add(part.name, part.system)
             self.signals |= {part.signal(name): part.system.GetOutputPort(name) for name in part.outputs}
             return
@@ -158,15 +137,13 @@ class _Wiring:
         self.builder.Connect(system.result, split.get_input_port())
         for output, place in zip(part.outputs, places, strict=True):
             self.signals[part.signal(output)] = split.get_output_port(place)
-        if not part.late and self._held & set(map(part.signal, part.outputs)):
-            raise AssertionError(f"{part.name} is read before it ticks, so it has to be late")
 
-    def connect(self, part: AnyPart) -> None:
+    def connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
         for port in part.inputs:
             source = part.source(port)
             # A `PartSystem` has the time and its arrays without a port.
-            if isinstance(part, SystemPart) or (port != "time" and isinstance(source, str)):
+            if part.system is not None or (port != "time" and isinstance(source, str)):
                 signal = self.port(f"{part.name}_{port}", source)
                 self.builder.Connect(signal, self.systems[part.name].GetInputPort(port))
 
@@ -188,9 +165,5 @@ class _Wiring:
 
 
 def build_diagram(scenario: Scenario, meshcat: Meshcat | None = None) -> ClosedLoop:
-    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`.
-
-    Raises:
-        ConfigurationError: The tuner's weights file is missing or corrupt.
-    """
+    """The closed loop of `scenario` as a Drake Diagram, see `ClosedLoop`."""
     return ClosedLoop(scenario, meshcat)

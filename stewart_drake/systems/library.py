@@ -1,24 +1,74 @@
-"""The other parts of the loop as LeafSystems, to wire by hand; each is a part in the shell of `PartSystem`."""
+"""The parts of the loop as LeafSystems, to wire by hand; each is a part in the shell of `PartSystem`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import InputPort, OutputPort
 
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
+from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.joint_pid import PidOptions, pid_part
+from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.command_link import LinkOptions, link_part
 from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.friction_feedforward import FrictionCompensation, friction_part
-from stewart_drake.hardware.motors import MotorOptions, motor_part
+from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions, friction_part, motor_part
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.systems.part_system import PartSystem
+
+
+class LqiController(PartSystem):
+    """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
+
+    The torque answers within the tick (no added delay) and is held until the next; see `PartSystem`. z, and what
+    bridges a failed tick, live in the Context. The gain comes from Drake's `DiscreteAlgebraicRiccatiEquation`, or with
+    `solver: split` from the compiled split solution.
+
+    Args:
+        robot: As the controller believes it to be.
+        options: See `LqiOptions`.
+        gravity: [m/s^2].
+        weights: Size of the port: 2, or 4 for block weights.
+
+    Ports:
+        measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s].
+        reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
+        weights: in (2,), omega_Q, omega_R, or (4,), q_e, q_v, q_z, r; all > 0.
+        torque: out (6,) [N m], within the motors' limits where `saturation` says so.
+        error: out (6,) [rad, m], pose minus reference at the tick.
+        integral: out (6,) [rad s, m s], z after the tick.
+    """
+
+    def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
+        if weights not in (2, 4):
+            raise ConfigurationError("weights", weights, "2 or 4")
+        super().__init__(lqi_part(options, robot, gravity, weights), options.period)
+
+
+class DensityFeatures(PartSystem):
+    """Density of each input over a sliding window, (35), (36).
+
+    The window lives in the Context: two runs of one Diagram never share it.
+
+    Args:
+        window: m of (35) [ticks]; means run over m + 1 samples.
+        period: [s] tick period.
+        kind: See `density.density`.
+
+    Ports:
+        error: in (6,) [rad, m].
+        torque: in (6,) [N m].
+        density: out (12,) [-], of the errors, then of the torques; answers within the tick.
+    """
+
+    def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
+        super().__init__(density_part(window, kind), period)
 
 
 class AnnTuner(PartSystem):
@@ -41,19 +91,12 @@ class AnnTuner(PartSystem):
         weights: out (2,), omega_Q, omega_R.
     """
 
-    density: InputPort
-    weights: OutputPort
-
     def __init__(self, network: TunerNetwork, period: float, initial: Sequence[float] = (1.0, 1.0)) -> None:
         super().__init__(network_part(network, initial), period)
 
 
 class JointPid(PartSystem):
     """PID in the space of the cranks, see `joint_pid`; ports as of `LqiController`, without weights."""
-
-    measurement: InputPort
-    reference: InputPort
-    torque: OutputPort
 
     def __init__(self, robot: RobotParameters, options: PidOptions, gravity: float) -> None:
         super().__init__(pid_part(options, robot, gravity), options.period)
@@ -62,30 +105,17 @@ class JointPid(PartSystem):
 class ComputedTorque(PartSystem):
     """Computed torque in the space of the platform, see `computed_torque`; ports as of `LqiController`, no weights."""
 
-    measurement: InputPort
-    reference: InputPort
-    torque: OutputPort
-    error: OutputPort
-    integral: OutputPort
-
     def __init__(self, robot: RobotParameters, options: ComputedTorqueOptions, gravity: float) -> None:
         super().__init__(computed_torque_part(options, robot, gravity), options.period)
 
 
 class MotorEncoders(PartSystem):
-    """Crank angles as the encoders read them.
-
-    Args:
-        options: See `EncoderOptions`; its faults are another part.
-        period: [s] tick period; the noise is one number a tick.
+    """Crank angles as the encoders read them; faults of `EncoderOptions` are another part. A noise number a tick.
 
     Ports:
         crank_state: in (12,), angles [rad] and rates [rad/s], see `TaskSpaceSensor`.
         reading: out (6,) [rad], from the horizontal.
     """
-
-    crank_state: InputPort
-    reading: OutputPort
 
     def __init__(self, options: EncoderOptions, period: float) -> None:
         super().__init__(encoder_part(options), period)
@@ -99,32 +129,23 @@ class PoseEstimator(PartSystem):
         options: See `EncoderOptions`.
         period: [s] tick period.
         pose: (6,) [rad, m] roughly where the platform stands at first; picks the assembly mode.
-        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start; None for rest.
+        pose_rate: (6,) [rad/s, m/s] of a robot that is in motion at the start.
 
     Ports:
         reading: in (6,) [rad].
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] (Euler rates).
     """
 
-    reading: InputPort
-    measurement: OutputPort
-
     def __init__(
-        self,
-        robot: RobotParameters,
-        options: EncoderOptions,
-        period: float,
-        pose: np.ndarray,
-        pose_rate: np.ndarray | None = None,
+        self, robot: RobotParameters, options: EncoderOptions, period: float, *start: Any, **more: Any
     ) -> None:
-        rate = np.zeros(6) if pose_rate is None else pose_rate
-        super().__init__(difference_part(robot, options, period, pose, rate), period)
+        super().__init__(difference_part(robot, options, period, *start, **more), period)
 
 
 class PlatformObserver(PartSystem):
     """State of the platform from readings and the commands that were sent, see `hardware.observer`.
 
-    Args: As of `observer.observer_part`; then as keywords command_delay, friction and size.
+    Args: As of `observer.observer_part`: noise, pose, pose_rate, still; as keywords command_delay, friction and size.
 
     Ports:
         reading: in (6,) crank angles [rad], or (12,) pose [rad, m] and its rate.
@@ -137,29 +158,10 @@ class PlatformObserver(PartSystem):
         innovation: out (6,) [rad], readings less what was expected.
     """
 
-    reading: InputPort
-    sent: InputPort
-    reference: InputPort
-    disturbance: InputPort
-    measurement: OutputPort
-    ahead: OutputPort
-    compensation: OutputPort
-    innovation: OutputPort
-
     def __init__(
-        self,
-        robot: RobotParameters,
-        options: ObserverOptions,
-        gravity: float,
-        period: float,
-        noise: float,
-        pose: np.ndarray,
-        pose_rate: np.ndarray,
-        still: np.ndarray,
-        **more: float,
+        self, robot: RobotParameters, options: ObserverOptions, gravity: float, period: float, *start: Any, **more: Any
     ) -> None:
-        made = observer_part(robot, options, gravity, period, noise, pose, pose_rate, still, **more)  # type: ignore[arg-type]
-        super().__init__(made, period)
+        super().__init__(observer_part(robot, options, gravity, period, *start, **more), period)
 
 
 class FrictionFeedforward(PartSystem):
@@ -169,9 +171,6 @@ class FrictionFeedforward(PartSystem):
         reference: in (18,), pose [rad, m], pose rate [rad/s, m/s], pose acceleration [rad/s^2, m/s^2].
         against_friction: out (6,) [N m].
     """
-
-    reference: InputPort
-    against_friction: OutputPort
 
     def __init__(self, robot: RobotParameters, options: FrictionCompensation, period: float) -> None:
         super().__init__(friction_part(robot, options), period)
@@ -191,8 +190,6 @@ class CommandLink(PartSystem):
         age: out (1,) [ticks] of the command in force; 0 where it is that of the present tick.
     """
 
-    age: OutputPort
-
     def __init__(self, options: LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
         super().__init__(link_part(options, steps_per_tick, initial), time_step)
 
@@ -205,8 +202,6 @@ class MotorDrive(PartSystem):
         crank_state: in (12,), angles [rad] and rates [rad/s], see `TaskSpaceSensor`.
     """
 
-    crank_state: InputPort
-
     def __init__(self, options: MotorOptions, time_step: float) -> None:
         super().__init__(motor_part(options), time_step)
 
@@ -217,7 +212,7 @@ class SafetyLayer(PartSystem):
     Any controller with a torque port runs behind it. A port for which there is no signal may be left alone, and takes
     its array of `safety.NOT_THERE`.
 
-    Args: As of `safety.safety_part`.
+    Args: As of `safety.safety_part`: initial, and as it may be quantum and innovation_scale.
 
     Ports:
         command: in (6,) [N m], the controller's.
@@ -232,20 +227,7 @@ class SafetyLayer(PartSystem):
         safety: out (3,): number of the level in `safety.LEVELS`, of the monitor in `safety.MONITORS`, leg or -1.
     """
 
-    command: InputPort
-    measurement: InputPort
-    reference: InputPort
-    torque: OutputPort
-    safety: OutputPort
-
     def __init__(
-        self,
-        robot: RobotParameters,
-        options: SafetyOptions,
-        gravity: float,
-        period: float,
-        initial: np.ndarray,
-        quantum: float = 0.0,
-        innovation_scale: tuple[float, float] = (0.0, 1.0),
+        self, robot: RobotParameters, options: SafetyOptions, gravity: float, period: float, *more: Any, **named: Any
     ) -> None:
-        super().__init__(safety_part(robot, options, gravity, period, initial, quantum, innovation_scale), period)
+        super().__init__(safety_part(robot, options, gravity, period, *more, **named), period)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
@@ -38,6 +38,10 @@ class PartSystem(LeafSystem):
     Ports: those of the part, by name and as attributes; an output with the name of an input is the attribute
     `NAME_out`. An input whose part has an array for it may be left alone.
     """
+
+    if TYPE_CHECKING:
+        # Ports are attributes by name; a type checker cannot know which.
+        def __getattr__(self, name: str) -> Any: ...
 
     def __init__(self, part: Part, period: float) -> None:
         super().__init__()

@@ -16,7 +16,7 @@ from stewart_drake.campaigns.one_run import Task, simulate_unchecked
 from stewart_drake.campaigns.plan import identity
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.control.objective import CostScales
-from stewart_drake.control.settings import disturbance_of, weights_of
+from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import checksum
 from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.logs.cost import run_cost
@@ -55,7 +55,7 @@ def always(changes: Changes) -> Candidate:
 
 
 def with_setting(setting: Sequence[float] | np.ndarray) -> Candidate:
-    """A setting (4,) that stays, in decades above the default, see `control.settings`."""
+    """A setting (4,) that stays, in decades above the default, see `control.policy`."""
     decades = np.round(np.asarray(setting, dtype=float), DIGITS)
 
     def changes(_: Case, scenario: Scenario) -> Changes:

@@ -13,8 +13,7 @@ import numpy as np
 from stewart_drake.campaigns.one_run import simulate_unchecked
 from stewart_drake.control.features import FEATURES, features
 from stewart_drake.control.objective import CostScales
-from stewart_drake.control.policy import Chooser, Layers, Policy, policy_tick
-from stewart_drake.control.settings import SIZE
+from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.jit import njit, record
 from stewart_drake.scenario import Scenario

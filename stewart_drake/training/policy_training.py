@@ -24,8 +24,7 @@ import numpy as np
 from stewart_drake.campaigns.engine import carry_out
 from stewart_drake.campaigns.executors import Lasting, LocalProcesses, Workplace, workplace
 from stewart_drake.control.features import FEATURES
-from stewart_drake.control.policy import Policy
-from stewart_drake.control.settings import SIZE
+from stewart_drake.control.policy import SIZE, Policy
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.versions import collect_versions

@@ -5,10 +5,9 @@ from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 from ticks import GRAVITY, REST, ticked
 
-from stewart_drake.control.inputs import Setpoint
+from stewart_drake.control.base import Setpoint
 from stewart_drake.control.joint_pid import PidOptions, pid_part
-from stewart_drake.control.lqi import lqi_gain
-from stewart_drake.control.lqi_options import LqiOptions
+from stewart_drake.control.lqi import LqiOptions, lqi_gain
 from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import NotFiniteError, SingularPoseError, UnreachablePoseError
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque, task_inertia

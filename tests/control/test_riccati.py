@@ -24,13 +24,6 @@ from stewart_drake.mechanics.force_map import force_map
 PERIOD = 0.005
 METHODS = ("exact", "euler")
 HOME_MAP = force_map(ROBOT, ROBOT.home_pose) / mass_diagonal(ROBOT)[:, None]
-weights = st.floats(-1.0, 1.0).map(lambda exponent: 10.0**exponent)
-"""omega_Q and omega_R of the paper, from 0.1 to 10."""
-maps = st.builds(
-    lambda pose, kind: force_map(ROBOT, pose, kind) / mass_diagonal(ROBOT)[:, None],
-    poses(0.7),
-    st.sampled_from(["statics", "printed"]),
-)
 
 
 def system(acceleration_map, method="exact"):
@@ -45,24 +38,6 @@ def state_cost(q_e, q_v, q_z):
 
 def assert_same(gain, expected, rtol):
     np.testing.assert_allclose(gain, expected, rtol=0.0, atol=rtol * np.abs(expected).max())
-
-
-def spectral_radius(matrix):
-    return np.abs(np.linalg.eigvals(matrix)).max()
-
-
-@settings(max_examples=40)
-@given(acceleration_map=maps, omega_q=weights, omega_r=weights, method=st.sampled_from(METHODS))
-def test_drakes_solution_satisfies_the_equation_and_stabilises(acceleration_map, omega_q, omega_r, method):
-    a, b = system(acceleration_map, method)
-    q, r = omega_q * np.eye(18), omega_r * np.eye(6)
-    p = solve_drake(a, b, q, r)
-    gain = riccati_gain(a, b, r, p)
-    residual = a.T @ p @ a - a.T @ p @ b @ gain + q - p
-    assert np.abs(residual).max() < 1e-9 * np.abs(p).max()
-    np.testing.assert_allclose(p, p.T, atol=1e-10 * np.abs(p).max())
-    assert np.linalg.eigvalsh(p).min() > 0.0
-    assert spectral_radius(a - b @ gain) < 1.0
 
 
 # --- beyond the paper's weights ------------------------------------------------------------------------------------
@@ -157,52 +132,21 @@ def gain_of_chain(s, period, blocks, method):
 
 
 @pytest.mark.slow
-@settings(max_examples=80)
-@example(1.0, 0.1, 1.0, 0.01, 1e6, 1.0, "exact")  # Long periods: what a hold adds to Euler's terms is felt.
-@example(1.0, 0.1, 1e6, 0.01, 1.0, 1.0, "exact")
-@example(1e3, 0.02, 1e4, 1.0, 1e6, 1.0, "euler")
-@given(
-    s=logs(-2.0, 4.0),
-    period=logs(-4.0, -1.0),
-    q_e=logs(-2.0, 6.0),
-    q_v=logs(-2.0, 6.0),
-    q_z=logs(-2.0, 6.0),
-    r=logs(-2.0, 6.0),
-    method=st.sampled_from(METHODS),
-)
-def test_each_chain_has_the_gain_of_sixty_digits(s, period, q_e, q_v, q_z, r, method):
-    blocks = (q_e, q_v, q_z, r)
-    expected = gain_at_many_digits(s, period, blocks, method)
-    assert worst_digit(gain_of_chain(s, period, blocks, method), expected) < 1e-13
-
-
-@pytest.mark.slow
-@settings(max_examples=80)
+@settings(max_examples=120)
+@example(1.0, 0.1, (0.0, -2.0, 6.0, 0.0), "exact")  # Long periods: what a hold adds to Euler's terms is felt.
+@example(1.0, 0.1, (6.0, -2.0, 0.0, 0.0), "exact")
+@example(1e3, 0.02, (4.0, 0.0, 6.0, 0.0), "euler")
 @given(
     s=logs(-6.0, 6.0),
     period=logs(-4.0, -1.0),
-    exponents=st.tuples(*[st.floats(-12.0, 12.0)] * 4),
+    exponents=st.tuples(*[st.floats(-2.0, 6.0)] * 4) | st.tuples(*[st.floats(-12.0, 12.0)] * 4),
     method=st.sampled_from(METHODS),
 )
-def test_no_weights_give_silent_garbage(s, period, exponents, method):
+def test_each_chain_has_the_gain_of_sixty_digits_or_says_that_it_has_none(s, period, exponents, method):
     blocks = tuple((10.0 ** np.array(exponents)).tolist())
     gain = gain_of_chain(s, period, blocks, method)
+    assert gain is not None or max(map(abs, exponents)) > 6.0 or not 1e-2 <= s <= 1e4
     assert gain is None or worst_digit(gain, gain_at_many_digits(s, period, blocks, method)) < 1e-13
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("root", [1e-6, 0.01, 1.0, 30.0])
-@pytest.mark.parametrize("other", [1.0, 1e-3, 1e3])
-def test_poles_that_coincide_keep_their_digits(method, root, other):
-    t, third = 0.001, root * other
-    a2, a1, a0 = 2.0 * root + third, root * root + 2.0 * root * third, root * root * third
-    q_z = a0 / t**6
-    q_e = (a1 + (q_z * t**6 / 3.0 if method == "exact" else 0.0)) / t**4
-    q_v = (a2 + (0.25 * q_e * t**4 - q_z * t**6 / 36.0 if method == "exact" else 0.0)) / t**2
-    blocks = (q_e, q_v, q_z, 1.0)
-    assert min(blocks) > 0.0
-    expected = gain_at_many_digits(1.0, t, blocks, method)
-    assert worst_digit(gain_of_chain(1.0, t, blocks, method), expected) < 1e-13
 
 
 def test_a_map_is_singular_from_a_share_on():
@@ -228,12 +172,9 @@ def test_without_drake_the_option_that_needs_none_is_named(monkeypatch):
 UNUSABLE = {
     "not stabilisable": {"b": np.zeros((18, 6))},
     "not detectable": {"q": np.zeros((18, 18))},
-    "A infinite": {"a": np.full((18, 18), np.inf)},
     "Q not a number": {"q": np.full((18, 18), np.nan)},
     "Q not symmetric": {"q": np.triu(np.ones((18, 18)))},
-    "Q not a matrix": {"q": np.ones(18)},
     "B of the wrong shape": {"b": np.zeros((17, 6))},
-    "R zero": {"r": np.zeros((6, 6))},
     "beyond the digits of Drake": {"q": 1e20 * np.eye(18)},
 }
 
@@ -259,8 +200,3 @@ def test_unusable_matrices_raise_our_error_and_never_leave_the_process(case):
 def test_split_refuses_what_has_no_gain(change):
     with pytest.raises(RiccatiError):
         split_gain(**{"acceleration_map": HOME_MAP, "period": PERIOD, "weights": (1.0, 1.0, 1.0, 1.0)} | change)
-
-
-def test_a_singular_problem_is_named():
-    with pytest.raises(RiccatiError, match="masses or weights lie too far apart"):
-        riccati_gain(np.eye(2), np.ones((2, 2)), np.zeros((2, 2)), np.eye(2))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stewart_drake.control.inputs import Setpoint
+from stewart_drake.control.base import Setpoint
 
 GRAVITY = 9.81
 REST = np.zeros(6)

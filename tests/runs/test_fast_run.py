@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.function_part import function_part
+from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.tuners import FixedTuner
+from stewart_drake.control.user_controller import function_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import IdealSensors
 from stewart_drake.jit import fields, new_record

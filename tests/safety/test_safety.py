@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.errors import FAILURES, ConfigurationError, SafetyStop, failure_code
+from stewart_drake.errors import ConfigurationError, SafetyStop, failure_code
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import (
     forward_kinematics,
@@ -34,7 +34,6 @@ from stewart_drake.safety import (
     safety_part,
 )
 from stewart_drake.safety import monitors as numbers
-from stewart_drake.safety.refusals import broken_at_start
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose
@@ -320,18 +319,14 @@ def test_what_is_told_names_the_trip_that_stopped_the_robot_and_not_only_the_fir
     )
 
 
-def test_a_frozen_sensor_is_seen_without_the_guard_and_blinds_no_other_monitor():
-    frozen_one = (failure_code("frozen"), 2.0)
+def test_without_the_guard_a_stuck_reading_is_still_told_and_other_failures_blind_nobody():
     unguarded = SafetyOptions(failures=False)
-    done, _ = run([GOOD, inputs(sensor=frozen_one)], unguarded)
+    done, _ = run([GOOD, inputs(sensor=(failure_code("frozen"), 2.0))], unguarded)
     assert (MONITORS[int(done[-1].monitor)], done[-1].leg) == ("reading_stuck", 2.0)
-    told = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1].trip
-    assert (told["cause"], told["leg"]) == ("encoder", 2)
-    assert failure_code("something of a user's own") == 1
-    assert len(set(map(failure_code, FAILURES))) == len(FAILURES)
-    # Another failure is told by a system that nobody asked to tell: the pose is looked at all the same.
     done, _ = run([GOOD, inputs(pose=at(x=0.13), sensor=(failure_code("encoder"), -1.0))], unguarded)
     assert MONITORS[int(done[-1].monitor)] == "workspace"
+    told = run([GOOD, inputs(sensor=(failure_code("encoder"), 2.0))])[0][-1].trip
+    assert (told["cause"], told["leg"]) == ("encoder", 2)
 
 
 @pytest.mark.parametrize(
@@ -358,12 +353,6 @@ def test_the_safe_hold_takes_energy_out(rate):
     assert power <= 1e-12
     if np.abs(speed).max() > 1e-3:
         assert power < 0.0
-
-
-def test_what_has_tripped_to_a_ramp_does_not_come_back():
-    done, stop = run([GOOD, inputs(pose=at(x=0.13)), *[GOOD] * 300])
-    assert stop is None
-    assert all(m.level >= RAMP for m in done[1:])
 
 
 def test_without_a_measurement_nothing_is_held_for_longer_than_the_budget():
@@ -545,7 +534,6 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
     with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
-    assert any(broken_at_start(ROBOT, options, p, r, p) is not None for p, r in zip(*motion[:2], strict=True))
     short = dataclasses.replace(options, horizon=0.0)
     refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)
 

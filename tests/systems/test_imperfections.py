@@ -21,7 +21,6 @@ BASE = {
     "controller": SPLIT,
     "tuner": {"kind": "block", "q_pose": 4e5, "q_rate": 30.0, "q_integral": 4e7},
 }
-ENCODERS = {"kind": "encoders", "resolution_bits": 0}
 
 
 def scenario(**changes):
@@ -94,19 +93,6 @@ def test_a_dead_motor_is_given_nothing_and_the_log_shows_it():
     np.testing.assert_array_equal(log["torque_applied"][dead, 2], 0.0)
     assert (log["torque_applied"][~dead, 2] != 0.0).all()
     assert np.abs(log["torque"][dead, 2]).min() > 0.0
-
-
-def test_noise_has_its_size_and_does_not_depend_on_how_often_it_is_looked_at():
-    noisy = ENCODERS | {"noise": 1e-4, "noise_seed": 3}
-    coarse, fine = (
-        run(scenario(sensors=noisy, log_period=p, controller={**SPLIT, "period": 0.005})) for p in (0.005, 0.001)
-    )
-    for name in ("pose", "measured_pose", "torque"):
-        np.testing.assert_array_equal(coarse[name], fine[name][::5], err_msg=name)
-    again = run(scenario(sensors=noisy | {"noise_seed": 4}, controller={**SPLIT, "period": 0.005}))
-    assert np.abs(again["measured_pose"] - coarse["measured_pose"]).max() > 1e-6
-    error = fine["measured_pose"] - fine["pose"]
-    assert 1e-6 < np.abs(error[::5]).max() < 1e-3
 
 
 def test_a_command_cannot_be_later_than_a_period():

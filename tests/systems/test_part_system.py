@@ -7,7 +7,7 @@ import pytest
 from ended import ended
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
+from pydrake.systems.primitives import LogVectorOutput
 
 from stewart_drake.errors import ConfigurationError, RiccatiError, failure_code
 from stewart_drake.jit import fields, new_record
@@ -150,14 +150,6 @@ def test_a_port_with_an_array_may_be_left_alone_and_an_output_of_an_inputs_name_
     assert system.GetOutputPort("value").Eval(context) == system.value_out.Eval(context) == [7.0]
     system.value.FixValue(context, [8.0])
     assert system.value_out.Eval(context) == [8.0]
-
-
-def test_a_demultiplexer_splits_the_result_into_outputs():
-    part = sampler(initial=new_record(fields(scratch=3, rest=2, more=(2, 2), value=1)), outputs=("value", "rest"))
-    system = PartSystem(part, 0.5)
-    sizes, places = system.sizes()
-    assert (sizes, places) == ([3, 2, 4, 1, 1], [3, 1])
-    assert system.result.size() == sum(sizes) == Demultiplexer(sizes).get_input_port().size()
 
 
 def test_a_run_failure_in_a_tick_carries_the_time_and_other_errors_pass_as_they_are():

@@ -85,21 +85,6 @@ def test_level_monitor_and_leg_are_logged_and_told_in_the_metrics(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("safe_hold_time", "time", "last"), [(1e6, 0.05, "safe_hold"), (0.5, 0.115, "hold"), (0.5, 0.12, "hold")]
-)
-def test_a_run_that_ends_before_the_layer_has_done_with_it_tells_the_trip_all_the_same(safe_hold_time, time, last):
-    fault = {"faults": [{"kind": "nan", "leg": 3, "time": time}]}
-    log = run(scenario(link=fault, safety={"safe_hold_time": safe_hold_time}))
-    assert (log.safety["monitor"], log.safety["time"], log.safety["last"]) == ("command_not_finite", time, last)
-    assert LEVELS[int(log["safety"][-1, 0])] == last
-    stopped = {"monitor": "command_not_finite", "time": 0.07, "leg": 3} if last == "safe_hold" else None
-    assert log.safety["stopped"] == stopped
-    assert (log.status, log.reason, log.leg) == ("stopped", "command_not_finite", 3)
-    assert log.outcome_time == (0.07 if last == "safe_hold" else time)
-
-
-@pytest.mark.slow
 def test_a_fault_of_the_estimator_or_the_controller_is_bridged_and_has_its_cause():
     encoders = {
         "kind": "encoders",
@@ -198,11 +183,7 @@ def test_a_users_own_system_runs_behind_it(what, reason):
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"safety": {"workspace": [1.0, 0.04]}, "duration": 2.0}, "safety.workspace"),
-        ({"initial_offset": [0, 0, 0, 0.03, 0, 0]}, "initial_offset"),
         ({"safety": {"damping": 1.0}}, "safety.damping"),
-        ({"safety": {"torque_limit": 0.05}, "reference": {"kind": "hold"}}, "safety.torque_limit"),
-        ({"safety": {"torque_rate": 0.1}}, "safety.torque_rate"),
         ({"safety": {"horizon": 0.5}, "duration": 2.0}, "safety.horizon"),
         ({"safety": {"hold_time": 0.0009}}, "safety.hold_time"),
         ({"model_robot": {"rod_length": 0.36, "home_height": 0.25}, "duration": 2.0}, "model_robot"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stewart_drake import ConfigurationError, load_scenario, run
-from stewart_drake.control.settings import disturbance_of, weights_of
+from stewart_drake.control.policy import disturbance_of, weights_of
 
 SETTING = (0.15, -0.2, -0.4, -0.8)
 PUSHED = {
@@ -31,21 +31,6 @@ def test_a_schedule_of_one_setting_is_that_setting(engine):
         np.testing.assert_allclose(tuned[signal], held[signal], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(tuned["setting"][:, :4], np.tile(SETTING, (len(tuned.time), 1)))
     assert "setting" not in held.signals
-
-
-def test_both_engines_choose_alike_and_act_from_the_next_tick_on():
-    alert = (0.3, 0.1, 0.0, 0.3)
-    tuner = {"kind": "schedule", "calm": SETTING, "alert": alert, "threshold": 2.5, "hold": 0.2}
-    logs = [run(loop(engine, tuner=tuner)) for engine in ("drake", "reduced")]
-    settings = [log["setting"][:, :4] for log in logs]
-    np.testing.assert_allclose(*settings, atol=1e-12)
-    np.testing.assert_allclose(logs[0]["pose"], logs[1]["pose"], atol=1e-4)
-    # The push comes at 0.1 s: not before, soon after, and all of the way soon.
-    np.testing.assert_array_equal(settings[0][:101], np.tile(SETTING, (101, 1)))
-    assert (settings[0][115] != SETTING).all()
-    assert np.abs(settings[0] - alert).max(axis=1).min() < 1e-12
-    steps = np.abs(np.diff(settings[0], axis=0)).max(axis=0)
-    np.testing.assert_allclose(steps, 0.03 * np.abs(np.subtract(alert, SETTING)), rtol=1e-9)
 
 
 def test_it_needs_an_observer():

@@ -3,10 +3,52 @@ import pytest
 from conftest import field_of
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import vectors
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.faults import EncoderFault, PoseFault
-from stewart_drake.hardware.sensors import faulty_sensor_part
+from stewart_drake.hardware.faults import EncoderFault, PoseFault, tick_numbers
+from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
+
+# --- encoders that do not fail, and chance ---------------------------------------------------------------------------
+
+
+def read(options, angles, ticks=1):
+    """Readings of ticks, the angles being the same."""
+    part, readings = encoder_part(options), []
+    state = part.initial.copy()
+    for _ in range(ticks):
+        part.tick(np.concatenate([angles, np.zeros(6)]), state)
+        readings.append(state["reading"][0].copy())
+    return np.array(readings)
+
+
+@given(vectors(6, 3.0), st.integers(1, 24), vectors(6, 0.01))
+def test_readings_are_whole_counts_of_angle_plus_offset(angles, bits, offset):
+    (readings,) = read(EncoderOptions(resolution_bits=bits, offset=tuple(offset)), angles)
+    quantum = 2.0 * np.pi / 2**bits
+    np.testing.assert_allclose(readings / quantum, np.round(readings / quantum), atol=1e-6)
+    assert np.abs(readings - angles - offset).max() <= 0.5 * quantum * (1.0 + 1e-9)
+    np.testing.assert_array_equal(
+        read(EncoderOptions(resolution_bits=0, offset=tuple(offset)), angles)[0], angles + offset
+    )
+
+
+def test_noise_is_normal_and_that_of_its_tick_whenever_it_is_asked():
+    options = EncoderOptions(resolution_bits=0, noise=1e-3, noise_seed=7)
+    noise = read(options, np.zeros(6), 5000) / 1e-3
+    for tick in (4999, 0, 1024, 1023):
+        np.testing.assert_array_equal(noise[tick], options.drawn(tick))
+    # Neither from tick to tick nor from channel to channel does one tell of another.
+    assert (abs(noise.mean()), noise.std()) == (pytest.approx(0.0, abs=0.02), pytest.approx(1.0, abs=0.02))
+    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.02
+    assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.06
+    cases = [(s, t, k, n) for s in (0, 1) for t in (0, 1) for k in (0, 1, 1024) for n in (False, True)]
+    assert len({tuple(tick_numbers(seed, stream, k, 3, normal)) for seed, stream, k, normal in cases}) == len(cases)
+    with pytest.raises(ValueError, match="read-only"):
+        tick_numbers(0, 0, 0, 6, True)[0] = 1.0
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------
 
 READINGS = np.arange(60.0).reshape(10, 6)
 PERIOD = 0.001
@@ -54,12 +96,6 @@ def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
         np.testing.assert_array_equal(told, expected)
 
 
-def test_drift_grows_from_when_it_began():
-    error = says(EncoderFault(kind="drift", leg=3, size=2.0, time=0.004)) - READINGS
-    np.testing.assert_allclose(error[:, 3], 2.0 * np.maximum(PERIOD * np.arange(10) - 0.004, 0.0), atol=1e-12)
-    assert not np.delete(error, 3, axis=1).any()
-
-
 def test_an_encoder_that_counts_backwards_begins_where_it_was_and_comes_back_where_it_would_be():
     told = says(EncoderFault(kind="reversed", leg=5, time=0.003, duration=0.004))
     steps, true = np.diff(told[:, 5]), np.diff(READINGS[:, 5])
@@ -71,11 +107,14 @@ def test_an_encoder_that_counts_backwards_begins_where_it_was_and_comes_back_whe
     np.testing.assert_array_equal(wrong + READINGS[:, 5], 2.0 * READINGS[0, 5])
 
 
-def test_inverted_and_swapped_readings():
+def test_inverted_swapped_and_drifting_readings():
     told = says(EncoderFault(kind="inverted", leg=0, time=0.002), EncoderFault(kind="swapped", leg=1, other=4))
     expected = READINGS[:, [0, 4, 2, 3, 1, 5]]
     expected[2:, 0] *= -1.0
     np.testing.assert_array_equal(told, expected)
+    error = says(EncoderFault(kind="drift", leg=3, size=2.0, time=0.004)) - READINGS
+    np.testing.assert_allclose(error[:, 3], 2.0 * np.maximum(PERIOD * np.arange(10) - 0.004, 0.0), atol=1e-12)
+    assert not np.delete(error, 3, axis=1).any()
 
 
 @given(st.lists(st.sampled_from(["freeze", "late", "drift", "reversed", "inverted", "swapped", "jump"]), max_size=5))

@@ -1,0 +1,206 @@
+"""What all controllers share: options, what a tick sees, near which poses none acts, and why a tick fails."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
+from stewart_drake.jit import njit, record
+from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
+from stewart_drake.mechanics.kinematics import twist_jacobian
+from stewart_drake.mechanics.kinematics_laws import (
+    LEGS,
+    NOT_FINITE,
+    OK,
+    PARALLEL,
+    SERIAL,
+    UNREACHABLE,
+    robot_record,
+    usable_legs,
+)
+from stewart_drake.part import Part, Setup
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.robot_scale import times
+from stewart_drake.section import Fraction, Positive, Section
+
+# --- options ---------------------------------------------------------------------------------------------------------
+
+
+class ControllerOptions(Section, ABC, key="controller"):
+    """Base of the options of controllers; wiring, checks, logs and plots ask these, not which kind it is."""
+
+    own_keys = frozenset({"feedforward", "saturation"})
+    kind: str
+    """Of controller."""
+    period: Positive
+    """[s] control period, > 0, a whole multiple of the plant's time step."""
+
+    @property
+    def label(self) -> str:
+        """In a few words, for titles."""
+        return f"controller {self.kind}"
+
+    @property
+    def near_singularity(self) -> tuple[float, float]:
+        """Least transmission of a crank and least conditioning of the rods' lines with which it acts [-]."""
+        return 0.02, 0.005
+
+    @property
+    def asks_for_more(self) -> bool:
+        """Whether its torque may exceed the limit, which then says that it has been cut."""
+        return getattr(self, "saturation", "") == "none"
+
+    @property
+    def code(self) -> Any:
+        """What of a user's code it runs, a `CodePath`; None for what comes with the package."""
+        return None
+
+    @abstractmethod
+    def parts(self, setup: Setup) -> tuple[Part, ...]:
+        """The controller in a loop, one part: from measurement and reference to torque, error and integral."""
+
+    def limit(self, robot: RobotParameters) -> np.ndarray:
+        """(6,) [N m] of the motors' torques."""
+        return robot.effort_limits
+
+
+class OwnControllerOptions(ControllerOptions):
+    """Base of the options of the controllers that come with the package."""
+
+    kind: str
+    period: Positive
+    min_transmission: Fraction = 0.02
+    """[-] a crank with |e_l . e_N| below this counts as at its dead centre."""
+    min_conditioning: Fraction = 0.005
+    """[-] sigma_min / sigma_max of the rods' lines below this counts as a parallel singularity."""
+
+    @property
+    def near_singularity(self) -> tuple[float, float]:
+        """See `ControllerOptions`."""
+        return self.min_transmission, self.min_conditioning
+
+
+# --- gains in the size that a robot needs to answer as the paper's does -----------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def _input_gain(robot: RobotParameters) -> float:
+    """[m/s^2 per N m] geometric mean of the singular values of M^-1 tau at home, angles times characteristic length."""
+    volume = abs(float(np.linalg.det(pose_acceleration_map(robot, robot.home_pose))))
+    return float((volume * robot.characteristic_length**3) ** (1.0 / 6.0))
+
+
+@lru_cache(maxsize=64)
+def _crank_inertia(robot: RobotParameters) -> float:
+    """[kg m^2] what heave at home moves, as felt at each crank: M / sum J^2 with J = d(theta)/dZ."""
+    heave = task_inertia(robot, robot.home_pose)[5, 5]
+    return float(heave / np.sum(twist_jacobian(robot, robot.home_pose)[:, 5] ** 2))
+
+
+POSE_WEIGHT, RATE_WEIGHT, INTEGRAL_WEIGHT = (times(_input_gain, -2.0, slower) for slower in (4.0, 2.0, 6.0))
+"""Of errors against torques, for poles at the same place; a natural frequency is the fourth root of the first."""
+PROPORTIONAL, INTEGRAL, DERIVATIVE = (times(_crank_inertia, 1.0, slower) for slower in (2.0, 3.0, 1.0))
+"""Of a crank's error, for the same natural frequency of heave."""
+FREQUENCY = times(lambda _: 1.0, slower=1.0)
+"""The same for every robot."""
+
+
+# --- a tick ----------------------------------------------------------------------------------------------------------
+
+AT_REFERENCE = 16
+"""Added to a status that concerns the reference's pose, not the measured one."""
+POSE, RATE, REFERENCE, TORQUE = range(4)
+"""Which signal is NOT_FINITE, in the place of the leg."""
+_SIGNALS = ("measured pose", "measured pose rate", "reference", "torque")
+_DEAD_CENTRE_SLACK = 0.05
+"""[-] reach margin down to which a measured pose counts as a crank at its dead centre: loop gap and sensor error."""
+
+
+class Measurement(NamedTuple):
+    """What the sensor reports: pose (6,) [rad, m] and pose_rate (6,) [rad/s, m/s] of P in B, Euler rates."""
+
+    pose: np.ndarray
+    pose_rate: np.ndarray
+
+
+class Setpoint(NamedTuple):
+    """Where the platform should be: pose, pose_rate, pose_acceleration, each (6,)."""
+
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    pose_acceleration: np.ndarray
+
+
+@njit
+def all_finite(values: Any) -> bool:
+    """Whether all numbers of a vector are finite."""
+    for value in values:  # noqa: SIM110 - numba knows no generators here
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@njit
+def measured_legs(robot: Any, min_transmission: float, min_conditioning: float, measurement: Any, legs: Any) -> Any:
+    """`usable_legs` at a measurement (12,), refused near singularities, where the force map loses its meaning."""
+    if not all_finite(measurement[6:]):
+        return NOT_FINITE, RATE, 0.0
+    if not all_finite(measurement[:6]):
+        return NOT_FINITE, POSE, 0.0
+    return usable_legs(robot, min_transmission, min_conditioning, measurement[:6], legs)
+
+
+@njit
+def _check(robots: Any, min_transmission: float, min_conditioning: float, measurement: Any, legs: Any) -> Any:
+    return measured_legs(record(robots), min_transmission, min_conditioning, measurement, record(legs))
+
+
+def checked_legs(robot: RobotParameters, limits: tuple[float, float], pose: np.ndarray) -> None:
+    """Refuses a pose (6,) [rad, m] at which a controller with these limits, see `near_singularity`, would not act.
+
+    Raises:
+        RunFailure: As of `failure`.
+    """
+    at_rest = np.concatenate([pose, np.zeros(6)])
+    ended = _check(robot_record(robot), *limits, at_rest, np.empty(1, LEGS))
+    if ended[0] != OK:
+        raise failure(limits, ended, at_rest, at_rest)
+
+
+def failure(
+    limits: tuple[float, float], ended: tuple[int, int, float], measurement: np.ndarray, reference: np.ndarray
+) -> RunFailure:
+    """What a controller's law that ended with a status other than OK means, as the error to raise.
+
+    Args:
+        limits: What a margin is held against, see `ControllerOptions.near_singularity`.
+        ended: Status of `kinematics_laws`, at the reference's pose `AT_REFERENCE` more; leg or -1, or which signal is
+            NOT_FINITE; margin of the pose, or a torque that is not finite.
+        measurement: (12,).
+        reference: (18,).
+    """
+    status, leg, margin = ended
+    at_reference = status >= AT_REFERENCE
+    status -= AT_REFERENCE * at_reference
+    pose = np.array(reference[:6] if at_reference else measurement[:6])
+    if status == NOT_FINITE:
+        return NotFiniteError(_SIGNALS[leg], (pose, measurement[6:], reference, margin)[leg])
+    # Little beyond reach, the crank has been carried across its dead centre: the robot stands there, so it can.
+    if status == UNREACHABLE and (at_reference or not margin >= -_DEAD_CENTRE_SLACK):
+        return UnreachablePoseError(pose, leg, margin)
+    if status in (UNREACHABLE, SERIAL):
+        return SingularPoseError("serial", pose, 0.0 if status == UNREACHABLE else margin, limits[0], leg)
+    if status == PARALLEL:
+        return SingularPoseError("parallel", pose, margin, limits[1])
+    return RiccatiError(f"no gain at pose {pose.tolist()}: M^-1 tau is singular or its gain leaves floating point")
+
+
+def controller_part(tick: Callable[..., None], initial: np.ndarray, weights: int = 0) -> Part:
+    """A controller's part of a loop, of those that say torque, error and integral; with a port for weights or none."""
+    inputs = {"measurement": 12, "reference": 18} | ({"weights": weights} if weights else {})
+    return Part("controller", inputs, ("torque", "error", "integral"), initial, tick)
