@@ -79,11 +79,10 @@ def energy(robot, state):
     return kinetic + GRAVITY * height
 
 
-@pytest.mark.parametrize("robot", [PAPER, HEAVY, OFF], ids=["paper", "heavy legs", "centre off"])
-@pytest.mark.parametrize("push", [NO_PUSH, np.array([0.1, -0.05, 0.08, 1.0, -2.0, 1.5])], ids=["free", "pushed"])
-def test_energy_changes_by_the_work_of_motors_and_pushes(robot, push):
+@pytest.mark.parametrize("robot", [HEAVY, OFF], ids=["heavy legs", "centre off"])
+def test_energy_changes_by_the_work_of_motors_and_pushes(robot):
     """Up to the order of the method: a step of a tenth leaves a tenth."""
-    torque, left = static_torque(robot, robot.home_pose) * 1.05, []
+    torque, left, push = static_torque(robot, robot.home_pose) * 1.05, [], np.array([0.1, -0.05, 0.08, 1.0, -2.0, 1.5])
     for step in (1e-3, 1e-4):
         payload = {"payload_mass": PAYLOAD, "payload_position": list(PLACE)}
         chain = ClosedChain(robot, PlantOptions.from_dict({"time_step": step, **payload}), GRAVITY)
@@ -152,17 +151,7 @@ def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn(
     np.testing.assert_allclose(there["angles"][-1], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"rod_joint": "ball"},
-        {"collision": True},
-        {"universal_damping": 1e-4},
-        {"platform_joint_damping": 1e-5},
-        {"broken_rod": {"leg": 1, "time": 0.5}},
-    ],
-    ids=lambda changes: next(iter(changes)),
-)
+@pytest.mark.parametrize("changes", [{"rod_joint": "ball"}, {"broken_rod": {"leg": 1, "time": 0.5}}])
 def test_what_it_cannot_have_is_refused_by_name(changes):
     assert PlantOptions.from_dict(changes).engine == "drake"
     with pytest.raises(ConfigurationError) as caught:

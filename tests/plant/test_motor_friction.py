@@ -15,12 +15,6 @@ SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 SMALL = load_robot("reachy_mini")
 
 
-def test_friction_hides_its_actuators():
-    stewart = Run(motor_friction=0.1).stewart
-    assert stewart.plant.num_actuators() == 12
-    assert stewart.torque_input_port.size() == 6
-
-
 def test_the_rotors_keep_their_inertia_beside_friction():
     """Drake takes the rotor of a joint from one of its actuators."""
     masses = []
@@ -31,7 +25,7 @@ def test_the_rotors_keep_their_inertia_beside_friction():
         np.testing.assert_allclose(other, masses[0], rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("ratio", [0.5, 0.9, 0.98])
+@pytest.mark.parametrize("ratio", [0.5, 0.98])
 @pytest.mark.parametrize("share", [1.0, 0.5], ids=["coulomb", "stribeck"])
 @pytest.mark.parametrize(
     ("robot", "break_away", "viscous"),
@@ -94,15 +88,6 @@ def test_friction_takes_its_energy_from_a_moving_robot_along_the_stribeck_curve(
     assert lost == pytest.approx(dissipated, rel=0.01)
 
 
-def test_anchors_live_in_the_context():
-    one, other = (Run(motor_friction=0.05) for _ in range(2))
-    assert one.diagram is other.diagram
-    one.hold(static_torque(ROBOT, HOME) + 0.2).to(0.05)
-    other.hold(static_torque(ROBOT, HOME) + 0.04).to(0.05)
-    assert np.abs(one.pose - HOME).max() > 1e-3
-    assert np.abs(other.pose - HOME).max() < 1e-6
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", [ROBOT, SMALL], ids=["paper", "small"])
 def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
@@ -128,19 +113,10 @@ def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_short_keys_and_the_section_say_the_same():
-    short = PlantOptions(motor_friction=0.05, motor_damping=0.01).friction_law(ROBOT)
-    long = PlantOptions(friction=FrictionOptions(coulomb=0.05, viscous=(0.01,) * 6)).friction_law(ROBOT)
-    np.testing.assert_array_equal(short, long)
-    np.testing.assert_array_equal(short["break_away"], short["coulomb"])
-
-
 @pytest.mark.parametrize(
     ("plant", "line"),
     [
         ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: got 0.05; allowed: at least"),
-        ({"friction": {"coulomb": -0.1}}, "plant.friction.coulomb: got -0.1; allowed: a number from 0 to 1e"),
-        ({"friction": {"coulomb": [0.1, 0.1]}}, r"plant.friction.coulomb: got \[0.1, 0.1\]; allowed: a list of 6"),
         ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: got 0.1; allowed: 0 where `friction`"),
         ({"friction": {"stribeck": 0.1}}, "plant.friction.stribeck: .*did you mean stribeck_velocity"),
     ],

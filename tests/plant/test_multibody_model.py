@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
+from multibody_model import task_dynamics
 from pydrake.systems.analysis import Simulator
 from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, vectors
 
-from stewart_drake.errors import DrakeCheckError
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import (
     pose_rate_to_twist,
@@ -13,7 +13,6 @@ from stewart_drake.mechanics.kinematics import (
     twist_jacobian,
     twist_to_pose_rate,
 )
-from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 
@@ -167,9 +166,3 @@ def test_accelerations_of_sap_reach_it_at_first_order(robot, spin, options):
         assert np.abs(middle).max() / np.abs(fine).max() == pytest.approx(2.0, rel=0.1)
         # Without its first and second orders; the third leaves up to 9e-7. The spin of ROBOT's rods would show: 1e-5.
         assert np.abs(8.0 * fine - 6.0 * middle + coarse).max() / 3.0 < 2e-6
-
-
-def test_context_of_the_diagram_is_refused_and_drake_does_not_exit():
-    diagram, stewart = built(ROBOT)
-    with pytest.raises(DrakeCheckError, match="task dynamics"):
-        task_dynamics(stewart, diagram.CreateDefaultContext())
