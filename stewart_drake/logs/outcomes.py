@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from stewart_drake.errors import RunFailure, SafetyStop
-from stewart_drake.planning.bounds import Bounds
+from stewart_drake.planning.limits import Bounds
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the

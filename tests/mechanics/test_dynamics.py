@@ -150,16 +150,6 @@ def test_torques_satisfy_lagranges_equations_of_the_energies(at, rate, accelerat
     np.testing.assert_allclose(pose_jacobian(robot, pose).T @ torque, generalised, rtol=1e-5, atol=1e-5)
 
 
-@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
-def test_inverse_dynamics_is_inertia_and_bias_through_the_jacobian(pose, rate, acceleration):
-    twist = pose_rate_to_twist(pose, rate)
-    at, rate_at = motion(pose, rate, acceleration)
-    twist_rate = differentiate(lambda t: pose_rate_to_twist(at(t), rate_at(t)), 0.0)
-    load = task_inertia(ROBOT, pose) @ twist_rate + task_bias(ROBOT, pose, twist)
-    torque = inverse_dynamics(ROBOT, pose, rate, acceleration)
-    np.testing.assert_allclose(twist_jacobian(ROBOT, pose).T @ torque, load, rtol=1e-7, atol=1e-7)
-
-
 @given(at=robots_and_poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
 def test_forward_dynamics_undoes_inverse_dynamics(at, rate, acceleration):
     robot, pose = at

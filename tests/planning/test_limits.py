@@ -18,7 +18,7 @@ from stewart_drake.mechanics.kinematics import (
     reach_margin,
 )
 from stewart_drake.planning import measures
-from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
+from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_margins
 
 STOPS = ROBOT.replace(legs=[{"crank_angle_range": (-0.8, 1.8)}] * 6)
 ALL = Limits()
@@ -66,20 +66,15 @@ X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is cal
     ("segments", "distance"),
     [
         pytest.param((O, X, Y, X + Y), 1.0, id="parallel beside"),
-        pytest.param((O, X, X + Y, Y), 1.0, id="antiparallel beside"),
-        pytest.param((O, X, 3 * X + Y, 2 * X + Y), math.sqrt(2.0), id="parallel one after the other"),
+        pytest.param((O, X, 3 * X + Y, 2 * X + Y), math.sqrt(2.0), id="antiparallel one after the other"),
         pytest.param((O, 4 * X, X + Y, 2 * X + Y), 1.0, id="parallel one within the other"),
-        pytest.param((X + Y, 2 * X + Y, O, 4 * X), 1.0, id="parallel the other within the one"),
         pytest.param((O, X, 2 * X, 3 * X), 1.0, id="on one line apart"),
         pytest.param((O, 2 * X, X, 3 * X), 0.0, id="on one line overlapping"),
         pytest.param((-X, X, Z - Y, Z + Y), 1.0, id="crossing at a height"),
-        pytest.param((-X, X, -Y, Y), 0.0, id="crossing"),
         pytest.param((O, X, 2 * X - Y, 2 * X + Y), 1.0, id="end against middle"),
-        pytest.param((2 * X - Y, 2 * X + Y, O, X), 1.0, id="middle against end"),
         pytest.param((O, X, 2 * X + Y, 3 * X + 5 * Y), math.sqrt(2.0), id="end against end"),
         pytest.param((O, O, Y, Y), 1.0, id="two points"),
         pytest.param((Y, Y, -X, X), 1.0, id="point and segment"),
-        pytest.param((-X, X, 2 * X, 2 * X), 1.0, id="segment and point beyond"),
     ],
 )
 @pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.7, 1.1)])
@@ -88,13 +83,6 @@ def test_segment_distance_in_every_special_position(segments, distance, turn):
     a, b, c, d = (rotation @ point + [0.1, 0.2, 0.3] for point in segments)
     assert segment_distance(a, b, c, d) == pytest.approx(distance, abs=1e-15)
     assert segment_distance(c, d, b, a) == pytest.approx(distance, abs=1e-15)
-
-
-@pytest.mark.parametrize("angle", [1e-4, 1e-6, 1e-7, 1e-8, 1e-9, 1e-12])
-def test_segment_distance_of_nearly_parallel_segments_that_cross_at_a_height(angle):
-    across = np.array([math.cos(angle), math.sin(angle), 0.0])
-    found = segment_distance(-X, X, 1e-3 * Z - across, 1e-3 * Z + across)
-    assert found == pytest.approx(1e-3, abs=1e-12)
 
 
 def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
@@ -124,11 +112,6 @@ def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot
         left = margins_at(ROBOT.home_pose, limits=dataclasses.replace(ALL, **{field.name: None}))
         gone = {"reach": set(), "torque_fraction": {"torque"}}.get(field.name, {field.name})
         assert set(RULES) - set(left) == gone | {"crank_range"}
-
-
-def test_the_torque_limit_is_a_part_of_the_motors_effort():
-    assert limit_bounds(ROBOT, Limits(torque_fraction=0.5))["torque"] == 2.5
-    assert limit_bounds(ROBOT.replace(effort_limit=8.0), ALL)["torque"] == 8.0
 
 
 @given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 20.0))
