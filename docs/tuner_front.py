@@ -16,8 +16,8 @@ from stewart_drake.control.objective import CostScales
 from stewart_drake.plotting import draw
 from stewart_drake.plotting.tuner_plots import plot_front
 from stewart_drake.runs.terminal import ProgressBar
-from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import (
+    Baselines,
     Benchmark,
     always,
     cases_of,

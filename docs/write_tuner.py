@@ -7,7 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from stewart_drake.training.baselines import Baselines
+from stewart_drake.training.benchmark import Baselines
 from stewart_drake.training.situations import KINDS, ROBOTS
 
 DOCS = Path(__file__).parent

@@ -148,7 +148,6 @@ KINDS = {
     "weights": Kind("own.json", lambda _: make_network().to_bytes(), load_network),
     "weights, sealed anew": Kind("own.json", lambda _: make_network().to_bytes(), load_network, _resealed_json),
     "dataset": Kind("own.parquet", _dataset, load_dataset),
-    "dataset, sealed anew": Kind("own.parquet", _dataset, load_dataset, _resealed_parquet),
     "log": Kind("own.parquet", _log, load_log),
     "log, sealed anew": Kind("own.parquet", _log, load_log, _resealed_parquet),
     "recording, csv": Kind("own.csv", _csv, _recording),

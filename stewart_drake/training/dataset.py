@@ -1,26 +1,23 @@
-"""The tuner's training data as one table of samples in one file."""
+"""The tuner's training data as one table of samples in one Parquet file."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stewart_drake.control.density import DensityKind
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.parquet_files import SealedWriter, read_sealed
-from stewart_drake.files.whole import write_atomically
-from stewart_drake.section import Window, check_value
+from stewart_drake.files.whole import open_checked, write_atomically
 
 _INPUTS = tuple(f"density_{i}" for i in range(12))
-_FORMAT_KEY = b"stewart_drake.dataset"
+_KEY = b"stewart_drake.dataset"
 _VERSION = 2
-MAX_BYTES = 500_000_000
-MAX_ROWS = 10_000_000
+MAX_BYTES, MAX_ROWS = 500_000_000, 10_000_000
 
 
 @dataclass(frozen=True)
@@ -49,22 +46,15 @@ class Dataset:
         return content.hexdigest()
 
     def save(self, path: str | Path) -> None:
-        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; metadata and a checksum.
-
-        Raises:
-            ConfigurationError: The folder is missing or not writable.
-            ValueError, TypeError: The metadata are no plain values with finite numbers.
-        """
+        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; and the metadata."""
         import pyarrow as pa
+        import pyarrow.parquet as pq
 
-        columns = {"time": self.time, "run": self.run}
-        columns |= dict(zip(_INPUTS, self.inputs.T, strict=True))
+        columns = {"time": self.time, "run": self.run} | dict(zip(_INPUTS, self.inputs.T, strict=True))
         columns |= {"omega_q": self.outputs[:, 0], "omega_r": self.outputs[:, 1]}
-        table = pa.table(columns)
+        about = json.dumps({"version": _VERSION, **self.metadata}, allow_nan=False)
         stream = io.BytesIO()
-        about = {"version": _VERSION, **self.metadata}
-        with SealedWriter(stream, table.schema, _FORMAT_KEY, about) as writer:
-            writer.write(table)
+        pq.write_table(pa.table(columns).replace_schema_metadata({_KEY: about}), stream, compression="zstd")
         write_atomically(Path(path), stream.getvalue())
 
 
@@ -72,43 +62,36 @@ def load_dataset(path: str | Path) -> Dataset:
     """Reads a dataset.
 
     Raises:
-        ConfigurationError: Missing, unreadable or not as it was written, see `read_sealed`; another version, missing
-            columns, numbers that are not finite, weights that are not positive, runs that are no whole numbers, a kind
-            of density or a window that no network can have, no samples.
+        ConfigurationError: Missing, too large or unreadable; another version, missing columns, numbers that are not
+            finite, weights that are not positive, runs that are no whole numbers, no samples.
     """
-    key = f"dataset {path}"
-    document, table = read_sealed(path, key, _FORMAT_KEY, MAX_BYTES, MAX_ROWS, "`collect`")
-    version = document.pop("version", None) if isinstance(document, dict) else None
-    if version != _VERSION:
-        found = "another format" if version is None else f"version {version}"
-        raise ConfigurationError(key, found, f"a dataset of version {_VERSION}, written by `collect`")
-    for name, default, kind in (("density", "magnitude", DensityKind), ("window", 1, Window)):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    key, names = f"dataset {path}", ("time", "run", *_INPUTS, "omega_q", "omega_r")
+    with open_checked(path, key, MAX_BYTES, "a file from `collect`") as stream:
         try:
-            check_value(name, document.get(name, default), kind)
-        except ConfigurationError as error:
-            raise error.within(f"{key}: ") from None
-    columns = ("time", "run", *_INPUTS, "omega_q", "omega_r")
-    missing = [name for name in columns if name not in table]
-    rows = len(next(iter(table.values()), ()))
-    if missing or not rows:
-        raise ConfigurationError(key, f"{rows} rows, missing {missing}", "samples in all columns")
-    try:
-        data = {name: table[name].astype(float) for name in columns}
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(key, str(error), "columns of numbers") from None
+            file = pq.ParquetFile(stream)
+            about = json.loads((file.metadata.metadata or {}).get(_KEY, b"{}"))
+            version = about.pop("version", None)
+            if version != _VERSION or file.metadata.num_rows > MAX_ROWS:
+                given = f"version {version}, {file.metadata.num_rows} rows"
+                raise ConfigurationError(key, given, f"a dataset of version {_VERSION}, written by `collect`")
+            table = file.read(list(names))
+            data = {name: table[name].to_numpy().astype(float) for name in names}
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, pa.ArrowException) as error:
+            raise ConfigurationError(key, " ".join(str(error).split()), "a file from `collect` that is whole") from None
+    if not len(table):
+        raise ConfigurationError(key, "no rows", "samples")
     for name, values in data.items():
         unusable = ~np.isfinite(values) | (name.startswith("omega") & (values <= 0.0))
         if name == "run":
             unusable |= ~((values >= 0.0) & (values < 2.0**53) & (values == np.floor(values)))
         if unusable.any():
             bad = int(unusable.argmax())
-            raise ConfigurationError(
-                f"{key}: {name}", f"{values[bad]} in row {bad}", "finite numbers; weights positive, runs counted from 0"
-            )
+            allowed = "finite numbers; weights positive, runs counted from 0"
+            raise ConfigurationError(f"{key}: {name}", f"{values[bad]} in row {bad}", allowed)
+    inputs = np.stack([data[name] for name in _INPUTS], axis=-1)
     return Dataset(
-        np.stack([data[name] for name in _INPUTS], axis=-1),
-        np.stack([data["omega_q"], data["omega_r"]], axis=-1),
-        data["run"].astype(int),
-        data["time"],
-        document,
+        inputs, np.stack([data["omega_q"], data["omega_r"]], axis=-1), data["run"].astype(int), data["time"], about
     )

@@ -6,7 +6,7 @@ Weights reach a run in memory. Nothing else of training builds a policy or runs 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,15 +41,7 @@ class Episode(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """All of a policy but its weights.
-
-    Attributes:
-        centre: (4,) setting in the middle of the box, the best fixed one.
-        mean: (13,) of the features.
-        scale: (13,) of the features.
-        low: (13,) least features heard in training.
-        high: (13,) largest.
-    """
+    """All of a policy but its weights: the centre of its box (4,), and statistics and range (13,) of its features."""
 
     centre: np.ndarray
     mean: np.ndarray = np.zeros(len(FEATURES))
@@ -59,24 +51,22 @@ class Frame(NamedTuple):
 
     def policy(self, weights: np.ndarray) -> Policy:
         """The policy with weights (`WEIGHTS`,); with zeros it stays at the centre."""
-        hidden, hidden_bias, output, output_bias = np.split(
-            weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN])
+        ends = np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN])
+        hidden, hidden_bias, output, output_bias = np.split(weights, ends)
+        layers = Layers(
+            mean=self.mean,
+            scale=self.scale,
+            hidden=hidden.reshape(HIDDEN, -1),
+            hidden_bias=hidden_bias,
+            output=output.reshape(SIZE, -1),
+            output_bias=output_bias,
+            centre=self.centre,
+            below=self.centre - LOWEST,
+            above=HIGHEST - self.centre,
+            low=self.low,
+            high=self.high,
         )
-        return Policy(
-            Layers(
-                mean=self.mean,
-                scale=self.scale,
-                hidden=hidden.reshape(HIDDEN, -1),
-                hidden_bias=hidden_bias,
-                output=output.reshape(SIZE, -1),
-                output_bias=output_bias,
-                centre=self.centre,
-                below=self.centre - LOWEST,
-                above=HIGHEST - self.centre,
-                low=self.low,
-                high=self.high,
-            )
-        )
+        return Policy(layers)
 
 
 def episode_cost(policy: Policy, episode: Episode) -> float:
@@ -93,7 +83,10 @@ def episode_features(policy: Policy, episode: Episode) -> np.ndarray:
 
 def _run(chooser: Chooser, episode: Episode) -> float:
     scenario = _fast(episode.case)
-    log = simulate_unchecked(scenario.replace({"tuner": _GivenTuner.of(chooser, scenario, episode.kappa)}))
+    q_pose, q_rate, q_integral, r = scenario.tuner.weights
+    tuner = _GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=episode.kappa)
+    vars(tuner)["given"] = chooser
+    log = simulate_unchecked(scenario.replace({"tuner": tuner}))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(episode.kappa))
 
 
@@ -108,16 +101,8 @@ def _fast(case: Case) -> Scenario:
 class _GivenTuner(PolicyTuner):
     """A policy that stands in memory."""
 
-    @classmethod
-    def of(cls, chooser: Chooser, scenario: Scenario, kappa: float) -> Self:
-        """On top of the weights that a scenario has."""
-        q_pose, q_rate, q_integral, r = scenario.tuner.weights
-        tuner = cls(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
-        vars(tuner)["given"] = chooser
-        return tuner
-
     def chooser(self) -> Chooser:  # type: ignore[override]
-        """See `SettingTuner.chooser`."""
+        """What it was given."""
         given: Chooser = vars(self)["given"]
         return given
 

@@ -29,8 +29,7 @@ from stewart_drake.control.settings import SIZE
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.training.baselines import Baselines
-from stewart_drake.training.benchmark import Cell, cases_of, cells_for, cells_of, mean_over_cells
+from stewart_drake.training.benchmark import Baselines, Cell, cases_of, cells_for, cells_of, mean_over_cells
 from stewart_drake.training.policy_runs import HIDDEN, WEIGHTS, Episode, Frame, episode_cost, episode_features
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION
 
@@ -48,72 +47,53 @@ VALIDATED = 5
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train a policy.
-
-    Attributes:
-        seed: Of the first weights, the tastes and the directions.
-        generations: Steps of evolution.
-        situations: Of each kind and robot in a generation, times `MORE`.
-        pool: Of each kind and robot, that generations take theirs from in turn.
-        validation: Of each kind and robot, by which the best generation is chosen.
-        robots: Names of those to train on.
-    """
+    """How to train a policy."""
 
     seed: int = 0
+    """Of the first weights, the tastes and the directions."""
     generations: int = 150
+    """Steps of evolution."""
     situations: int = 8
+    """Of each kind and robot in a generation, times `MORE`."""
     pool: int = 32
+    """Of each kind and robot, that generations take theirs from in turn."""
     validation: int = 6
+    """Of each kind and robot, by which the best generation is chosen."""
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
 @dataclass
 class State:
-    """Where a training stands; what its file holds.
-
-    Attributes:
-        fixed: (pool,) log J of each episode of the pool at the centre.
-        validated: (validation,) likewise of the validation episodes.
-        mean: (13,) of the features.
-        scale: (13,) of the features.
-        weights: (n,) of the network, flat.
-        moments: (2, n) of Adam.
-        best: (n,) weights of the generation that is best on validation; at first those of the start.
-        least: Mean of log J over that at the centre on validation, of `best`.
-        generation: Done.
-        seconds: [s] on the clock.
-        history: (g, 2) generation and mean of log J over that at the centre on validation.
-    """
+    """Where a training stands; what its file holds."""
 
     fixed: np.ndarray
+    """(pool,) log J of each episode of the pool at the centre."""
     validated: np.ndarray
+    """(validation,) likewise of the validation episodes."""
     mean: np.ndarray
     scale: np.ndarray
+    """(13,) of the features."""
     weights: np.ndarray
     moments: np.ndarray
+    """(n,) of the network, flat; (2, n) of Adam."""
     best: np.ndarray
+    """(n,) weights of the generation that is best on validation; at first those of the start."""
     least: float = 0.0
+    """Mean of log J over that at the centre on validation, of `best`."""
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(g, 2) generation and mean of log J over that at the centre on validation."""
 
     def save(self, file: Path, identity: str) -> None:
-        """Writes it beside and renames.
-
-        Raises:
-            ConfigurationError: The folder is missing or not writable.
-        """
+        """Writes it beside and renames."""
         content = io.BytesIO()
         np.savez(content, identity=identity, **vars(self))
         write_atomically(file, content.getvalue())
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        """Reads what `save` wrote.
-
-        Raises:
-            ConfigurationError: It is no such file, or of a training with other options.
-        """
+        """Reads what `save` wrote; a ConfigurationError where it is no such file, or of other options."""
         try:
             with np.load(file, allow_pickle=False) as content:
                 values = {name: value if value.ndim else value.item() for name, value in content.items()}
@@ -128,12 +108,7 @@ class State:
 
 
 class Training:
-    """The steps of `train_policy`.
-
-    Args:
-        options: How to train.
-        place: Where the runs go.
-    """
+    """The steps of `train_policy`, with runs at a place."""
 
     def __init__(self, options: PolicyOptions, place: Workplace) -> None:
         self.options, self._place = options, place
@@ -281,10 +256,6 @@ def train_policy(
         file: Written after each generation and gone on from, where it is there; removed at the end. None for none.
         tell: Called with generations done and a word on it.
         where: Where the runs go; None for a process on each core.
-
-    Raises:
-        ConfigurationError: See `State`.
-        StewartDrakeError, KeyboardInterrupt: See `carry_out`; the generations done are kept.
     """
     if where is None:
         where = LocalProcesses(os.cpu_count())

@@ -1,11 +1,9 @@
 import itertools
-import json
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_logs import sealed
 
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
@@ -33,6 +31,7 @@ SMALL = SineBurstsReference(
     phase=tuple(np.pi / 3.0 * np.arange(6)),
     burst_duration=BURST,
 )
+KEY = b"stewart_drake.dataset"
 PAIRS = list(itertools.product(OMEGAS, OMEGAS))
 
 
@@ -88,15 +87,6 @@ def test_densities_are_those_that_the_diagram_computes_while_it_runs(collected):
         np.testing.assert_array_equal(dataset.outputs[dataset.run == index], log["weights"][:SAMPLES])
 
 
-def test_experiments_that_differ_in_the_ratio_give_different_data_and_others_the_same(collected):
-    # Only omega_Q / omega_R matters: three of the nine labels belong to one and the same data.
-    dataset, _ = collected
-    part = {pair: dataset.inputs[dataset.run == index] for index, pair in enumerate(PAIRS)}
-    np.testing.assert_allclose(part[0.1, 0.1], part[1.0, 1.0], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(part[10.0, 10.0], part[1.0, 1.0], rtol=1e-4, atol=1e-4)
-    assert np.abs(part[0.1, 1.0] - part[1.0, 1.0]).max() > 0.05
-
-
 def log_of(rows, status="completed", pair=(1.0, 1.0), seed=3):
     rng = np.random.default_rng(seed)
     scenario = Scenario.from_dict({"tuner": {"kind": "fixed", "omega_q": pair[0], "omega_r": pair[1]}})
@@ -115,6 +105,12 @@ def test_an_experiment_that_ended_early_stops_the_collection_and_is_named(change
     dataset_from_logs([good], 30, "magnitude", 4, {})
     with pytest.raises(RunFailure, match=r"experiment 1 \(omega_Q 0.1, omega_R 10\).*crank of leg 2"):
         dataset_from_logs([good, bad], 30, "magnitude", 4, {})
+
+
+def test_limits_that_leave_no_motion_are_refused():
+    still = Scenario().replace({"limits.transmission": 0.99, "limits.clearance": None})
+    with pytest.raises(ConfigurationError, match="can move from its home pose"):
+        experiment_reference(still)
 
 
 @pytest.mark.slow
@@ -158,51 +154,30 @@ def test_a_collected_dataset_comes_back_whole(tmp_path, collected):
 
 
 def rewritten(path, columns=None, metadata=None):
-    """The file of `made_up` with columns replaced (None drops one) or other schema metadata."""
+    """The file of `made_up` with columns replaced (None drops one) or other metadata."""
     made_up().save(path)
     table = pq.read_table(path)
-    kept = {name: table.column(name) for name in table.column_names}
-    kept.update(columns or {})
+    kept = {name: table.column(name) for name in table.column_names} | (columns or {})
     kept = {name: values for name, values in kept.items() if values is not None}
-    if metadata is not None:
-        pq.write_table(pa.table(kept).replace_schema_metadata(metadata), path)
-        return path
-    path.write_bytes(sealed(KEY, pa.table(kept), json.loads(pq.read_metadata(path).metadata[KEY])))
+    about = table.schema.metadata if metadata is None else metadata
+    pq.write_table(pa.table(kept).replace_schema_metadata(about), path)
     return path
-
-
-def resealed(path, about, rows=12):
-    path.write_bytes(sealed(KEY, pq.read_table(rewritten(path)).slice(0, rows), about))
-    return path
-
-
-KEY = b"stewart_drake.dataset"
 
 
 # Torn and flipped files, and others: see attacked_files.py.
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda path: path.with_name("nowhere"), "a file from `collect`"),
-        (lambda path: rewritten(path, metadata={b"other": b"{}"}), "a file from `collect`|written by"),
-        (lambda path: rewritten(path, metadata={KEY: b'{"version": 2}'}), "checksum"),
-        (lambda path: resealed(path, {}), "of version 2, written by `collect`"),
-        (lambda path: resealed(path, {"version": 1}), "of version 2, written by `collect`"),
-        (lambda path: resealed(path, [2]), "of version 2, written by `collect`"),
-        (lambda path: resealed(path, {"version": 2}, rows=0), "0 rows"),
-    ],
-    ids=range(7),
-)
-def test_what_is_no_dataset_is_refused_by_its_name(tmp_path, make, words):
-    path = make(tmp_path / "data.parquet")
-    with pytest.raises(ConfigurationError, match=words) as caught:
+@pytest.mark.parametrize("metadata", [None, {b"other": b"{}"}, {KEY: b'{"version": 1}'}, {KEY: b"[2]"}], ids=str)
+def test_what_is_no_dataset_is_refused_by_its_name(tmp_path, metadata):
+    path = tmp_path / "data.parquet"
+    if metadata is not None:
+        rewritten(path, metadata=metadata)
+    with pytest.raises(ConfigurationError, match=r"(from|by) `collect`") as caught:
         load_dataset(path)
     assert str(path) in caught.value.key
 
 
-@pytest.mark.parametrize("name", ["time", "run", "density_0", "density_11", "omega_q", "omega_r"])
+@pytest.mark.parametrize("name", ["run", "density_11", "omega_q"])
 def test_a_missing_column_and_a_number_that_means_nothing_are_named_with_their_row(tmp_path, name):
-    bad = [None, np.nan, np.inf] + [0.0, -1.0] * name.startswith("omega")
+    bad = {"run": [None, 0.5, 1e300], "omega_q": [0.0, -1.0]}.get(name, [np.nan, np.inf])
     for values in (None, ["a"] * 12, *([1.0] * 7 + [each] + [1.0] * 4 for each in bad)):
         with pytest.raises(ConfigurationError, match=name if values is None else None) as caught:
             load_dataset(rewritten(tmp_path / "data.parquet", {name: values}))
