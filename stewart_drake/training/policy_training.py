@@ -29,7 +29,7 @@ from stewart_drake.control.settings import SIZE
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.training.benchmark import Baselines, Cell, cases_of, cells_for, cells_of, mean_over_cells
+from stewart_drake.training.benchmark import Baselines, cases_of, cells_for, cells_of, mean_over_cells
 from stewart_drake.training.policy_runs import HIDDEN, WEIGHTS, Episode, Frame, episode_cost, episode_features
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION
 
@@ -47,18 +47,18 @@ VALIDATED = 5
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train a policy."""
+    """How to train a policy; numbers of situations are of each kind and robot."""
 
     seed: int = 0
     """Of the first weights, the tastes and the directions."""
     generations: int = 150
     """Steps of evolution."""
     situations: int = 8
-    """Of each kind and robot in a generation, times `MORE`."""
+    """In a generation, times `MORE`."""
     pool: int = 32
-    """Of each kind and robot, that generations take theirs from in turn."""
+    """That generations take theirs from in turn."""
     validation: int = 6
-    """Of each kind and robot, by which the best generation is chosen."""
+    """By which the best generation is chosen."""
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
@@ -127,8 +127,7 @@ class Training:
         rng = np.random.default_rng([self.options.seed, 1])
         weights = np.zeros(WEIGHTS)
         stays = Frame(self.centre).policy(weights)
-        fixed = self.costs([stays] * len(self.episodes), self.episodes)
-        validated = self.costs([stays] * len(self.validation), [Episode(case) for case in self.validation])
+        fixed, validated = self.costs([stays] * len(self.episodes), self.episodes), self.validate(stays)
         heard = []
         for places in cells_of(self.cases).values():
             for place in places[:4]:
@@ -138,8 +137,7 @@ class Training:
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(features.std(axis=0), 1e-3)
-        moments = np.zeros((2, WEIGHTS))
-        return State(fixed, validated, features.mean(axis=0), scale, weights, moments, best=weights)
+        return State(fixed, validated, features.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def step(self, state: State) -> State:
         """One more generation: each situation twice, with weights on opposite sides of the present ones.
@@ -151,7 +149,7 @@ class Training:
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
         directions = rng.standard_normal((len(chosen), WEIGHTS))
-        frame = self.frame(at)
+        frame = Frame(self.centre, at.mean, at.scale)
         policies = [frame.policy(at.weights + side * SPREAD * way) for side in (1.0, -1.0) for way in directions]
         plus, minus = self.costs(policies, [self.episodes[place] for place in chosen] * 2).reshape(2, -1)
         share = self._shares(chosen, 0.5 * (plus + minus) - at.fixed[chosen])
@@ -167,17 +165,14 @@ class Training:
 
     def finish(self, state: State) -> Policy:
         """The best policy, with the range of what it hears on the pool, and its card."""
-        policy = self.frame(state).policy(state.best)
+        frame = Frame(self.centre, state.mean, state.scale)
+        policy = frame.policy(state.best)
         features = np.concatenate(self._map(episode_features, [(policy, episode) for episode in self.episodes]))
         low, high = np.quantile(features, [0.0005, 0.9995], axis=0)
         # All tastes were drawn, if not to the last one.
         low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
-        policy = self.frame(state)._replace(low=low, high=high).policy(state.best)
+        policy = frame._replace(low=low, high=high).policy(state.best)
         return Policy(policy.layers, self._card(state, self.validate(policy) - state.validated))
-
-    def frame(self, state: State) -> Frame:
-        """All but the weights."""
-        return Frame(self.centre, state.mean, state.scale)
 
     def validate(self, policy: Policy) -> np.ndarray:
         """Log J of a policy in each validation situation."""
@@ -211,8 +206,10 @@ class Training:
         return share
 
     def _card(self, state: State, ratio: np.ndarray) -> dict[str, Any]:
-        """Where a policy comes from."""
-        cells: dict[Cell, np.ndarray] = cells_of(self.validation)
+        """Where a policy comes from; `ratio` is log J over that at the centre, by validation situation."""
+        kinds = {
+            f"{robot}: {kind}": ratio[places].mean() for (kind, robot), places in cells_of(self.validation).items()
+        }
         return {
             "made_by": "stewart-drake train --tuner policy",
             "date": date.today().isoformat(),
@@ -223,9 +220,7 @@ class Training:
             "options": {**dataclasses.asdict(self.options), "robots": list(self.options.robots)},
             "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value in state.history],
             "J_over_best_fixed": round(math.exp(mean_over_cells(ratio, self.validation)), 3),
-            "J_over_best_fixed_by_kind": {
-                f"{robot}: {kind}": round(math.exp(ratio[places].mean()), 3) for (kind, robot), places in cells.items()
-            },
+            "J_over_best_fixed_by_kind": {name: round(math.exp(value), 3) for name, value in kinds.items()},
             "seconds": round(state.seconds),
             "limits": "robots, sensors and motions of training/situations.py; see docs/results/tuner.md",
             "versions": {name: version for name, version in collect_versions().items() if version is not None},

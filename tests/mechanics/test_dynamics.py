@@ -18,7 +18,6 @@ from stewart_drake.mechanics.dynamics import (
     task_bias,
     task_inertia,
 )
-from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics import (
     inverse_kinematics,
     pose_jacobian,
@@ -156,16 +155,6 @@ def test_forward_dynamics_undoes_inverse_dynamics(at, rate, acceleration):
     torque = inverse_dynamics(robot, pose, rate, acceleration, 5.0)
     found = forward_dynamics(robot, pose, rate, torque, 5.0)
     np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
-
-
-@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
-def test_the_rate_of_the_twist_is_drakes(pose, rate, acceleration):
-    twist, twist_rate = np.empty((2, 6))
-    twists_of_motion(pose, rate, acceleration, twist, twist_rate)
-    np.testing.assert_array_equal(twist, pose_rate_to_twist(pose, rate))
-    drake = RollPitchYaw(pose[:3]).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate[:3], twist_rate[:3])
-    np.testing.assert_allclose(drake, acceleration[:3], atol=1e-12)
-    np.testing.assert_array_equal(twist_rate[3:], acceleration[3:])
 
 
 @given(at=robots_and_poses())

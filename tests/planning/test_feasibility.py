@@ -7,7 +7,6 @@ from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError
 from stewart_drake.planning.feasibility import (
-    amplitude_table,
     check_motion,
     check_reference,
     largest_amplitude,
@@ -55,16 +54,6 @@ def test_the_papers_reference_keeps_to_what_the_geometry_promises():
     swing = smallest["joint_swing"]
     assert (swing.leg, swing.where) == (2, "universal joint of leg 2")
     assert swing.time == pytest.approx(math.pi / 4.0, abs=2e-3)
-
-
-@pytest.mark.parametrize("axis", range(5))
-def test_the_working_range_keeps_to_what_the_geometry_promises(axis):
-    reach = math.pi / 6.0 if axis < 3 else 0.06
-    offsets, heights = np.meshgrid(np.linspace(-reach, reach, 41), np.linspace(0.28, 0.32, 5))
-    poses = np.outer(offsets.ravel(), AXES[axis])
-    poses[:, 5] = heights.ravel()
-    smallest = at_rest(poses, only(conditioning=0.278, transmission=0.41, clearance=0.030 - 2.0 * ROBOT.link_radius))
-    assert smallest.feasible
 
 
 @pytest.mark.parametrize(("name", "axis"), [(n, i) for i, n in enumerate([*TURN_DEG, *REACH_MM])])
@@ -168,16 +157,6 @@ def test_the_largest_amplitude_is_feasible_and_a_little_more_is_not(limits, freq
     assert all(feasible(factor) for factor in (0.1, 0.5, 0.9, 0.9995))
     # A turn ends at pi.
     assert amplitude == math.pi or not feasible(1.001)
-
-
-def test_the_amplitude_table_begins_with_the_shorter_side_of_the_range_at_rest():
-    limits = only(conditioning=0.05, transmission=0.2)
-    table = amplitude_table(ROBOT, limits, [0.0, 3.0], GRAVITY)
-    assert table.shape == (2, 6)
-    assert math.degrees(table[0, 1]) == pytest.approx(61.8, abs=0.1)
-    assert table[0, 3] == pytest.approx(0.2027, abs=1e-4)
-    assert table[1, 4] == largest_amplitude(ROBOT, limits, 4, 3.0, GRAVITY)
-    assert amplitude_table(ROBOT, ALL, [], GRAVITY).shape == (0, 6)
 
 
 def test_the_largest_scale_is_the_first_at_which_a_limit_breaks():

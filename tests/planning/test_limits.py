@@ -20,7 +20,6 @@ from stewart_drake.mechanics.kinematics import (
 from stewart_drake.planning import measures
 from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_margins
 
-STOPS = ROBOT.replace(legs=[{"crank_angle_range": (-0.8, 1.8)}] * 6)
 ALL = Limits()
 NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
 GRAVITY = 9.81
@@ -96,13 +95,6 @@ def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
     assert limit_margins(turned, NONE, pose, 0.0 * pose, 0.0 * pose, GRAVITY)["crank_range"][0, 0] == pytest.approx(
         found[0]
     )
-
-
-def test_every_limit_has_a_margin_of_its_own_with_a_place_for_each_column():
-    margins = limit_margins(STOPS, ALL, *np.zeros((3, 2, 6)) + [ROBOT.home_pose], GRAVITY)
-    assert list(margins) == list(RULES) == list(PLACES)
-    for limit, values in margins.items():
-        assert values.shape == (2, len(PLACES[limit]))
 
 
 def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot_span():

@@ -81,17 +81,6 @@ def test_force_and_moment_are_the_inscribed_balls_of_the_statics_map():
             assert (np.abs(held[k] + size * per_unit) <= ROBOT.effort_limit).all()
 
 
-def test_a_motor_too_weak_for_the_weight_exerts_nothing_and_one_without_a_weight_is_the_lesser_ball():
-    held = np.abs(static_torque(ROBOT, HOME)).max()
-    weak, enough = (measure_poses(ROBOT, HOME[None], torque_limit=f * held) for f in (0.99, 1.01))
-    assert weak.force[0] == weak.moment[0] == 0.0
-    assert 0.0 < enough.force[0] < 0.1 * measure_poses(ROBOT, HOME[None]).force[0]
-    free = measure_poses(ROBOT, HOME[None], gravity=0.0)
-    assert free.holding_torque[0] == 0.0
-    rows = np.linalg.inv(force_map(ROBOT, HOME, "statics"))[:, 3:]
-    assert free.force[0] == pytest.approx(ROBOT.effort_limit / np.linalg.norm(rows, axis=1).max(), rel=1e-12)
-
-
 def test_out_of_reach_is_nan_but_for_reach():
     pose = np.stack([HOME, HOME + [0.0, 0.0, 0.0, 0.0, 0.0, 0.2]])
     measures = measure_poses(ROBOT, pose)
@@ -118,17 +107,6 @@ def test_utilisation_is_above_one_exactly_where_a_margin_is_negative():
     off = Limits(joint_swing=None, torque_fraction=None, clearance=None, euler_pitch=None)
     use = utilisation(ROBOT, off, HOME[None], measure_poses(ROBOT, HOME[None]))
     assert tuple(use) == ("reach", "transmission", "conditioning")
-
-
-def test_the_governing_limit_is_the_one_most_used_and_reach_where_nothing_else_is_known():
-    use = {
-        "reach": np.array([0.5, 1.3, 0.2]),
-        "clearance": np.array([0.7, np.nan, np.inf]),
-        "euler_pitch": np.array([0.1, 1.9, 0.3]),
-    }
-    largest, cause = governing_limit(use)
-    np.testing.assert_array_equal(largest, [0.7, 1.3, np.inf])
-    assert [LIMIT_NAMES[i] for i in cause] == ["clearance", "reach", "clearance"]
 
 
 @pytest.mark.parametrize("kind", ["position", "orientation"])

@@ -63,14 +63,6 @@ def test_between_the_levels_what_rests_stays_and_what_slides_goes_on():
     assert np.abs(stopped.hold(torque).to(0.8).pose - at).max() < 1e-5
 
 
-def test_each_motor_has_its_own_friction():
-    own = FrictionOptions(coulomb=(0.0, 0.1, 0.2, 0.3, 0.4, 0.0), viscous=(0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
-    slowed = Run(gravity=0.0, friction=own).hold([0.5] * 6).to(0.05)
-    free = Run(gravity=0.0, friction=FrictionOptions(viscous=own.viscous)).hold(0.5 - np.array(own.coulomb)).to(0.05)
-    assert np.abs(free.pose - HOME).max() > 1e-3
-    np.testing.assert_allclose(slowed.pose, free.pose, atol=1e-6)
-
-
 def test_friction_takes_its_energy_from_a_moving_robot_along_the_stribeck_curve():
     said = FrictionOptions(coulomb=0.02, break_away=0.05, stribeck_velocity=4.0, viscous=0.003)
     run = Run(rate=[0.5, -0.3, 1.0, 0.1, 0.1, 0.05], gravity=0.0, time_step=1e-4, friction=said)

@@ -60,11 +60,6 @@ def test_collision_shapes_are_those_with_an_exact_depth_and_can_be_left_out():
     assert "<visual" in text
 
 
-def test_unknown_rod_joint_is_refused_by_name():
-    with pytest.raises(ConfigurationError, match=r"rod_joint: got 'hinge'; allowed: universal or ball"):
-        sdf_text(ROBOT, rod_joint="hinge")
-
-
 def test_written_file_holds_the_text_and_replaces_an_old_one(tmp_path):
     path = tmp_path / "robot.sdf"
     path.write_text("old")

@@ -17,7 +17,7 @@ from stewart_drake.training.benchmark import (
     with_setting,
 )
 from stewart_drake.training.situations import HELD_OUT, ROBOTS, kinds_of, situation
-from stewart_drake.training.verdict import BEST_FIXED, Verdict, assess, candidates, geometric_mean, median, page
+from stewart_drake.training.verdict import BEST_FIXED, Verdict, assess, geometric_mean, median, page
 
 BASE = with_setting([0.0] * 4)
 
@@ -97,18 +97,6 @@ def test_the_page_says_who_failed_where_it_is_worst_and_who_wins_a_duel():
     duels = lines[lines.index("J of `rival` over that of") + 2 :]
     assert duels[0] == "|  | third |"
     assert duels[2] == "| all kinds | 0.25 (0.25 to 0.25) |"
-
-
-def test_each_candidate_makes_a_scenario_of_either_robot():
-    baselines = Baselines.load()
-    entered = candidates(baselines, {"schedule": {"tuner": baselines.schedule}})
-    for case in (Case("fast", "paper", 1), Case("nod", "reachy_mini", 1)):
-        scenario = situation(*case)
-        kinds = {name: scenario.replace(one(case, scenario)).tuner.kind for name, one in entered.items()}
-        assert kinds["the paper's tuner"] == "paper"
-        assert kinds["best of the nine pairs"] == "fixed"
-        assert kinds["schedule"] == "schedule"
-        assert kinds[BEST_FIXED] == kinds["oracle of each kind"] == "block"
 
 
 @pytest.mark.slow

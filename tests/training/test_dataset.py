@@ -1,4 +1,3 @@
-import itertools
 
 import numpy as np
 import pyarrow as pa
@@ -32,7 +31,6 @@ SMALL = SineBurstsReference(
     burst_duration=BURST,
 )
 KEY = b"stewart_drake.dataset"
-PAIRS = list(itertools.product(OMEGAS, OMEGAS))
 
 
 def base():

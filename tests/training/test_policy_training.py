@@ -106,19 +106,6 @@ def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
 
 
-@pytest.mark.usefixtures("bowl")
-def test_a_training_that_gets_worse_hands_on_its_start():
-    training = Training(PolicyOptions(generations=5, situations=1, pool=1), workplace(SerialExecutor()))
-    state = state_of(training, np.random.default_rng(1))
-    # The centre of the validation situations costs less than anything else will.
-    state.validated -= 1e6
-    start = state.best.copy()
-    while state.generation < 5:
-        state = training.step(state)
-    assert len(state.history) == 1
-    np.testing.assert_array_equal(state.best, start)
-
-
 @pytest.mark.slow
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
