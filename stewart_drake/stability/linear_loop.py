@@ -9,25 +9,20 @@ encoders and friction are not in it; weights stay as the tuner has them at the s
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
-from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
-from stewart_drake.control.joint_pid import PidOptions, pid_part
-from stewart_drake.control.lqi import lqi_part
-from stewart_drake.control.lqi_options import LqiOptions
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError
-from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.jit import njit, record
-from stewart_drake.mechanics import dynamics
+from stewart_drake.mechanics.dynamics import static_torque as holding_torque
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import LEGS, legs_at
-from stewart_drake.part import Part
+from stewart_drake.part import Part, Setup
+from stewart_drake.parts import setup_of
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plant.closed_chain import loaded
 from stewart_drake.robot import RobotParameters
@@ -81,16 +76,17 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
         ConfigurationError: A kind of part that has no linear loop; no pose is left.
         UnreachablePoseError: A pose is out of reach.
     """
-    controller, period = _controller(scenario), scenario.controller.period
+    period, results, kept, left_out = scenario.controller.period, [], [], []
+    setup = setup_of(scenario, split=True)._replace(pose_rate=np.zeros(6), friction=0.0)
     sensed = _sensed(scenario.sensors.kind, scenario.robot, poses)
     plants = plant_at(loaded(scenario.robot, scenario.plant), poses, scenario.gravity, period)
-    results, kept, left_out = [], [], []
     for k, pose in enumerate(poses):
         reading, by_state = (each[k] for each in sensed)
         try:
-            side, memory = _controllers_side(scenario, controller, pose, reading)
+            still = holding_torque(setup.robot, pose, setup.gravity)
+            side, memory = _controllers_side(scenario, setup._replace(pose=pose, still=still), reading)
             robot = PlantAt(*(each[k] for each in plants))
-            found = _loop(robot, reading, by_state, side, memory, scenario.command_delay)
+            found = _loop(robot, reading, by_state, side, memory, setup.delay)
             if found is None:
                 raise RunFailure(f"the loop does not stand still at {pose.tolist()}", reason="standstill")
             results.append(found)
@@ -169,102 +165,89 @@ def _sensed(kind: str, robot: RobotParameters, poses: np.ndarray) -> tuple[np.nd
 
 # --- estimator and controller ----------------------------------------------------------------------------------------
 
+_LINEAR = {
+    "estimator": {
+        "difference": ("measurement", "angles crank_rate"),
+        "observer": ("ahead compensation", "measurement disturbance commands"),
+    },
+    "controller": {
+        "lqi": ("torque", "integral"),
+        "pid": ("torque", "crank_integral"),
+        "computed_torque": ("torque", "integral"),
+    },
+}
+"""Section -> kind -> fields of its part's state that it says, and those on which its next tick depends."""
+
 
 class _Ticking(NamedTuple):
-    """A part near a standstill: what it says, and the places of its state on which its next tick depends."""
+    """A part near a standstill, and the places in its state of what it says and of what it keeps."""
 
     part: Part
     says: np.ndarray
     keeps: np.ndarray
-    fixed: tuple[np.ndarray, ...] = ()
-    """Inputs behind those that are given."""
 
-    def __call__(self, kept: np.ndarray, *inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def tick(self, kept: np.ndarray, ports: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """What it says, and what it keeps after a tick, from what it kept before."""
         state = self.part.initial.copy()
         flat = state.view(float)
         flat[self.keeps] = kept
-        self.part.tick(*inputs, *self.fixed, state)
+        self.part.tick(*(ports[name] for name in self.part.inputs), state)
         return flat[self.says], flat[self.keeps]
 
 
-def _ticking(part: Part, says: str, keeps: str, *fixed: np.ndarray) -> _Ticking:
-    """A part, with names of fields that it says and keeps."""
-    offset = {name: at // 8 for name, (_, at, *_) in (part.initial.dtype.fields or {}).items()}
-
-    def places(names: str) -> np.ndarray:
-        return np.concatenate([offset[name] + np.arange(part.size(name)) for name in names.split()])
-
-    return _Ticking(part, places(says), places(keeps), fixed)
+def _ticking(section: str, options: Any, setup: Setup) -> _Ticking | None:
+    """The part of a section; None of an estimator whose reading is the measurement."""
+    table = _LINEAR[section]
+    if options.kind not in table:
+        *most, last = table
+        allowed = f"{', '.join(most)} or {last}, for a linear loop"
+        raise ConfigurationError(f"{section}.kind", options.kind, allowed)
+    for part in options.parts(setup):
+        layout = part.initial.dtype.fields
+        says, keeps = (
+            np.concatenate([layout[name][1] // 8 + np.arange(part.size(name)) for name in names.split()])
+            for names in table[options.kind]
+        )
+        if options.kind == "observer":
+            # Of the commands it has place for more than are under way.
+            keeps = keeps[: 18 + 6 * (1 + options.ahead(setup.delay))]
+        return _Ticking(part._replace(initial=part.initial.copy()), says, keeps)
+    return None
 
 
 def _controllers_side(
-    scenario: Scenario, controller: _Ticking, pose: np.ndarray, reading: np.ndarray
+    scenario: Scenario, setup: Setup, reading: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
     """Estimator and controller at a pose as one function of reading and memory; gives the memory after a tick.
 
     Memory is what estimator and controller keep, and the last command. Also the memory at first.
     """
-    still = dynamics.static_torque(scenario.believed_robot, pose, scenario.gravity)
-    estimator = _estimator(scenario, pose, reading, still)
+    estimator = _ticking("estimator", scenario.estimator, setup)
+    controller = _ticking("controller", scenario.controller, setup)
+    assert controller is not None
+    expected = scenario.estimator.expected * scenario.tuner.levels.start
+    ports = {
+        # Without friction the reference says nothing to an observer.
+        "reference": np.concatenate([setup.pose, np.zeros(12)]),
+        "disturbance": np.array([expected]),
+        "weights": np.array(setup.weights),
+    }
+    if estimator is not None:
+        # Its first tick is another than those that follow.
+        first = ports | {"reading": reading, "sent": setup.still}
+        estimator.part.tick(*(first[name] for name in estimator.part.inputs), estimator.part.initial)
     own = 0 if estimator is None else len(estimator.keeps)
-    reference = np.concatenate([pose, np.zeros(12)])
 
     def side(inputs: np.ndarray) -> np.ndarray:
         said, kept, integral, sent = np.split(inputs, np.cumsum([len(reading), own, len(controller.keeps)]))
         if estimator is not None:
-            said, kept = estimator(kept, said, sent)
-        command, integral = controller(integral, said[:12], reference)
+            said, kept = estimator.tick(kept, ports | {"reading": said, "sent": sent})
+        command, integral = controller.tick(integral, ports | {"measurement": said[:12]})
         # Behind what it says of the platform an observer has a compensation for the command.
         return np.concatenate([kept, integral, command + said[12:] if len(said) > 12 else command])
 
     parts = [controller] if estimator is None else [estimator, controller]
-    memory = [each.part.initial.view(float)[each.keeps] for each in parts]
-    return side, np.concatenate(memory)
-
-
-def _estimator(scenario: Scenario, pose: np.ndarray, reading: np.ndarray, still: np.ndarray) -> _Ticking | None:
-    """The estimator at a pose, of reading and last command; None where the reading is the measurement."""
-    robot, sensors, period = scenario.believed_robot, scenario.sensors, scenario.controller.period
-    options, delay = scenario.estimator, scenario.command_delay
-    if isinstance(options, ObserverOptions):
-        noise = sensors.reading_noise
-        part = observer_part(
-            robot, options, scenario.gravity, period, noise, pose, np.zeros(6), still,
-            command_delay=delay, size=len(reading),
-        )  # fmt: skip
-        # Without friction the reference says nothing to it.
-        fixed = np.concatenate([pose, np.zeros(12)]), np.array([options.expected * scenario.tuner.levels.start])
-        found = _ticking(part, "ahead compensation", "measurement disturbance commands", *fixed)
-        # Of the commands it has place for more than are under way.
-        found = found._replace(keeps=found.keeps[: 18 + 6 * (1 + options.ahead(delay))])
-    elif options.kind == "difference" and len(reading) == 12:
-        return None
-    elif options.kind == "difference":
-        plain = difference_part(robot, sensors, period, pose, np.zeros(6))  # type: ignore[arg-type]
-        part = plain._replace(tick=lambda reading, sent, state: plain.tick(reading, state))  # noqa: ARG005
-        found = _ticking(part, "measurement", "angles crank_rate")
-    else:
-        raise ConfigurationError("estimator.kind", options.kind, "difference or observer, for a linear loop")
-    # Its first tick is another than those that follow.
-    found.part.tick(reading, still, *found.fixed, found.part.initial)
-    return found
-
-
-def _controller(scenario: Scenario) -> _Ticking:
-    """The controller, of measurement (12,) and reference (18,), with the split solution of the Riccati equation.
-
-    A user's own is refused: it may keep its state where nobody sees it.
-    """
-    options, robot, weights = scenario.controller, scenario.believed_robot, np.array(scenario.tuner.weights)
-    if isinstance(options, LqiOptions):
-        part = lqi_part(options, robot, scenario.gravity, len(weights), "split")
-        return _ticking(part, "torque", "integral", weights)
-    if isinstance(options, PidOptions):
-        return _ticking(pid_part(options, robot, scenario.gravity), "torque", "crank_integral")
-    if isinstance(options, ComputedTorqueOptions):
-        return _ticking(computed_torque_part(options, robot, scenario.gravity), "torque", "integral")
-    raise ConfigurationError("controller.kind", options.kind, "lqi, pid or computed_torque, for a linear loop")
+    return side, np.concatenate([each.part.initial.view(float)[each.keeps] for each in parts])
 
 
 # --- the loop --------------------------------------------------------------------------------------------------------
@@ -314,8 +297,7 @@ def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -
     columns = []
     for k in range(len(at)):
         ahead, behind = at.copy(), at.copy()
-        # Of an observer, which solves small systems, rounding is more than of the plant.
-        ahead[k], behind[k] = ahead[k] + 3.0 * _STEP, behind[k] - 3.0 * _STEP
+        ahead[k], behind[k] = ahead[k] + _STEP, behind[k] - _STEP
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import schur
+from scipy.linalg import matrix_balance, schur
 
 from stewart_drake.stability.linear_loop import LinearLoops
 from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
@@ -105,12 +105,14 @@ def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
 
 def _sensitivity(closed: np.ndarray, b: np.ndarray, c: np.ndarray, points: np.ndarray) -> np.ndarray:
     """S (f, 6, 6) = I + C (z I - A - B C)^-1 B at points (f,) of the unit circle, by back substitution."""
-    triangle, turn = schur(closed, output="complex")
+    # States of other units and sizes cost digits, unless they are scaled alike before.
+    scaled, (sizes, _) = matrix_balance(closed, permute=False, separate=True)
+    triangle, turn = schur(scaled, output="complex")
     n = len(closed)
-    into, x = turn.conj().T @ b, np.empty((n, len(points), 6), dtype=complex)
+    into, x = turn.conj().T @ (b / sizes[:, None]), np.empty((n, len(points), 6), dtype=complex)
     for i in reversed(range(n)):
         x[i] = (into[i] + np.tensordot(triangle[i, i + 1 :], x[i + 1 :], 1)) / (points - triangle[i, i])[:, None]
-    return np.eye(6) + np.moveaxis(np.tensordot(c @ turn, x, 1), 0, 1)
+    return np.eye(6) + np.moveaxis(np.tensordot(c * sizes @ turn, x, 1), 0, 1)
 
 
 def _classical(own: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
