@@ -6,13 +6,11 @@ The text needs this package alone, `MujocoRobot` the extra `mujoco`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import write_atomically
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.plant.plant_options import PlantOptions
@@ -70,15 +68,6 @@ def mjcf_text(
         viscous=viscous,
         universal_damping=options.universal_damping,
     )
-
-
-def write_mjcf(robot: RobotParameters, path: str | Path, options: PlantOptions | None = None) -> None:
-    """Writes `mjcf_text` to a file, whole or not at all.
-
-    Raises:
-        ConfigurationError: The folder is missing or not writable.
-    """
-    write_atomically(Path(path), mjcf_text(robot, options=options).encode())
 
 
 class MujocoRobot:

@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.math import RollPitchYaw
-from scipy.integrate import solve_ivp
 from strategies import ROBOT, UNEQUAL, poses, robots_and_poses, vectors
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
@@ -23,8 +21,6 @@ from stewart_drake.mechanics.kinematics import (
     pose_jacobian,
     pose_rate_to_twist,
     rotation_matrix,
-    twist_jacobian,
-    twist_to_pose_rate,
 )
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())
@@ -103,22 +99,6 @@ def test_inertia_and_bias_of_an_independent_implementation(case):
     np.testing.assert_allclose(bias, case["task_bias_with_gravity"], rtol=1e-9, atol=1e-11)
 
 
-def test_free_motion_of_an_independent_computation():
-    case = DATA["free_motion"]
-    torque = np.array(case["torque"])
-
-    def derivative(_, state):
-        pose, twist = state[:6], state[6:]
-        load = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
-        return np.concatenate([twist_to_pose_rate(pose, twist), np.linalg.solve(task_inertia(ROBOT, pose), load)])
-
-    start = np.concatenate([case["pose"], np.zeros(6)])
-    end = solve_ivp(derivative, (0.0, case["time"]), start, rtol=1e-10, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(end[3:6], case["position"], atol=2e-8)
-    quaternion = RollPitchYaw(end[:3]).ToQuaternion().wxyz()
-    np.testing.assert_allclose(quaternion, case["quaternion_wxyz"], atol=2e-8)
-
-
 @given(at=robots_and_poses(), rate=vectors(6, 2.0))
 def test_inertia_gives_the_kinetic_energy_of_all_bodies(at, rate):
     robot, pose = at
@@ -155,14 +135,6 @@ def test_forward_dynamics_undoes_inverse_dynamics(at, rate, acceleration):
     torque = inverse_dynamics(robot, pose, rate, acceleration, 5.0)
     found = forward_dynamics(robot, pose, rate, torque, 5.0)
     np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
-
-
-@given(at=robots_and_poses())
-def test_holding_torques_are_the_gradient_of_the_potential_energy(at):
-    robot, pose = at
-    gradient = [differentiate(lambda s, e=e: potential_energy(robot, pose + s * e), 0.0) for e in np.eye(6)]
-    held = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
-    np.testing.assert_allclose(held, gradient, rtol=1e-7, atol=1e-7)
 
 
 def test_a_pose_out_of_reach_raises_and_a_torque_of_another_size_is_refused():

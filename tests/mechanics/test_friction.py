@@ -93,11 +93,6 @@ def test_steady_sliding_meets_the_stribeck_curve(rate):
     assert friction.level(record(LAW), 3, rate) == pytest.approx(curve, rel=1e-12)
 
 
-def test_within_the_elastic_set_the_anchor_keeps_its_last_bit():
-    moves = [(np.ones(6), 0.999 * step) for step in (0.25, 0.25, 0.25, 0.25, -1.0)]
-    np.testing.assert_array_equal(driven(LAW, STEP, moves)[2], np.zeros(6))
-
-
 @settings(max_examples=40)
 @given(laws, vectors(6), vectors(6), vectors(6), st.sampled_from([1e-4, 1e-2, 1.0]))
 def test_the_implicit_torque_is_that_of_the_motion_it_makes(law_and_step, tension, slips, rates, size):
@@ -107,24 +102,3 @@ def test_the_implicit_torque_is_that_of_the_motion_it_makes(law_and_step, tensio
     end = size * rates + step * MOBILITY @ result
     expected = explicit(law, anchor, slip, angles + step * end, end)
     np.testing.assert_allclose(result, expected, atol=1e-9 * of(law).break_away.max())
-
-
-def load(ratio, steps):
-    """Angles (steps, 6) of cranks under a torque of `ratio` times break-away on each motor, by the exact inertia."""
-    angles, rates, torque = np.zeros(6), np.zeros(6), ratio * BREAK_AWAY * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-    anchor, slip, seen = np.zeros(6), np.zeros(6), []
-    for _ in range(steps):
-        free = rates + STEP * MOBILITY @ torque
-        rates = free + STEP * MOBILITY @ implicit(LAW, anchor, slip, angles, free)
-        angles = angles + STEP * rates
-        drag(LAW, anchor, slip, angles, STEP)
-        seen.append(angles)
-    return np.array(seen)
-
-
-@pytest.mark.parametrize("ratio", [0.5, 0.98])
-def test_a_load_below_break_away_is_held_at_1_ms(ratio):
-    angles = load(ratio, 200)
-    assert np.abs(angles).max() < 1.1 * SET
-    assert np.abs(angles[-1] - angles[99]).max() / 0.1 < 1e-12
-    assert np.abs(load(1.02, 200)[-1]).max() > 1e-3

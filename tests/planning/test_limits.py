@@ -1,5 +1,4 @@
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -56,32 +55,6 @@ def brute_distance(a, b, c, d):
 def test_segment_distance_is_the_minimum_over_both_segments_parallel_touching_or_of_no_length(points):
     a, b, c, d = points.reshape(4, 3).astype(float)
     assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
-
-
-X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is called O
-
-
-@pytest.mark.parametrize(
-    ("segments", "distance"),
-    [
-        pytest.param((O, X, Y, X + Y), 1.0, id="parallel beside"),
-        pytest.param((O, X, 3 * X + Y, 2 * X + Y), math.sqrt(2.0), id="antiparallel one after the other"),
-        pytest.param((O, 4 * X, X + Y, 2 * X + Y), 1.0, id="parallel one within the other"),
-        pytest.param((O, X, 2 * X, 3 * X), 1.0, id="on one line apart"),
-        pytest.param((O, 2 * X, X, 3 * X), 0.0, id="on one line overlapping"),
-        pytest.param((-X, X, Z - Y, Z + Y), 1.0, id="crossing at a height"),
-        pytest.param((O, X, 2 * X - Y, 2 * X + Y), 1.0, id="end against middle"),
-        pytest.param((O, X, 2 * X + Y, 3 * X + 5 * Y), math.sqrt(2.0), id="end against end"),
-        pytest.param((O, O, Y, Y), 1.0, id="two points"),
-        pytest.param((Y, Y, -X, X), 1.0, id="point and segment"),
-    ],
-)
-@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.7, 1.1)])
-def test_segment_distance_in_every_special_position(segments, distance, turn):
-    rotation = RollPitchYaw(turn).ToRotationMatrix().matrix()
-    a, b, c, d = (rotation @ point + [0.1, 0.2, 0.3] for point in segments)
-    assert segment_distance(a, b, c, d) == pytest.approx(distance, abs=1e-15)
-    assert segment_distance(c, d, b, a) == pytest.approx(distance, abs=1e-15)
 
 
 def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
@@ -157,21 +130,6 @@ def test_clearance_is_the_distance_of_the_two_named_links_of_two_legs_between_th
         assert leg == int(one.split()[1]) != int(other.split()[1])
         gap = segment_distance(*ends[one], *ends[other]) - 2 * radius
         assert margin == pytest.approx(gap - 0.005, abs=1e-14)
-
-
-def test_out_of_reach_only_reach_and_pitch_are_known_and_the_others_are_not_guessed():
-    pose = np.tile(ROBOT.home_pose, (3, 1))
-    pose[1, 5] = 0.6
-    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)
-    for limit, values in margins.items():
-        assert np.isnan(values[1]).all() == (limit not in {"reach", "euler_pitch"})
-        assert np.isfinite(values[[0, 2]]).all()
-    assert margins["reach"][1].min() < 0.0
-    alone = limit_margins(ROBOT, ALL, *(values[1:2] for values in (pose, 0.0 * pose, 0.0 * pose)), GRAVITY)
-    assert np.isnan(alone["torque"]).all()
-    on_axis = np.zeros((1, 6))
-    on_axis[0, 3:] = ROBOT.shaft_positions[0] - ROBOT.platform_joints[0] - [0.0, 0.3, 0.0]
-    assert limit_margins(ROBOT, ALL, on_axis, *np.zeros((2, 1, 6)), GRAVITY)["reach"].min() == -np.inf
 
 
 def test_a_parallel_singularity_jumped_over_between_two_samples_counts():

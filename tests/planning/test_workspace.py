@@ -1,5 +1,3 @@
-import itertools
-
 import numpy as np
 import pytest
 from strategies import ROBOT, ROBOTS
@@ -133,20 +131,6 @@ def test_bad_centers_are_refused(center):
         check_center(ROBOT, center)
     with pytest.raises(ConfigurationError, match="samples"):
         spanning_grid(ROBOT, "position", HOME, 7)
-
-
-def test_sizes_boxes_and_shares_of_a_survey(home_survey):
-    found = home_survey["position"]
-    assert found.size(np.ones(len(found.grid.poses), dtype=bool)) == pytest.approx(
-        np.prod(found.grid.high - found.grid.low)
-    )
-    assert found.bounding_box(found.feasible & False) is None
-    box = found.bounding_box(found.connected)
-    point = found.grid.poses[found.connected][:, 3:]
-    np.testing.assert_allclose(box[0], point.min(axis=0) - found.grid.width / 2.0)
-    np.testing.assert_allclose(box[1], point.max(axis=0) + found.grid.width / 2.0)
-    for smaller, larger in itertools.pairwise((found.connected, found.regular, found.spanning)):
-        assert not (smaller & ~larger).any()
 
 
 def test_no_survey_reaches_across_a_singularity(home_survey):

@@ -10,7 +10,6 @@ from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.friction_options import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
-HOME = ROBOT.home_pose
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 SMALL = load_robot("reachy_mini")
 
@@ -47,37 +46,6 @@ def test_below_break_away_a_motor_yields_5e_6_rad_at_most_and_then_rests(robot, 
         run.to(0.1 + 0.01 * step)
         assert np.abs(run.rates).max() < 1e-8
     assert np.abs(run.angles - rested).max() / 0.1 < 1e-8
-
-
-def test_between_the_levels_what_rests_stays_and_what_slides_goes_on():
-    options = {"gravity": 0.0, "friction": FrictionOptions(coulomb=0.05, break_away=0.1, stribeck_velocity=0.02)}
-    torque = np.full(6, 0.07)
-    rests = Run(**options).hold(torque).to(0.3)
-    assert np.abs(rests.pose - HOME).max() < 1e-5
-    slides = Run(**options).hold(np.full(6, 0.15)).to(0.05).hold(torque).to(0.1)
-    speed = slides.rates.copy()
-    assert (slides.to(0.15).rates > speed + 0.01).all()
-    # Stopped, it takes break-away again.
-    stopped = slides.hold(np.full(6, -0.3)).to(0.2).hold(np.zeros(6)).to(0.6)
-    at = stopped.pose
-    assert np.abs(stopped.hold(torque).to(0.8).pose - at).max() < 1e-5
-
-
-def test_friction_takes_its_energy_from_a_moving_robot_along_the_stribeck_curve():
-    said = FrictionOptions(coulomb=0.02, break_away=0.05, stribeck_velocity=4.0, viscous=0.003)
-    run = Run(rate=[0.5, -0.3, 1.0, 0.1, 0.1, 0.05], gravity=0.0, time_step=1e-4, friction=said)
-
-    def power():
-        speed = np.abs(run.rates)
-        return np.sum((0.02 + 0.03 * np.exp(-((speed / 4.0) ** 2)) + 0.003 * speed) * speed)
-
-    before, powers = run.kinetic_energy, [power()]
-    for step in range(1, 151):
-        run.to(step * 1e-4)
-        powers.append(power())
-    lost, dissipated = before - run.kinetic_energy, 1e-4 * (np.sum(powers) - 0.5 * (powers[0] + powers[-1]))
-    assert lost > 1e-3
-    assert lost == pytest.approx(dissipated, rel=0.01)
 
 
 @pytest.mark.slow

@@ -38,14 +38,3 @@ def test_of_a_product_of_two_vectors_it_is_known(seed):
     low, high = bounds((a[:, None] * b)[None])
     assert low == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
     assert high == pytest.approx(np.abs(a * b).sum(), rel=1e-3)
-
-
-def test_no_diagonal_perturbation_below_the_margin_is_singular():
-    matrices = random_matrices(4, 20)
-    _, high = bounds(matrices)
-    rng = np.random.default_rng(5)
-    for _ in range(200):
-        size = rng.uniform(size=(20, 6)) / high[:, None]
-        delta = size * np.exp(2j * np.pi * rng.uniform(size=(20, 6)))
-        eigenvalues = np.linalg.eigvals(matrices * delta[:, None, :])
-        assert (np.abs(eigenvalues).max(axis=-1) <= 1.0).all()
