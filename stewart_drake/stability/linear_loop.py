@@ -96,8 +96,10 @@ def linear_loops(scenario: Scenario, poses: np.ndarray) -> LinearLoops:
     if not results:
         raise ConfigurationError("scenario", scenario.name, f"a loop that stands still at some pose: {left_out[0]}")
     a, b, c = (np.stack(each) for each in zip(*results, strict=True))
-    heard = _heard(a, c)
-    return LinearLoops(a[:, heard][:, :, heard], b[:, heard], c[:, :, heard], period, poses[kept], tuple(left_out))
+    observable = _observable(a, c)
+    return LinearLoops(
+        a[:, observable][:, :, observable], b[:, observable], c[:, :, observable], period, poses[kept], tuple(left_out)
+    )
 
 
 # --- the robot -------------------------------------------------------------------------------------------------------
@@ -281,12 +283,14 @@ def _loop(
             c, acts = a[command].copy(), value[-6:]
         after[:12] += robot.b @ (acts - robot.torque)
         change = after - x
-        # An integral that nobody hears, its gain zero, need not stand still.
-        heard = _heard(a[None], c[None])
-        if np.abs(change[heard]).max() < _STILL:
+        # An integral whose gain is zero need not stand still.
+        observable = _observable(a[None], c[None])
+        if np.abs(change[observable]).max() < _STILL:
             return a, b, c
         with contextlib.suppress(np.linalg.LinAlgError):
-            x[heard] += np.linalg.solve((np.eye(n) - a - b @ c)[np.ix_(heard, heard)], change[heard])
+            x[observable] += np.linalg.solve(
+                (np.eye(n) - a - b @ c)[np.ix_(observable, observable)], change[observable]
+            )
         if not np.isfinite(x).all():
             break
     return None
@@ -302,11 +306,11 @@ def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -
     return function(at), np.stack(columns, axis=-1)
 
 
-def _heard(a: np.ndarray, c: np.ndarray) -> np.ndarray:
+def _observable(a: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Which states (n,) have a way to the output at some pose: an integral with a gain of zero has none."""
-    heard, leads = (c != 0.0).any(axis=(0, 1)), (a != 0.0).any(axis=0)
+    observable, leads = (c != 0.0).any(axis=(0, 1)), (a != 0.0).any(axis=0)
     while True:
-        more = heard | leads[heard].any(axis=0)
-        if (more == heard).all():
-            return np.asarray(heard)
-        heard = more
+        more = observable | leads[observable].any(axis=0)
+        if (more == observable).all():
+            return np.asarray(observable)
+        observable = more

@@ -1,4 +1,4 @@
-"""A policy in a situation on the fast engine: what the run costs, and which features the policy hears.
+"""A policy in a situation on the fast engine: what the run costs, and which features the policy gets.
 
 Weights reach a run in memory. Nothing else of training builds a policy or runs one.
 """
@@ -34,7 +34,7 @@ _SKIPPED, _SAMPLED = 30, 10
 
 
 class Episode(NamedTuple):
-    """A run of a policy, but for its weights: a case, and the taste kappa."""
+    """A run of a policy, but for its weights: a case, and the smoothness kappa."""
 
     case: Case
     kappa: float = 0.0
@@ -70,15 +70,15 @@ class Frame(NamedTuple):
 
 
 def episode_cost(policy: Policy, episode: Episode) -> float:
-    """Logarithm of what a run of a policy costs, at the taste of the episode."""
+    """Logarithm of what a run of a policy costs, at the kappa of the episode."""
     return _run(policy, episode)
 
 
 def episode_features(policy: Policy, episode: Episode) -> np.ndarray:
-    """Features (n, 13) that a policy hears in a run, some of them."""
-    listener = _Listener(policy)
-    _run(listener, episode)
-    return np.array(listener.heard[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
+    """Features (n, 13) that a policy gets in a run, some of them."""
+    recorder = _Recorder(policy)
+    _run(recorder, episode)
+    return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
 
 
 def _run(chooser: Chooser, episode: Episode) -> float:
@@ -107,24 +107,24 @@ class _GivenTuner(PolicyTuner):
         return given
 
 
-class _Listener:
-    """A policy that writes down what it hears; see `Chooser`."""
+class _Recorder:
+    """A policy that writes down its features; see `Chooser`."""
 
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
         self.numbers, self.law = policy.numbers, self._tick
-        self.heard: list[np.ndarray] = []
+        self.rows: list[np.ndarray] = []
 
     def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
         density, error, torque, innovation, reference, state = inputs
         found = np.empty(len(FEATURES))
-        _hear(setups, density, error, torque, innovation, reference, state.copy(), found)
-        self.heard.append(found)
+        _features(setups, density, error, torque, innovation, reference, state.copy(), found)
+        self.rows.append(found)
         policy_tick(setups, own, *inputs)
 
 
 @njit
-def _hear(
+def _features(
     setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
 ) -> None:
     """`features` of arrays."""

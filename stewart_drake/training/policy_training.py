@@ -50,7 +50,7 @@ class PolicyOptions:
     """How to train a policy; numbers of situations are of each kind and robot."""
 
     seed: int = 0
-    """Of the first weights, the tastes and the directions."""
+    """Of the first weights, the smoothness and the directions."""
     generations: int = 150
     """Steps of evolution."""
     situations: int = 8
@@ -116,9 +116,9 @@ class Training:
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
         self.cases = cases_of(cells, TRAINING[: options.pool])
         rng = np.random.default_rng(options.seed)
-        # Half of the pool has a taste of its own.
-        tastes = np.where(rng.random(len(self.cases)) < 0.5, rng.uniform(-1.0, 1.0, len(self.cases)), 0.0)
-        self.episodes = [Episode(case, float(kappa)) for case, kappa in zip(self.cases, tastes, strict=True)]
+        # Half of the pool has a smoothness (kappa) of its own.
+        kappas = np.where(rng.random(len(self.cases)) < 0.5, rng.uniform(-1.0, 1.0, len(self.cases)), 0.0)
+        self.episodes = [Episode(case, float(kappa)) for case, kappa in zip(self.cases, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
         self.identity = checksum({"options": dataclasses.asdict(options), "centre": self.centre.tolist()})
 
@@ -128,12 +128,12 @@ class Training:
         weights = np.zeros(WEIGHTS)
         stays = Frame(self.centre).policy(weights)
         fixed, validated = self.costs([stays] * len(self.episodes), self.episodes), self.validate(stays)
-        heard = []
+        runs = []
         for places in cells_of(self.cases).values():
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
-                heard += [(stays, self.episodes[place]), (Frame(self.centre).policy(weights), self.episodes[place])]
-        features = np.concatenate(self._map(episode_features, heard))
+                runs += [(stays, self.episodes[place]), (Frame(self.centre).policy(weights), self.episodes[place])]
+        features = np.concatenate(self._map(episode_features, runs))
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(features.std(axis=0), 1e-3)
@@ -164,12 +164,12 @@ class Training:
         return at
 
     def finish(self, state: State) -> Policy:
-        """The best policy, with the range of what it hears on the pool, and its card."""
+        """The best policy, with the range of its features on the pool, and its card."""
         frame = Frame(self.centre, state.mean, state.scale)
         policy = frame.policy(state.best)
         features = np.concatenate(self._map(episode_features, [(policy, episode) for episode in self.episodes]))
         low, high = np.quantile(features, [0.0005, 0.9995], axis=0)
-        # All tastes were drawn, if not to the last one.
+        # All of kappa was drawn, if not to its very ends.
         low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
         policy = frame._replace(low=low, high=high).policy(state.best)
         return Policy(policy.layers, self._card(state, self.validate(policy) - state.validated))
@@ -216,7 +216,7 @@ class Training:
             "method": "evolution on the fast engine",
             "data": f"situations of training/situations.py, seeds from {TRAINING[0]} on; chosen by those from "
             f"{VALIDATION[0]} on",
-            "cost": "J of control/objective.py at kappa 0; other tastes in half of the situations",
+            "cost": "J of control/objective.py at kappa 0; other kappa in half of the situations",
             "options": {**dataclasses.asdict(self.options), "robots": list(self.options.robots)},
             "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value in state.history],
             "J_over_best_fixed": round(math.exp(mean_over_cells(ratio, self.validation)), 3),
