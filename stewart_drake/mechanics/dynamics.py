@@ -22,7 +22,8 @@ STANDARD_GRAVITY = 9.81
 
 def static_torque(robot: Robot, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques (..., 6) [N m] that hold platform, rods and cranks at rest at poses (..., 6) [rad, m]."""
-    return at_poses(_static_torques, robot, {"pose": pose}, (6,), gravity)
+    still = np.zeros(6)
+    return inverse_dynamics(robot, pose, still, still, gravity)
 
 
 def inverse_dynamics(
@@ -92,18 +93,6 @@ def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
 def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
     """E^-1 M^-1 J' (..., 6, 6): second derivative of the pose per unit of motor torque; M^-1 tau of (10), exact."""
     return at_poses(_pose_acceleration_maps, robot, {"pose": pose}, (6, 6))
-
-
-@njit
-def _static_torques(robots: Any, gravity: float, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        if not laws.static_torque(robot, legs, gravity, made[n]):
-            return PARALLEL
-    return OK
 
 
 @njit
