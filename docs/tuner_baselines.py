@@ -14,9 +14,10 @@ import numpy as np
 from stewart_drake.campaigns.search import minimise
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.runs.terminal import ProgressBar
-from stewart_drake.training.baselines import SHIPPED, Baselines
 from stewart_drake.training.benchmark import (
     DIGITS,
+    SHIPPED,
+    Baselines,
     Benchmark,
     always,
     cases_of,

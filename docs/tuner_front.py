@@ -16,8 +16,8 @@ from stewart_drake.control.objective import CostScales
 from stewart_drake.plotting import draw
 from stewart_drake.plotting.tuner_plots import plot_front
 from stewart_drake.runs.terminal import ProgressBar
-from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import (
+    Baselines,
     Benchmark,
     always,
     cases_of,
@@ -29,7 +29,7 @@ from stewart_drake.training.benchmark import (
 from stewart_drake.training.situations import HELD_OUT
 
 DOCS = Path(__file__).parent
-TASTES = (-1.0, -0.5, 0.0, 0.5, 1.0)
+KAPPAS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 SETTINGS = 64
 """Fixed ones, of a Sobol sequence in the box of the searches; beside them those that the searches found."""
 LOW, HIGH = np.array([-0.3, -0.6, -1.2, -1.9]), np.array([0.4, 0.4, 0.7, 0.6])
@@ -41,10 +41,10 @@ TEXT = """# From stiff to quiet: one policy, one number
 
 `make tuner_front`: the paper's robot in {kinds} kinds of situations, {seeds} of each, of seeds that nothing was trained
 on, on the reduced engine. `tuner.kappa` says how much a change of torque counts against an error: in J the scale of
-torques is 0.03 N m times 10^-kappa. The policy hears it and serves all tastes. Against it {settings} settings that
-stay: {drawn} drawn evenly from the box of the searches, and those that the searches found. Geometric means over the
-kinds; *best fixed* is the setting among all of these that costs least at that taste in these very runs, which flatters
-it.
+torques is 0.03 N m times 10^-kappa. The policy gets it as an input and serves all values. Against it {settings}
+settings that stay: {drawn} drawn evenly from the box of the searches, and those that the searches found. Geometric
+means over the kinds; *best fixed* is the setting among all of these that costs least at that kappa in these very runs,
+which flatters it.
 
 {table}
 
@@ -53,19 +53,19 @@ it.
 
 
 def front(folder, policy, settings, seeds=SEEDS):
-    """Means over the kinds of log error [mm] and log change of torque [N m], (candidates, 2), and of log J by taste.
+    """Means over the kinds of log error [mm] and log change of torque [N m], (candidates, 2), and of log J by kappa.
 
-    The candidates are the settings, then the policy at each taste.
+    The candidates are the settings, then the policy at each kappa.
     """
     # One robot: errors of several could not be told in millimetres together.
     cases = cases_of(cells_for("paper"), HELD_OUT[:seeds])
-    entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": taste}}) for taste in TASTES)]
+    entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
         ProgressBar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)
-    scales = [CostScales().at(taste) for taste in TASTES]
+    scales = [CostScales().at(kappa) for kappa in KAPPAS]
     values = [[_log_error(row), _log_change(row), *(log_cost(row, each) for each in scales)] for row in rows]
     means = mean_over_cells(np.moveaxis(np.reshape(values, (len(entered), len(cases), -1)), -1, 1), cases)
     return means[:, :2], means[:, 2:]
@@ -88,10 +88,10 @@ def main(folder: Path, weights: str | None = None) -> None:
     logs, costs = front(folder, policy, settings)
     shown, count = np.exp(logs), len(settings)
     best = np.argmin(costs[:count], axis=0)
-    ratios = np.exp(np.diag(costs[count:]) - costs[best, range(len(TASTES))])
+    ratios = np.exp(np.diag(costs[count:]) - costs[best, range(len(KAPPAS))])
     rows = [
-        [f"{taste:g}", *(f"{value:.4f}" for value in (*shown[count + k], *shown[best[k]])), f"{ratios[k]:.2f}"]
-        for k, taste in enumerate(TASTES)
+        [f"{kappa:g}", *(f"{value:.4f}" for value in (*shown[count + k], *shown[best[k]])), f"{ratios[k]:.2f}"]
+        for k, kappa in enumerate(KAPPAS)
     ]
     header = ("kappa", "error [mm]", "torque [N m]", "best fixed: error", "torque", "J over its")
     text = TEXT.format(
@@ -103,7 +103,7 @@ def main(folder: Path, weights: str | None = None) -> None:
     )
     (DOCS / "results" / "tuner_front.md").write_text(text)
     warning = draw(
-        lambda: plot_front(shown[:count], shown[count:], TASTES, shown[best]), DOCS / "images/tuner_front.png"
+        lambda: plot_front(shown[:count], shown[count:], KAPPAS, shown[best]), DOCS / "images/tuner_front.png"
     )
     if warning is not None:
         sys.exit(warning)

@@ -11,16 +11,7 @@ import numpy as np
 from stewart_drake.control.policy import NAMES, STEP, disturbance_of, load_policy, weights_of
 from stewart_drake.plotting import panels as look
 from stewart_drake.scenario import load_scenario
-from stewart_drake.stability.linear_loop import (
-    STILL,
-    LinearLoops,
-    LoopAt,
-    controller_of,
-    estimator_at,
-    grounds,
-    poses_to_stand_at,
-    trimmed,
-)
+from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 
 HERE = Path(__file__).parent
@@ -69,59 +60,25 @@ def named(setting):
 
 
 def setting_loops(scenario, poses, settings):
-    """The loops of all settings (s, 4) at one pose (m, 6) after the other.
-
-    A setting acts on the controller by its weights and on the observer by its disturbance. So the parts are linearised
-    once for each weight and each disturbance, and only joined for each pair.
-    """
-    base = np.array(scenario.tuner.weights)
-    weights = [tuple(weights_of(base, each).tolist()) for each in settings]
-    levels = [float(disturbance_of(scenario.estimator.disturbance, each)) for each in settings]
-    names = ("q_pose", "q_rate", "q_integral", "r")
-    controllers = {
-        each: controller_of(scenario.replace({"tuner": {"kind": "block", **dict(zip(names, each, strict=True))}}))
-        for each in set(weights)
-    }
-    observed = {each: scenario.replace({"estimator.disturbance": each}) for each in set(levels)}
-    for ground in grounds(scenario, poses):
-        estimators = {each: estimator_at(observed[each], ground) for each in observed}
-
-        def site(weight, level, ground=ground, estimators=estimators):
-            return LoopAt(ground, estimators[level], controllers[weight], scenario.command_delay)
-
-        x = site(weights[0], levels[0]).still()
-        estimated = {each: site(weights[0], each).estimated(x) for each in observed}
-        answers = {each: site(each, levels[0]).controlled(x, estimated[levels[0]]) for each in controllers}
-        loops = []
-        for weight, level in zip(weights, levels, strict=True):
-            matrices, change = site(weight, level).joined(x, estimated[level], answers[weight])
-            # Where the model is not the robot, each setting has a standstill of its own.
-            loops.append(matrices if np.abs(change).max() < STILL else site(weight, level).loop())
-        a, b, c = (np.stack(each) for each in zip(*loops, strict=True))
-        at = np.broadcast_to(ground.pose, (len(a), 6))
-        yield trimmed(LinearLoops(a, b, c, scenario.controller.period, at, ()))
-
-
-def stacked(parts):
-    """Loops of several poses as one."""
-    a, b, c, period, poses, left_out = zip(*parts, strict=True)
-    arrays = (np.concatenate(each) for each in (a, b, c))
-    return LinearLoops(*arrays, period[0], np.concatenate(poses), left_out[0])
+    """The loops at poses (m, 6) of one setting (4,) after the other, by its weights and the observer's disturbance."""
+    base, names = np.array(scenario.tuner.weights), ("q_pose", "q_rate", "q_integral", "r")
+    for setting in settings:
+        weights = weights_of(base, setting).tolist()
+        level = float(disturbance_of(scenario.estimator.disturbance, setting))
+        tuner = {"kind": "block", **dict(zip(names, weights, strict=True))}
+        yield linear_loops(scenario.replace({"tuner": tuner, "estimator.disturbance": level}), poses)
 
 
 def frozen(name, places=PLACES):
     """Radius (m, s) of all settings at all poses, and the least disk margin of some of them."""
     scenario = load_scenario(LOOPS[name][0], [*BASE, LOOPS[name][1]])
     poses = poses_to_stand_at(scenario, POSES, seed=0)
-    radius = np.array(
-        [np.abs(np.linalg.eigvals(each.closed)).max(axis=-1) for each in setting_loops(scenario, poses, BOX.at(places))]
-    )
+    loops = setting_loops(scenario, poses, BOX.at(places))
+    radius = np.stack([np.abs(np.linalg.eigvals(each.closed)).max(axis=-1) for each in loops], axis=-1)
     # All settings at a few poses, and those that are worst there at all poses.
-    few = np.array([margin_of(each) for each in setting_loops(scenario, poses[:FEW], BOX.at(places))])
+    few = np.stack([margin_of(each) for each in setting_loops(scenario, poses[:FEW], BOX.at(places))], axis=-1)
     order = np.argsort(few.min(axis=0))[:3]
-    every = setting_loops(scenario, poses, BOX.at(places[order]))
-    blocks = iter(lambda: list(itertools.islice(every, 50)), [])
-    worst = np.concatenate([margin_of(stacked(block)).reshape(-1, 3) for block in blocks])
+    worst = np.stack([margin_of(each) for each in setting_loops(scenario, poses, BOX.at(places[order]))], axis=-1)
     return scenario, radius, few, worst, order
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from stewart_drake.campaigns.tables import markdown
 from stewart_drake.runs.terminal import ProgressBar
-from stewart_drake.training.baselines import Baselines
-from stewart_drake.training.benchmark import Benchmark, always, cases_of, cells_for, cells_of, with_setting
+from stewart_drake.training.benchmark import Baselines, Benchmark, always, cases_of, cells_for, cells_of, with_setting
 from stewart_drake.training.situations import ROBOTS, VALIDATION
 
 SEEDS = VALIDATION[100:120]

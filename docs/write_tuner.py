@@ -7,7 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from stewart_drake.training.baselines import Baselines
+from stewart_drake.training.benchmark import Baselines
 from stewart_drake.training.situations import KINDS, ROBOTS
 
 DOCS = Path(__file__).parent
@@ -23,7 +23,7 @@ for one that failed: that was not completed. An error larger than its motion is 
 
 - *best fixed*: the setting of least mean log J over all kinds that are trained on, by CMA-ES with {evaluations}
   evaluations of {seeds} runs of each kind on the reduced engine (`make tuner_baselines`): {best}.
-- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` prints its card. It was judged here once
+- *policy*: the network of `tuner: policy`; `stewart-drake tuner show` prints its card. It was assessed here once
   before, with 0.62, and then its box was made smaller for the sake of [safety](tuner_safety.md).
 - *schedule*: two settings, switched by the innovation; ten numbers found by the same search, {schedule} evaluations.
 - *best of the nine pairs*: the paper's omega_Q and omega_R, of 0.1, 1 and 10 each, the best for each robot ({pairs}),

@@ -27,8 +27,7 @@ from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.older import warn_of_compiled, without_compiled
-from stewart_drake.planning.bounds import Bounds
-from stewart_drake.planning.limits import Limits
+from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS

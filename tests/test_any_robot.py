@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from multibody_model import task_dynamics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
@@ -28,7 +29,6 @@ from stewart_drake.campaigns.fault_table import FaultPlan, all_rows
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot
-from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.runs.replay import write_replay
 from stewart_drake.runs.simulation import check_scenario

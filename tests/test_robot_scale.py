@@ -8,8 +8,7 @@ from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
-from stewart_drake.planning.bounds import Bounds
-from stewart_drake.planning.limits import Limits
+from stewart_drake.planning.limits import Bounds, Limits
 from stewart_drake.references import HoldReference, SineReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot

@@ -11,8 +11,7 @@ from stewart_drake.campaigns.tables import markdown
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
-from stewart_drake.planning.workspace import Kind, spanning_grid, survey
-from stewart_drake.planning.workspace_boundary import boundary
+from stewart_drake.planning.workspace import Kind, boundary, spanning_grid, spread_directions, survey
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
@@ -76,12 +75,12 @@ def robots_page(rows: list[tuple[str, ...]]) -> str:
 
 def _poses(robot: RobotParameters) -> tuple[str, ...]:
     limits, home = Scenario(robot=robot).limits, robot.home_pose
-    sizes, worst, ways = {}, 0.0, {}
+    sizes, worst, ways, directions = {}, 0.0, {}, spread_directions(DIRECTIONS)
     kinds: tuple[Kind, Kind] = ("position", "orientation")
     for kind in kinds:
         found = survey(robot, limits, spanning_grid(robot, kind, home, SAMPLES))
         sizes[kind] = found.size(found.connected)
-        ways[kind] = float(boundary(robot, limits, kind, home, DIRECTIONS).radius.min())
+        ways[kind] = float(boundary(robot, limits, kind, home, directions).radius.min())
         if kind == "position" and found.connected.any():
             worst = float(found.measures.conditioning[found.connected].min())
     rest = float(np.abs(static_torque(robot, home)).max())

@@ -14,7 +14,7 @@ from stewart_drake.runs.terminal import print_columns
 
 @click.group()
 def tuner() -> None:
-    """Look at the tuners of settings, and judge them."""
+    """Look at the tuners of settings, and assess them."""
 
 
 @tuner.command("show")
@@ -50,7 +50,7 @@ class _Runs(NamedTuple):
 )
 @campaign_options
 def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: Any) -> None:
-    """Judge a trained policy against settings that stay and other tuners, in situations that none of them has seen.
+    """Assess a trained policy against settings that stay and other tuners, in situations that none of them has seen.
 
     FILE is a policy's weights file [default: the shipped one]. Writes verdict.md, .parquet, .csv and .png. What is done
     is kept in OUT, and an interrupted verdict goes on from it.
@@ -58,9 +58,8 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.baselines import Baselines
-    from stewart_drake.training.benchmark import cells_for
-    from stewart_drake.training.verdict import candidates, judge, write_picture
+    from stewart_drake.training.benchmark import Baselines, cells_for
+    from stewart_drake.training.verdict import assess, candidates, write_picture
 
     load_policy(file)
     baselines = Baselines.load()
@@ -68,7 +67,7 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     entered = candidates(baselines, {"policy": {"tuner": policy}, "schedule": {"tuner": baselines.schedule}})
     runs = _Runs("tuner verdict", len(entered) * len(cells_for()) * seeds)
     with under_way(runs, **options) as (folder, where, progress):
-        verdict = judge(entered, folder, seeds, engine, where, progress, restart)
+        verdict = assess(entered, folder, seeds, engine, where, progress, restart)
         line = write_picture(verdict, folder)
         if line is not None:
             click.echo(f"stewart-drake: {line}", err=True)

@@ -46,7 +46,7 @@ def over_rows(loop: Loop, shared: tuple[Any, ...], rows: tuple[np.ndarray, ...])
 def at_poses(
     loop: Loop, robot: Robot, inputs: Mapping[str, Any], tail: tuple[int, ...], *numbers: float, kind: Any = float
 ) -> Any:
-    """Values at poses with any leading axes.
+    """Values (..., *tail) at poses with any leading axes.
 
     Args:
         loop: Called with the robot's record, the numbers, rows of the inputs, and rows to fill.
@@ -55,9 +55,6 @@ def at_poses(
         tail: Shape of the value at one pose.
         numbers: Single numbers.
         kind: Type of the values.
-
-    Returns:
-        (..., *tail).
 
     Raises:
         UnreachablePoseError: A rod cannot span; that of the worst leg of all poses.

@@ -21,21 +21,9 @@ STANDARD_GRAVITY = 9.81
 
 
 def static_torque(robot: Robot, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
-    """Motor torques that hold platform, rods and cranks at rest against gravity.
-
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m].
-        gravity: [m/s^2] along -z of B.
-
-    Returns:
-        (..., 6) [N m].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-        numpy.linalg.LinAlgError: Exactly at a parallel singularity.
-    """
-    return at_poses(_static_torques, robot, {"pose": pose}, (6,), gravity)
+    """Motor torques (..., 6) [N m] that hold platform, rods and cranks at rest at poses (..., 6) [rad, m]."""
+    still = np.zeros(6)
+    return inverse_dynamics(robot, pose, still, still, gravity)
 
 
 def inverse_dynamics(
@@ -93,66 +81,18 @@ def forward_dynamics(
 
 
 def task_bias(robot: Robot, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
-    """h(pose, twist): Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates.
-
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m].
-        twist: (..., 6) [rad/s, m/s].
-        gravity: [m/s^2] along -z of B.
-
-    Returns:
-        (..., 6) [N m, N].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; a twist of another shape.
-    """
+    """h(pose, twist) (..., 6) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates."""
     return at_poses(_task_biases, robot, {"pose": pose, "twist": twist}, (6,), gravity)
 
 
 def task_inertia(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """M(pose): inertia of the closed chain as the platform feels it.
-
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m].
-
-    Returns:
-        (..., 6, 6) [kg m^2, kg m, kg], symmetric positive definite.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """M(pose) (..., 6, 6) [kg m^2, kg m, kg]: inertia of the closed chain as the platform feels it."""
     return at_poses(_task_inertias, robot, {"pose": pose}, (6, 6))
 
 
 def pose_acceleration_map(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """Second derivative of the pose per unit of motor torque, E^-1 M^-1 J'; the exact counterpart of M^-1 tau in (10).
-
-    Args:
-        robot: Geometry and masses.
-        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
-
-    Returns:
-        (..., 6, 6) [rad/s^2/(N m), m/s^2/(N m)].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-        numpy.linalg.LinAlgError: Exactly at a crank's dead centre.
-    """
+    """E^-1 M^-1 J' (..., 6, 6): second derivative of the pose per unit of motor torque; M^-1 tau of (10), exact."""
     return at_poses(_pose_acceleration_maps, robot, {"pose": pose}, (6, 6))
-
-
-@njit
-def _static_torques(robots: Any, gravity: float, poses: Any, made: Any) -> int:
-    robot, store = record(robots), np.empty(1, LEGS)
-    for n in range(len(poses)):
-        legs = record(store)
-        if legs_at(robot, poses[n], legs) >= 0:
-            return UNREACHABLE
-        if not laws.static_torque(robot, legs, gravity, made[n]):
-            return PARALLEL
-    return OK
 
 
 @njit

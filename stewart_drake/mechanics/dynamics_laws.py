@@ -202,18 +202,7 @@ def forward_dynamics(
 ) -> bool:
     """Acceleration of the pose (6,) [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
 
-    Args:
-        robot: `ROBOT` record.
-        legs: `LEGS` record at the pose.
-        pose: (6,) [rad, m]; pitch off +-pi/2.
-        rate: (6,) [rad/s, m/s] Euler rates and velocity.
-        torque: (6,) [N m].
-        crank_acceleration: (6,) [rad/s^2] of the cranks, on top of what the torques do; of an observer.
-        gravity: [m/s^2].
-        out: (6,).
-
-    Returns:
-        False at a singularity.
+    `crank_acceleration` (6,) [rad/s^2] comes on top of what the torques do; of an observer. False at a singularity.
     """
     twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     angular_velocity(pose[:3], rate[:3], twist[:3])

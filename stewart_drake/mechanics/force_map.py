@@ -15,27 +15,18 @@ ForceMapKind = Literal["printed", "statics"]
 
 
 def rod_map(legs: LegGeometry) -> np.ndarray:
-    """tau_1 of (14): wrench [M; F] of P in B from the six rod forces.
+    """tau_1 (..., 6, 6) of (14): wrench [M; F] of P in B from the six rod forces.
 
     Deviation: e_M = (R^-1 p_i) x e_l; the print leaves p_i unrotated.
-
-    Returns:
-        (..., 6, 6) [m, -].
     """
     return rod_lines(legs).swapaxes(-1, -2)
 
 
 def crank_map(robot: RobotParameters, legs: LegGeometry, kind: ForceMapKind) -> np.ndarray:
-    """Diagonal of tau_2 of (16): force in a rod per unit of motor torque.
+    """Diagonal (..., 6) [1/m] of tau_2 of (16): force in a rod per unit of motor torque.
 
     `printed` is (e_l . e_N) / |a|. Deviation: the statics of a massless crank and rod give 1 / (|a| (e_l . e_N)),
-    `statics`; the two agree only where the rod lies along e_N.
-
-    Returns:
-        (..., 6) [1/m]; `statics` is infinite at a crank's dead centre.
-
-    Raises:
-        ConfigurationError: Another `kind`.
+    `statics`, infinite at a crank's dead centre; the two agree only where the rod lies along e_N.
     """
     cranks = robot.crank_lengths
     if kind == "printed":
@@ -52,17 +43,5 @@ def force_map_of_legs(robot: RobotParameters, legs: LegGeometry, kind: ForceMapK
 
 
 def force_map(robot: RobotParameters, pose: ArrayLike, kind: ForceMapKind = "statics") -> np.ndarray:
-    """Map tau of (18): wrench [moment; force] on the platform, in B, per unit of motor torque.
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-        kind: `statics` or `printed`, see `crank_map`.
-
-    Returns:
-        (..., 6, 6) [-, 1/m].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`; another `kind`.
-    """
+    """Map tau (..., 6, 6) of (18): wrench [moment; force] on the platform, in B, per unit of motor torque."""
     return force_map_of_legs(robot, leg_geometry(robot, pose), kind)

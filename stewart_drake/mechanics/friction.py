@@ -40,17 +40,9 @@ SWEEPS = 30
 def friction_law(
     coulomb: Any, break_away: Any, stribeck_rate: Any, viscous: Any, axis_inertias: np.ndarray, step: float
 ) -> np.ndarray:
-    """A `FRICTION` record with the bristles that a step can carry, see `STIFFNESS_NUMBER`.
+    """A `FRICTION` record of levels and viscous friction, one or six each, with the bristles that a step can carry.
 
-    A crank at rest yields by g / k = g step^2 / (1000 I).
-
-    Args:
-        coulomb: [N m] one, or (6,).
-        break_away: [N m] likewise.
-        stribeck_rate: [rad/s] likewise.
-        viscous: [N m s/rad] likewise.
-        axis_inertias: (6,) [kg m^2] of cranks and rotors about the motor axes, `robot.crank_axis_inertias`.
-        step: [s].
+    See `STIFFNESS_NUMBER`. A crank at rest yields by g / k = g step^2 / (1000 I), I of `robot.crank_axis_inertias`.
     """
     stiffness = STIFFNESS_NUMBER * np.asarray(axis_inertias, dtype=float) / step**2
     return new_record(
@@ -79,15 +71,7 @@ def level(friction: Any, leg: int, slip: float) -> float:
 
 @njit
 def drag_anchors(friction: Any, angles: Any, step: float, anchor: Any, slip: Any) -> None:
-    """Brings the bristles to where they are once the cranks have come to their angles within a step.
-
-    Args:
-        friction: `FRICTION` record.
-        angles: (6,) [rad] at the step's end.
-        step: [s].
-        anchor: (6,) [rad], in place.
-        slip: (6,) [rad/s], in place.
-    """
+    """Brings anchors and slips (6,) to where they are once the cranks have come to their angles within a step."""
     for i in range(6):
         stretch = anchor[i] - angles[i]
         bound = level(friction, i, slip[i]) / friction.stiffness[i]

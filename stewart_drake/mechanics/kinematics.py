@@ -21,15 +21,9 @@ from stewart_drake.robot import RobotParameters
 
 
 def rotation_matrix(rpy: ArrayLike) -> np.ndarray:
-    """R_BP of roll, pitch, yaw; the inverse of (3).
+    """R_BP (..., 3, 3) of roll, pitch, yaw (..., 3) [rad]; the inverse of (3).
 
     Deviation: entry (3,1) of the print is a misprint; this is the matrix that it means.
-
-    Args:
-        rpy: (..., 3) [rad].
-
-    Returns:
-        (..., 3, 3) [-].
     """
     return _by_rows(_rotations, (3, 3), rpy)
 
@@ -41,42 +35,20 @@ def rotation_angle(rotation: np.ndarray) -> np.ndarray:
 
 
 def roll_pitch_yaw(matrix: ArrayLike) -> np.ndarray:
-    """Roll, pitch, yaw of a rotation matrix; pitch in [-pi/2, pi/2].
-
-    Args:
-        matrix: (..., 3, 3) [-].
-
-    Returns:
-        (..., 3) [rad].
-    """
+    """Roll, pitch, yaw (..., 3) [rad] of rotation matrices (..., 3, 3); pitch in [-pi/2, pi/2]."""
     m = np.asarray(matrix, dtype=float)
     roll, yaw = np.arctan2(m[..., 2, 1], m[..., 2, 2]), np.arctan2(m[..., 1, 0], m[..., 0, 0])
     return np.stack([roll, np.arcsin(np.clip(-m[..., 2, 0], -1.0, 1.0)), yaw], axis=-1)
 
 
 def euler_rate_matrix(rpy: ArrayLike) -> np.ndarray:
-    """E with w_B = E(rpy) d(rpy)/dt.
-
-    Args:
-        rpy: (..., 3) [rad].
-
-    Returns:
-        (..., 3, 3) [-]; singular at pitch = +-pi/2.
-    """
+    """E (..., 3, 3) with w_B = E(rpy) d(rpy)/dt, of rpy (..., 3) [rad]; singular at pitch = +-pi/2."""
     rpy = np.asarray(rpy, dtype=float)
     return _by_rows(_angular_velocities, (3,), rpy[..., None, :], np.eye(3)).swapaxes(-1, -2)
 
 
 def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
-    """Time derivative of `euler_rate_matrix` along `rpy_rate`.
-
-    Args:
-        rpy: (..., 3) [rad].
-        rpy_rate: (..., 3) [rad/s].
-
-    Returns:
-        (..., 3, 3) [1/s].
-    """
+    """Time derivative (..., 3, 3) [1/s] of `euler_rate_matrix` along rpy_rate (..., 3) [rad/s]."""
     rpy, rate = np.asarray(rpy, dtype=float), np.asarray(rpy_rate, dtype=float)
     sp, cp, sy, cy = np.sin(rpy[..., 1]), np.cos(rpy[..., 1]), np.sin(rpy[..., 2]), np.cos(rpy[..., 2])
     pitch, yaw = rate[..., 1], rate[..., 2]
@@ -88,28 +60,12 @@ def euler_rate_matrix_dot(rpy: ArrayLike, rpy_rate: ArrayLike) -> np.ndarray:
 
 
 def pose_rate_to_twist(pose: ArrayLike, pose_rate: ArrayLike) -> np.ndarray:
-    """Twist [w, v] of P in B from the pose's rate.
-
-    Args:
-        pose: (..., 6) [rad, m].
-        pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity.
-
-    Returns:
-        (..., 6) [rad/s, m/s].
-    """
+    """Twist [w, v] (..., 6) [rad/s, m/s] of P in B, from poses (..., 6) and their rates (..., 6)."""
     return _by_rows(_twists, (6,), pose, pose_rate)
 
 
 def twist_to_pose_rate(pose: ArrayLike, twist: ArrayLike) -> np.ndarray:
-    """Inverse of `pose_rate_to_twist`.
-
-    Args:
-        pose: (..., 6) [rad, m]; pitch away from +-pi/2.
-        twist: (..., 6) [rad/s, m/s].
-
-    Returns:
-        (..., 6) [rad/s, m/s].
-    """
+    """Inverse of `pose_rate_to_twist`; pitch away from +-pi/2."""
     return _by_rows(_rates, (6,), pose, twist)
 
 
@@ -137,18 +93,7 @@ class LegGeometry:
 
 
 def reach_margin(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """1 - |C| / sqrt(A^2 + B^2) of each leg; negative where a rod cannot span, zero at a crank's dead centre.
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-
-    Returns:
-        (..., 6) [-].
-
-    Raises:
-        ConfigurationError: A pose that is not finite or not (..., 6).
-    """
+    """1 - |C| / sqrt(A^2 + B^2) (..., 6) of each leg; negative where a rod cannot span, zero at a dead centre."""
     return at_poses(reaches, robot, {"pose": pose}, (6,))
 
 
@@ -198,58 +143,22 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def rod_lines(legs: LegGeometry) -> np.ndarray:
-    """Rows [e_M, e_l] = [(R p_i) x e_l, e_l]: the rods as unit lines in Pluecker coordinates, (14) transposed.
-
-    Returns:
-        (..., 6, 6) [m, -], one row per leg.
-    """
+    """Rows [e_M, e_l] = [(R p_i) x e_l, e_l] (..., 6, 6): the rods as unit lines, (14) transposed."""
     return np.concatenate([cross(legs.arm, legs.e_l), legs.e_l], axis=-1)
 
 
 def twist_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """d(theta)/d(twist): crank rates from the twist of P.
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-
-    Returns:
-        (..., 6, 6) [-, rad/m]; infinite where a crank is at its dead centre.
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """d(theta)/d(twist) (..., 6, 6): crank rates from the twist of P; infinite at a crank's dead centre."""
     return at_poses(_twist_jacobians, robot, {"pose": pose}, (6, 6))
 
 
 def pose_jacobian(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """d(theta)/d(pose): crank rates from the pose's rate (Euler rates).
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-
-    Returns:
-        (..., 6, 6) [-, rad/m].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
-    """
+    """d(theta)/d(pose) (..., 6, 6): crank rates from the pose's rate (Euler rates)."""
     return at_poses(_pose_jacobians, robot, {"pose": pose}, (6, 6))
 
 
 def crank_rates(robot: RobotParameters, legs: LegGeometry, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-    """Crank rates at a pose whose leg vectors are at hand; infinite or NaN at a crank's dead centre.
-
-    Args:
-        robot: Geometry.
-        legs: `leg_geometry` of `pose`.
-        pose: (..., 6) [rad, m].
-        pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity of P.
-
-    Returns:
-        (..., 6) [rad/s].
-    """
+    """Crank rates (..., 6) [rad/s] from `leg_geometry` of a pose and its rate; infinite or NaN at a dead centre."""
     twist = pose_rate_to_twist(pose, pose_rate)
     return np.einsum("...ij,...j->...i", rod_lines(legs), twist) / (robot.crank_lengths * legs.transmission)
 
@@ -309,19 +218,9 @@ def newton(
 
 
 def conditioning(robot: Robot, pose: ArrayLike) -> np.ndarray:
-    """sigma_min / sigma_max of [e_M / length; e_l] of (14), rotations scaled by the characteristic length.
+    """sigma_min / sigma_max (...) of [e_M / length; e_l] of (14), rotations over the characteristic length.
 
     Zero at a parallel singularity; it says nothing about dead centres (see `LegGeometry.transmission`).
-
-    Args:
-        robot: Geometry.
-        pose: (..., 6) [rad, m].
-
-    Returns:
-        (...) [-].
-
-    Raises:
-        UnreachablePoseError, ConfigurationError: As in `inverse_kinematics`.
     """
     return at_poses(_conditioning, robot, {"pose": pose}, ())
 

@@ -240,9 +240,8 @@ def conditioning(robot: Any, legs: Any, tolerance: float = 1e-7) -> float:
 def usable_legs(robot: Any, min_transmission: float, min_conditioning: float, pose: Any, legs: Any) -> Any:
     """`legs_at`, and whether a controller may act there.
 
-    Returns:
-        OK, UNREACHABLE, SERIAL (a crank near its dead centre) or PARALLEL; the leg or -1; the margin that is too
-        small, or where all is well the conditioning.
+    Returns OK, UNREACHABLE, SERIAL (a crank near its dead centre) or PARALLEL; the leg or -1; the margin that is too
+    small, or where all is well the conditioning.
     """
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
@@ -271,8 +270,7 @@ def forward_kinematics(robot: Any, theta: Any, pose: Any, tolerance: float, iter
         iterations: Newton steps at most.
 
     Returns:
-        Largest error of a rod's length that is left [m], and the steps taken; an error not below the tolerance (or
-        NaN) means no convergence.
+        Largest error of a rod's length that is left [m], NaN or not below the tolerance without convergence; the steps.
     """
     turn, tips, arm, rod = np.empty((3, 3)), np.empty((6, 3)), np.empty(3), np.empty(3)
     for i in range(6):

@@ -14,14 +14,9 @@ SWEEPS = 30
 
 @njit
 def solve(matrix: Any, right: Any) -> float:
-    """Gaussian elimination with partial pivoting, in place.
+    """Gaussian elimination with partial pivoting, in place: `right` (n, k) becomes the solution, `matrix` is destroyed.
 
-    Args:
-        matrix: (n, n); destroyed.
-        right: (n, k); becomes the solution.
-
-    Returns:
-        Sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then worthless.
+    Returns the sign of the determinant; 0 where a pivot is zero or not finite, and `right` is then worthless.
     """
     n, k = right.shape
     sign = 1.0

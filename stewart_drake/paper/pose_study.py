@@ -9,8 +9,17 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.paper.study import Study
-from stewart_drake.planning.workspace import COORDINATES, Grid, Kind, Survey, spanning_grid, survey
-from stewart_drake.planning.workspace_boundary import Boundary, boundary, follow_rays
+from stewart_drake.planning.workspace import (
+    COORDINATES,
+    Boundary,
+    Grid,
+    Kind,
+    Survey,
+    boundary,
+    spanning_grid,
+    spread_directions,
+    survey,
+)
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import Vector6
@@ -73,13 +82,13 @@ def survey_poses(study: Study, samples: int, center: np.ndarray) -> PoseStudy:
         surveys[kind] = survey(robot, limits, grid, gravity, study.part(0.17 * i, 0.17))
     rate = sum(len(grid.poses) for grid in grids.values()) / (time.perf_counter() - start)
     for i, kind in enumerate(KINDS):
-        count, progress = study.pick(20_000, 2_000), study.part(0.34 + 0.08 * i, 0.08)
-        boundaries[kind] = boundary(robot, limits, kind, center, count, gravity, progress)
+        directions = spread_directions(study.pick(20_000, 2_000))
+        boundaries[kind] = boundary(robot, limits, kind, center, directions, gravity)
+        study.progress(0.42 + 0.08 * i)
     ends = np.concatenate([-np.eye(3), np.eye(3)])
-    rays = {kind: follow_rays(robot, limits, kind, center, ends, gravity) for kind in KINDS}
+    rays = [boundary(robot, limits, kind, center, ends, gravity) for kind in KINDS[::-1]]
     way, cuts = (
-        np.concatenate([rays["orientation"][i].reshape(2, 3), rays["position"][i].reshape(2, 3)], axis=1)
-        for i in (0, 1)
+        np.concatenate([getattr(each, name).reshape(2, 3) for each in rays], axis=1) for name in ("radius", "limit")
     )
     others: list[tuple[str, Kind, Survey | None]] = []
     for i, (kind, words, for_paper) in enumerate(_OTHER_CENTERS):

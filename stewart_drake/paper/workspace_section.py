@@ -14,7 +14,7 @@ from stewart_drake.paper.report import Section
 from stewart_drake.paper.study import Study
 from stewart_drake.paper.visited_region import VisitedRegion, controlled_motions, findings, visited_region
 from stewart_drake.planning.limits import RULES, limit_bounds
-from stewart_drake.planning.workspace import LIMIT_NAMES, SINGULARITIES, Kind, Loss, Survey, losses
+from stewart_drake.planning.workspace import LIMIT_NAMES, SINGULARITIES, Kind, Survey
 from stewart_drake.plotting.envelope_plots import plot_motion_map, plot_state_region, plot_torque_region
 from stewart_drake.plotting.panels import COORDINATES, SCALES
 from stewart_drake.plotting.workspace_plots import (
@@ -47,14 +47,13 @@ def make_section(study: Study, samples: int, center: np.ndarray) -> Section:
     poses = survey_poses(study, samples, center)
     logs = study.run(controlled_motions(study), 0.6, 0.3)
     regions = [visited_region(name, log) for name, log in logs.items() if len(log.time)]
-    lost = {kind: losses(found) for kind, found in poses.surveys.items()}
     numbers: dict[str, Any] = {
         "poses": sum(len(found.grid.poses) for found in poses.surveys.values()),
         "poses_per_second": poses.rate,
         "center": poses.center.tolist(),
         "ranges": poses.ranges.tolist(),
         "range_cuts": [[LIMIT_NAMES[i] if i >= 0 else None for i in row] for row in poses.cuts.tolist()],
-        "workspaces": {kind: _numbers(poses, kind, lost[kind]) for kind in KINDS},
+        "workspaces": {kind: _numbers(poses, kind) for kind in KINDS},
         "other_centers": {
             f"{kind}, {name}": None if found is None else found.size(found.connected)
             for name, kind, found in poses.others
@@ -174,7 +173,7 @@ def _too_weak(found: Survey, torque: float) -> float:
     return found.size(found.connected & (found.measures.holding_torque > torque)) / total if total > 0.0 else 0.0
 
 
-def _numbers(poses: PoseStudy, kind: Kind, lost: Sequence[Loss]) -> dict[str, Any]:
+def _numbers(poses: PoseStudy, kind: Kind) -> dict[str, Any]:
     found, surface = poses.surveys[kind], poses.boundaries[kind]
     box = found.bounding_box(found.connected)
     strength = {
@@ -188,7 +187,6 @@ def _numbers(poses: PoseStudy, kind: Kind, lost: Sequence[Loss]) -> dict[str, An
         "inscribed_radius": float(surface.radius.min()),
         "boundary_volume": surface.volume,
         "first": surface.first(),
-        "lost": {loss.limit: {"broken": loss.broken, "alone": loss.alone} for loss in lost},
         "smallest": strength,
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +60,7 @@ class FeasibilityReport:
 
     Attributes:
         smallest: The smallest margin to each limit that was checked, in the order of `limits.RULES`. Limits that need
-            crank angles are judged where all legs reach; one that could be judged nowhere is absent.
+            crank angles are checked where all legs reach; one that could be checked nowhere is absent.
         first_violation: The earliest broken limit, with the worst place at that instant; None if feasible.
     """
 
@@ -88,22 +88,12 @@ def check_motion(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> FeasibilityReport:
-    """Margins to all limits along a sampled motion.
+    """Margins to all limits along a sampled motion: times (n,) [s], poses (n, 6), their rates and accelerations.
 
     That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
     centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`, which a
-    change of the determinant's sign breaks.
-
-    A pose out of reach does not raise: it is a violation of `reach`, and the samples after it are judged all the same.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to check.
-        time: (n,) [s] ascending.
-        pose: (n, 6) [rad, m].
-        pose_rate: (n, 6) [rad/s, m/s] Euler rates and velocity.
-        pose_acceleration: (n, 6) [rad/s^2, m/s^2] their time derivatives.
-        gravity: [m/s^2] along -z of B.
+    change of the determinant's sign breaks. A pose out of reach does not raise: it is a violation of `reach`, and the
+    samples after it are checked all the same.
 
     Raises:
         ConfigurationError: An array of the wrong shape, or a value that is not finite; as `refuse_turns`.
@@ -111,41 +101,45 @@ def check_motion(
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
         raise ConfigurationError("time", time, "finite numbers of shape (n,), n >= 1")
-    motion = {"pose": pose, "pose_rate": pose_rate, "pose_acceleration": pose_acceleration}
-    for name, values in motion.items():
-        motion[name] = np.asarray(values, dtype=float)
-        if motion[name].shape != (time.size, 6) or not np.isfinite(motion[name]).all():
+    motion = []
+    for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
+        motion.append(np.asarray(values, dtype=float))
+        if motion[-1].shape != (time.size, 6) or not np.isfinite(motion[-1]).all():
             raise ConfigurationError(name, values, f"finite numbers of shape ({time.size}, 6)")
     if not math.isfinite(gravity):
         raise ConfigurationError("gravity", gravity, "a finite number of m/s^2")
-    refuse_turns("reference", motion["pose"], time)
-    margins = limit_margins(robot, limits, **motion, gravity=gravity)
+    pose, pose_rate, pose_acceleration = motion
+    refuse_turns("reference", pose, time)
     bounds = limit_bounds(robot, limits)
+    smallest: dict[str, LimitMargin] = {}
+    first: LimitMargin | None = None
+    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
+    # singularity can be jumped over between two.
+    for start in range(0, max(1, time.size - 1), _BLOCK):
+        rows = slice(start, start + _BLOCK + 1)
+        margins = limit_margins(robot, limits, pose[rows], pose_rate[rows], pose_acceleration[rows], gravity)
 
-    def at(limit: str, sample: int) -> LimitMargin:
-        column = int(np.nanargmin(margins[limit][sample]))
-        leg, where = PLACES[limit][column]
-        share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
-        margin = float(margins[limit][sample, column])
-        return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
+        def at(limit: str, sample: int, time: np.ndarray = time[rows], margins: dict = margins) -> LimitMargin:
+            column = int(np.nanargmin(margins[limit][sample]))
+            leg, where = PLACES[limit][column]
+            share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
+            margin = float(margins[limit][sample, column])
+            return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
 
-    smallest = {
-        limit: at(limit, int(np.nanargmin(values)) // values.shape[1])
-        for limit, values in margins.items()
-        if not np.isnan(values).all()
-    }
-    broken = {limit: (values < 0.0).any(axis=-1) for limit, values in margins.items()}
-    first = min(((int(b.argmax()), limit) for limit, b in broken.items() if b.any()), key=lambda v: v[0], default=None)
-    return FeasibilityReport(smallest, None if first is None else at(first[1], first[0]))
+        for limit, values in margins.items():
+            if not np.isnan(values).all():
+                found = at(limit, int(np.nanargmin(values)) // values.shape[1])
+                if limit not in smallest or found.margin < smallest[limit].margin:
+                    smallest[limit] = found
+        broken = {limit: np.any(values < 0.0, axis=-1) for limit, values in margins.items()}
+        if first is None and any(b.any() for b in broken.values()):
+            sample = min(int(b.argmax()) for b in broken.values() if b.any())
+            first = at(next(limit for limit, b in broken.items() if b[sample]), sample)
+    return FeasibilityReport({limit: smallest[limit] for limit in RULES if limit in smallest}, first)
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
-    """Refuses poses that are turned by more than half a turn: no measurement of a pose says which turn it is in.
-
-    Args:
-        key: What the poses are of, for the message.
-        pose: (n, 6) [rad, m].
-        time: (n,) [s].
+    """Refuses poses (n, 6) that are turned by more than half a turn: no measurement of a pose says which turn it is in.
 
     Raises:
         ConfigurationError: Roll, pitch or yaw is beyond half a turn; names the largest.
@@ -190,23 +184,7 @@ def check_reference(
         if not (math.isfinite(value) and value > 0.0):
             raise ConfigurationError(name, value, "a finite number above 0")
     time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
-    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
-    # singularity can be jumped over between two.
-    starts = range(0, max(1, time.size - 1), _BLOCK)
-    blocks = [time[start : start + _BLOCK + 1] for start in starts]
-    reports = [check_motion(robot, limits, block, *reference.evaluate(block), gravity) for block in blocks]
-    return _joined(reports)
-
-
-def _joined(reports: Sequence[FeasibilityReport]) -> FeasibilityReport:
-    """One report of consecutive blocks that share their end samples."""
-    smallest: dict[str, LimitMargin] = {}
-    for limit in RULES:
-        found = [report.smallest[limit] for report in reports if limit in report.smallest]
-        if found:
-            smallest[limit] = min(found, key=lambda margin: margin.margin)
-    first = next((report.first_violation for report in reports if report.first_violation is not None), None)
-    return FeasibilityReport(smallest, first)
+    return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
 
 
 def largest_amplitude(
@@ -217,34 +195,15 @@ def largest_amplitude(
     gravity: float,
     center: np.ndarray | None = None,
 ) -> float:
-    """Largest A for which center + a sin(2 pi f t) along one axis is feasible for every a <= A.
+    """Largest A [rad] or [m] for which center + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
     Whether all amplitudes up to A are feasible can be told from A alone. At an offset x the acceleration is
     -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 (a = |x|) to (2 pi f)^2 (A^2 - x^2). Crank
-    speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        axis: 0..5, roll, pitch, yaw, X, Y, Z.
-        frequency_hz: [Hz] >= 0; zero asks for the range at rest.
-        gravity: [m/s^2] along -z of B.
-        center: (6,) [rad, m] middle of the motion; None takes home.
-
-    Returns:
-        [rad] or [m], feasible, below the largest by a relative 1e-4 at most; angles end at pi. Zero where the center
-        itself is not feasible.
-
-    Raises:
-        ConfigurationError: An axis outside 0..5, a negative frequency, or a center that is not finite or not (6,).
+    speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A, feasible and
+    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where the center itself is not feasible; a
+    frequency of zero asks for the range at rest.
     """
     middle = robot.home_pose if center is None else np.asarray(center, dtype=float)
-    if axis not in range(6):
-        raise ConfigurationError("axis", axis, "0..5: roll, pitch, yaw, X, Y, Z")
-    if not (math.isfinite(frequency_hz) and frequency_hz >= 0.0):
-        raise ConfigurationError("frequency_hz", frequency_hz, "a finite number, at least 0")
-    if middle.shape != (6,) or not np.isfinite(middle).all():
-        raise ConfigurationError("center", middle, "finite numbers of shape (6,)")
     omega = 2.0 * math.pi * frequency_hz
     # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
     phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
@@ -289,20 +248,10 @@ def largest_scale(
     gravity: float,
     samples_per_second: float = 500.0,
 ) -> float:
-    """Largest scale in [0, 1] for which the scaled reference, and each smaller one tried, is feasible.
+    """Largest scale in [0, 1] for which the scaled reference, and each smaller one tried, is feasible; to 1e-4.
 
     In general a larger scale may be feasible where a smaller one is not; 16 equal steps look for that before bisection.
-
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        make_reference: The motion for a scale.
-        duration: [s] > 0.
-        gravity: [m/s^2] along -z of B.
-        samples_per_second: As in `check_reference`.
-
-    Returns:
-        [-] feasible, to a relative 1e-4. Zero where scale 0 is not feasible.
+    Zero where scale 0 is not feasible.
     """
 
     def feasible(scale: float) -> bool:

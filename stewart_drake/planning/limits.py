@@ -1,6 +1,6 @@
 """What a motion must keep to, and the margins of a sampled motion to each of these limits.
 
-A margin is positive inside, zero at the limit and negative outside, in the limit's own unit. A motion is judged at its
+A margin is positive inside, zero at the limit and negative outside, in the limit's own unit. A motion is checked at its
 samples only; between them nothing is known but one thing: a sign change of the rods' determinant, a parallel
 singularity jumped over, counts as broken `conditioning`.
 """
@@ -50,6 +50,26 @@ class Limits(Section, key="limits"):
     """[-] largest |motor torque| of the exact inverse dynamics, as a part of `RobotParameters.effort_limit`."""
 
 
+class Bounds(Section, key="bounds"):
+    """What a run must keep to for its motion to count as followed. A bound that is null is off.
+
+    A bound acts while the controller is in charge, from the time on when the run has first been inside it: a start that
+    is off by more has to come back. Lengths are for the paper's robot; another has them in proportion.
+    """
+
+    rotation: Positive | None = math.radians(10.0)
+    """[rad] largest angle between the platform and its reference."""
+    position: Annotated[Positive | None, LENGTH] = 0.03
+    """[m] largest distance between the platform and its reference."""
+    loop_gap: Annotated[Positive | None, LENGTH] = 0.001
+    """[m] largest distance from a rod's end to its platform joint: beyond it the simulated loops are open."""
+    motion_ratio: Positive | None = 0.25
+    """[-] least size of the platform's motion over that of its reference, see docs/promises.md. Friction that swallows
+    a motion makes it 0."""
+    error_ratio: Positive | None = 1.0
+    """[-] largest error, after a time for settling, over the size of the reference's motion, see docs/promises.md."""
+
+
 RULES = {
     "reach": ("-", "|C| / sqrt(A^2 + B^2) <= {:g}"),
     "euler_pitch": ("rad", "|pitch| <= {:.4g} rad"),
@@ -92,19 +112,10 @@ def limit_margins(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> dict[str, np.ndarray]:
-    """Margins of a sampled motion to each limit that is on; never raises for a pose out of reach.
+    """Margins of a sampled motion (n, 6) to each limit that is on, in the order of `RULES`.
 
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to check.
-        pose: (n, 6) [rad, m].
-        pose_rate: (n, 6) [rad/s, m/s] Euler rates and velocity.
-        pose_acceleration: (n, 6) [rad/s^2, m/s^2] their time derivatives.
-        gravity: [m/s^2] along -z of B.
-
-    Returns:
-        (n, k) per limit, in the order of `RULES`, a column for each of its `PLACES`. NaN where a rod cannot span, -inf
-        where the quantity itself is infinite. `reach` and `euler_pitch` are known everywhere.
+    (n, k) for each limit, a column for each of its `PLACES`. It never raises for a pose out of reach: NaN where a rod
+    cannot span, -inf where the quantity itself is infinite. `reach` and `euler_pitch` are known everywhere.
     """
     m = measure_motion(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["side"][~np.isnan(m["side"])]

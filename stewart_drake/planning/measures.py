@@ -9,7 +9,6 @@ tells a pose beyond a parallel singularity from one before it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -43,6 +42,16 @@ HOME = fields(rod=(12, 3), side=(), middle=6, half=6, radius=(), limit=6)
 """What measures are taken from. rod: directions of the rods at home, as in `rod_directions`. side: `MEASURES.side` at
 home. middle, half: of the cranks' ranges [rad]. radius: of the links [m]. limit: each motor's part of the torque that
 is allowed, 1 for the strongest."""
+
+POSE_MEASURES = fields(
+    reach=(), transmission=(), conditioning=(), ball_swing=(), universal_swing=(), stroke=(), clearance=(),
+    holding_torque=(), force=(), moment=(),
+)  # fmt: skip
+"""Measures at a pose at rest; all but `reach` are NaN where a rod cannot span. reach, transmission: the smallest of a
+leg. conditioning: as above, negative where the lines' determinant has not the sign that it has at home; zero at a
+parallel singularity. ball_swing, universal_swing: the largest [rad]. stroke: largest distance of a crank from the
+middle of its range, as a part of half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
+of links of different legs [m]. holding_torque: the largest [N m]. force, moment: see `strength` [N], [N m]."""
 
 _BLOCK = 1 << 16  # poses between two reports of the progress
 
@@ -85,15 +94,9 @@ def rod_directions(legs: Any, made: Any) -> None:
 
 @njit
 def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
-    """Shortest distance between two line segments, also parallel, crossing or of no length.
+    """Shortest distance between two line segments, of start and way (3,) [m], also parallel, crossing or of no length.
 
     C. Ericson, Real-Time Collision Detection (2005), 5.1.9: the optimum of each line's parameter, clamped in turn.
-
-    Args:
-        start: (3,) [m] one end of the first segment.
-        way: (3,) [m] from there to its other end.
-        other_start: (3,) [m] one end of the second segment.
-        other_way: (3,) [m] from there to its other end.
     """
     uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
@@ -137,7 +140,7 @@ def link_distances(robot: Any, legs: Any, made: Any) -> None:
 def measure(
     robot: Any, home: Any, pose: Any, rate: Any, acceleration: Any, gravity: float, legs: Any, inverse: Any, made: Any
 ) -> bool:
-    """All measures at one pose and motion.
+    """All `MEASURES` at one pose and motion; whether all rods can span.
 
     Args:
         robot: `ROBOT` record.
@@ -149,9 +152,6 @@ def measure(
         legs: `LEGS` record, out.
         inverse: (6, 6) out; of the rods' lines, column i that of leg i.
         made: `MEASURES` record, out.
-
-    Returns:
-        Whether all rods can span.
     """
     within = legs_at(robot, pose, legs) < 0
     for i in range(6):
@@ -202,12 +202,6 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
     forces of size r the term A_i w of motor i runs from -r |a_i| to +r |a_i|, a_i the three entries of row i of A that
     belong to the force (or to the moment). So r can be exerted in every direction exactly as long as |t_i| + r |a_i| <=
     T_max for all i: the largest is min_i (T_max - |t_i|) / |a_i|. It is zero where the weight alone is too much.
-
-    Args:
-        legs: `LEGS` record.
-        inverse: (6, 6) of the rods' lines, see `measure`.
-        torque: (6,) [N m] |holding torques|.
-        limit: (6,) [N m] T_max.
     """
     moment, force = np.inf, np.inf
     for i in range(6):
@@ -236,49 +230,17 @@ def _of_poses(robots: Any, homes: Any, gravity: float, torque_limit: float, pose
     for i in range(6):
         limit[i] = torque_limit * home.limit[i]
     for n in range(len(poses)):
-        legs, m, row = record(store), record(measures), made[n]
-        row[:] = np.nan
+        legs, m, row = record(store), record(measures), record(made[n : n + 1])
         within = measure(robot, home, poses[n], still, still, gravity, legs, inverse, m)
-        row[0] = m.reach.min()
+        row.reach = m.reach.min()
         if within:
-            row[1], row[2] = m.transmission.min(), m.conditioning * m.side * home.side
-            row[3], row[4] = m.swing[:6].max(), m.swing[6:].max()
-            row[5], row[6], row[7] = 0.0, m.distance.min(), 0.0
+            row.transmission, row.conditioning = m.transmission.min(), m.conditioning * m.side * home.side
+            row.ball_swing, row.universal_swing = m.swing[:6].max(), m.swing[6:].max()
+            row.stroke, row.clearance, row.holding_torque = 0.0, m.distance.min(), 0.0
             for i in range(6):
-                row[5] = max(row[5], m.stroke[i] / home.half[i])
-                row[7] = max(row[7], m.torque[i] / home.limit[i])
-            row[9], row[8] = strength(legs, inverse, m.torque, limit)
-
-
-@dataclass(frozen=True)
-class PoseMeasures:
-    """Measures of n poses at rest, each (n,); all but `reach` are NaN where a rod cannot span.
-
-    Attributes:
-        reach: [-] smallest 1 - |C| / sqrt(A^2 + B^2) of a leg; negative where a rod cannot span.
-        transmission: [-] smallest |e_l . e_N| of a leg; zero at a serial singularity.
-        conditioning: [-] sigma_min / sigma_max as in `kinematics.conditioning`, negative where the rods' determinant
-            has not the sign that it has at home; zero at a parallel singularity.
-        ball_swing: [rad] largest swing of a rod from home, seen in the platform.
-        universal_swing: [rad] largest swing of a rod from home, seen in its crank.
-        stroke: [-] largest distance of a crank from the middle of its range, as a part of half of it; 0 of a robot
-            without stops, and where only some cranks have them the others' range is two turns.
-        clearance: [m] smallest distance of the surfaces of links of different legs; negative where they overlap.
-        holding_torque: [N m] largest |motor torque| at rest; infinite exactly at a singularity.
-        force: [N] largest force, without moment about P, that can be exerted in any direction whatever.
-        moment: [N m] largest moment, without force, that can be exerted in any direction whatever, see `strength`.
-    """
-
-    reach: np.ndarray
-    transmission: np.ndarray
-    conditioning: np.ndarray
-    ball_swing: np.ndarray
-    universal_swing: np.ndarray
-    stroke: np.ndarray
-    clearance: np.ndarray
-    holding_torque: np.ndarray
-    force: np.ndarray
-    moment: np.ndarray
+                row.stroke = max(row.stroke, m.stroke[i] / home.half[i])
+                row.holding_torque = max(row.holding_torque, m.torque[i] / home.limit[i])
+            row.moment, row.force = strength(legs, inverse, m.torque, limit)
 
 
 def measure_poses(
@@ -287,31 +249,24 @@ def measure_poses(
     gravity: float = STANDARD_GRAVITY,
     torque_limit: float | None = None,
     progress: Callable[[float], None] | None = None,
-) -> PoseMeasures:
-    """Every measure of `PoseMeasures` at every pose.
+) -> np.recarray:
+    """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m].
 
-    Args:
-        robot: Geometry, masses, effort limit.
-        pose: (n, 6) [rad, m].
-        gravity: [m/s^2] along -z of B.
-        torque_limit: [N m] in place of the robot's `effort_limit`; each motor keeps its share of it.
-        progress: Called with the share done, 0 to 1.
-
-    Raises:
-        ConfigurationError: Poses that are not finite or not (n, 6).
+    `torque_limit` [N m] stands in place of the robot's `effort_limit`; each motor keeps its share of it. `progress` is
+    called with the share done.
     """
     pose = np.array(pose, dtype=float, order="C")
     if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
         raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
     limit = robot.effort_limit if torque_limit is None else torque_limit
     shared = (robot_record(robot), home_record(robot), float(gravity), float(limit))
-    table = np.empty((len(pose), 10))
+    made = np.full((len(pose), len(POSE_MEASURES.names or ())), np.nan).view(POSE_MEASURES)[:, 0]
     for start in range(0, len(pose), _BLOCK):
         rows = slice(start, start + _BLOCK)
-        over_rows(_of_poses, shared, (pose[rows], table[rows]))
+        over_rows(_of_poses, shared, (pose[rows], made[rows]))
         if progress is not None:
             progress(min(1.0, (start + _BLOCK) / len(pose)))
-    return PoseMeasures(*np.ascontiguousarray(table.T))
+    return made.view(np.recarray)
 
 
 def measure_motion(

@@ -20,13 +20,7 @@ _MOST_BLOCKS = 500
 
 @dataclass(frozen=True)
 class Region:
-    """A box of poses around home.
-
-    Attributes:
-        name: Short name for tables.
-        half_width: (6,) [rad, rad, rad, m, m, m] to either side of home.
-        words: The box in words.
-    """
+    """A box of poses: a name for tables, (6,) [rad, m] to either side of home, and the box in words."""
 
     name: str
     half_width: tuple[float, ...]
@@ -51,13 +45,7 @@ NEAR = Region(
 
 @dataclass(frozen=True)
 class PoseSample:
-    """Random poses of a region that the robot reaches.
-
-    Attributes:
-        region: Where they are from.
-        poses: (n, 6) [rad, m].
-        share: Part of all the poses drawn that was in reach.
-    """
+    """Random poses (n, 6) [rad, m] of a region, and the share of those drawn that was in reach."""
 
     region: Region
     poses: np.ndarray
@@ -73,22 +61,10 @@ def sample_poses(
     limits: Limits | None = None,
     gravity: float = STANDARD_GRAVITY,
 ) -> PoseSample:
-    """Uniform over the box, out-of-reach poses left out.
+    """`count` poses uniform over a box, out-of-reach ones left out; fewer where hardly any can be reached.
 
-    Args:
-        robot: Geometry.
-        region: The box.
-        count: Poses wanted.
-        rng: Source of chance.
-        least_margin: [-] poses nearer to the edge of reach than this, `kinematics.reach_margin`, count as outside.
-        limits: Poses that break one of them at rest count as outside too; None for none.
-        gravity: [m/s^2] for the motors' torque at rest.
-
-    Returns:
-        `count` poses, or fewer where hardly any pose of the box can be reached.
-
-    Raises:
-        ConfigurationError: Not one pose can be reached.
+    Poses whose `kinematics.reach_margin` is below `least_margin` count as outside, and, where `limits` are given, those
+    that break one at rest.
     """
     kept: list[np.ndarray] = []
     drawn = reached = 0

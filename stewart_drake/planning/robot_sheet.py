@@ -28,7 +28,7 @@ def bodies(robot: RobotParameters) -> Sheet:
         text = " ".join((robot.__pydantic_fields__[name].description or "").split())
         unit, _, words = text.removeprefix("[").partition("]")
         value = getattr(robot, name)
-        numbers = ", ".join(map(_short, value if isinstance(value, tuple) else (value,)))
+        numbers = ", ".join(f"{each:.6g}" for each in np.ravel(value))
         rows.append((name, numbers, unit, words.strip(" ;")))
     return "bodies and motors", ("key", "value", "unit", "what it is"), rows
 
@@ -57,10 +57,9 @@ def at_home(robot: RobotParameters) -> Sheet:
     rows = []
     for leg in range(LEGS):
         ends = f"{stops[leg, 0]:.1f} to {stops[leg, 1]:.1f}" if np.isfinite(stops[leg]).any() else "none"
-        own = (f"{robot.branches[leg]:+.0f}", f"{angles[leg]:.2f}", ends)
-        rows.append(
-            (str(leg), *own, f"{abs(home.transmission[leg]):.3f}", f"{torque[leg]:.4g}, {robot.effort_limits[leg]:g}")
-        )
+        rest = f"{torque[leg]:.4g}, {robot.effort_limits[leg]:g}"
+        own = (str(leg), f"{robot.branches[leg]:+.0f}", f"{angles[leg]:.2f}", ends)
+        rows.append((*own, f"{abs(home.transmission[leg]):.3f}", rest))
     return "at home", header, rows
 
 
@@ -73,17 +72,9 @@ def figures(robot: RobotParameters) -> Sheet:
         ("conditioning of the rods' lines", f"{home.conditioning[0]:.3f}", "-"),
         ("smallest gap between links of two legs", f"{1e3 * home.clearance[0]:.2f}", "mm"),
         ("inertia felt in heave, motors and rods included", f"{heave:.4g}", "kg"),
-        (
-            "largest torque at rest, of the effort limit",
-            f"{share:.1f}",
-            "%",
-        ),
+        ("largest torque at rest, of the effort limit", f"{share:.1f}", "%"),
     ]
     return "figures at home", ("", "value", "unit"), rows
-
-
-def _short(value: float) -> str:
-    return f"{value:.6g}"
 
 
 SHEETS: tuple[Callable[[RobotParameters], Sheet], ...] = (bodies, legs, at_home, figures)

@@ -47,13 +47,7 @@ def loaded(robot: RobotParameters, options: PlantOptions) -> np.ndarray:
 
 
 class ClosedChain:
-    """The closed chain of a scenario.
-
-    Args:
-        robot: Geometry and masses.
-        options: What else is modelled; of those that `engine: reduced` can have.
-        gravity: [m/s^2].
-    """
+    """The closed chain of a robot, with the options that `engine: reduced` can have."""
 
     def __init__(self, robot: RobotParameters, options: PlantOptions, gravity: float) -> None:
         self._robot, self._home = robot, home_frames(robot)
@@ -61,11 +55,7 @@ class ClosedChain:
         self._fixed = loaded(robot, options), options.friction_law(robot), setup
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-        """`CHAIN_STATE` record at a pose (6,) and its rate (6,), friction without tension.
-
-        Raises:
-            UnreachablePoseError: A rod cannot span.
-        """
+        """`CHAIN_STATE` record at a pose (6,) and its rate (6,), friction without tension."""
         home = self._home
         angles = home.crank_angles + home.motor_angles(inverse_kinematics(self._robot, pose))
         twist = pose_rate_to_twist(pose, pose_rate)
@@ -74,16 +64,7 @@ class ClosedChain:
         return new_record(CHAIN_STATE, **moving, anchor=angles)
 
     def step(self, torque: np.ndarray, wrench: np.ndarray, state: np.ndarray) -> None:
-        """One step.
-
-        Args:
-            torque: (6,) [N m] asked of the motors.
-            wrench: (6,) [N m, N] on the platform from outside, about P in B.
-            state: `CHAIN_STATE` record, in place.
-
-        Raises:
-            SingularPoseError: A crank comes to its dead centre, where this description of the robot ends.
-        """
+        """`chain_step`; a SingularPoseError where a crank comes to its dead centre, and this description ends."""
         leg, margin = chain_step(*self._fixed, torque, wrench, state)
         if leg >= 0:
             raise SingularPoseError("serial", state["pose"][0].copy(), margin, 0.0, leg)
@@ -98,7 +79,7 @@ def chain_step(robots: Any, frictions: Any, setups: Any, torque: Any, wrench: An
         frictions: `FRICTION` record.
         setups: `SETUP` record.
         torque: (6,) [N m] asked of the motors.
-        wrench: (6,) [N m, N].
+        wrench: (6,) [N m, N] on the platform from outside, about P in B.
         states: `CHAIN_STATE` record, in place.
 
     Returns:

@@ -33,9 +33,6 @@ class MotorFriction(LeafSystem):
         bristles: in (12,), anchors [rad] and their speeds [rad/s] at the beginning of the plant's last step.
         pull: out (18,), anchors [rad], their speeds [rad/s] and relief [N m], until the plant's next step.
 
-    Args:
-        plant: Finalised, with the actuators that `add_friction_actuators` adds.
-        friction: `FRICTION` record of the motors.
     """
 
     def __init__(self, plant: MultibodyPlant, friction: np.ndarray) -> None:
@@ -55,15 +52,9 @@ class MotorFriction(LeafSystem):
 
 @njit
 def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out: Any) -> None:
-    """Anchors, slips and relief (18,): the torques that take friction's from break-away to its level, along the slips.
+    """Anchors, slips and relief (18,) of those before (12,) and the state after a step.
 
-    Args:
-        frictions: `FRICTION` record.
-        before: (12,) anchors and slips at the step's beginning.
-        state: With the angles at its end.
-        cranks: (6,) where these are.
-        step: [s].
-        out: (18,).
+    Relief is the torques that take friction's from break-away to its level, along the slips.
     """
     friction = record(frictions)
     out[:12] = before
@@ -84,11 +75,7 @@ def add_friction_actuators(plant: MultibodyPlant, law: np.ndarray) -> None:
 
 
 def wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarray) -> tuple[InputPort, Relax]:
-    """Feeds motors and servos of a finalised plant.
-
-    Returns:
-        Port for the motors' torques (6,), and what takes the tension off.
-    """
+    """Feeds motors and servos of a finalised plant; gives the port of torques (6,), and what takes the tension off."""
     # What is remembered is stored by a system of Drake's: an update in Python right after the plant's step is slow.
     held, pulled = 2 * LEGS, 3 * LEGS
     store = LinearSystem(

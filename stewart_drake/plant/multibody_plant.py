@@ -40,15 +40,10 @@ from stewart_drake.section import LegNumber, check_value, is_finite
 class StewartPlant(StateMap):
     """A finalised plant in a Diagram, its two ports, and the maps to and from its state; made by `add_plant`.
 
-    Ports: torque (6,) [N m], clipped to the effort limit; state (nq + nv,).
-
     Attributes:
-        robot: Geometry and masses.
-        options: What else is modelled.
-        gravity: [m/s^2] along -z.
         plant: The multibody plant: nq 25 and nv 24, or 31 and 30 with ball joints on the cranks.
         scene_graph: Where the geometry is registered, or None.
-        torque_input_port: (6,) [N m] motor torques, however many actuators friction needs inside.
+        torque_input_port: (6,) [N m] motor torques, clipped to the effort limit, whatever friction needs inside.
         state_output_port: (nq + nv,) the state.
         state_names: Drake's names of the state's entries, (nq + nv).
         indices: Where things are in the state.
@@ -76,13 +71,7 @@ class StewartPlant(StateMap):
     def break_rod(self, context: Context, leg: int) -> None:
         """Takes a rod off the platform, from the next step on; between two advances of a Simulator, not inside one.
 
-        Args:
-            context: Context of the whole Diagram, not the plant's own in it.
-            leg: 0 to 5.
-
-        Raises:
-            ConfigurationError: Another leg.
-            DrakeCheckError: The Context is not that of the Diagram around this plant.
+        `context` is that of the whole Diagram, not the plant's own in it; another one is a DrakeCheckError.
         """
         check_value("leg", leg, LegNumber)
         with drake_guard("breaking a rod"):
@@ -90,17 +79,7 @@ class StewartPlant(StateMap):
             self.plant.SetConstraintActiveStatus(mine, self._closures[leg], False)
 
     def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-        """Puts the plant into `assemble(pose, pose_rate)`, friction without tension.
-
-        Args:
-            context: Context of the whole Diagram, not the plant's own in it.
-            pose: (6,) [rad, m].
-            pose_rate: (6,) [rad/s, m/s]; None is rest.
-
-        Raises:
-            UnreachablePoseError, SingularPoseError, ConfigurationError: As in `assemble`.
-            DrakeCheckError: The Context is not that of the Diagram around this plant.
-        """
+        """Puts the plant into `assemble(pose, pose_rate)`, friction without tension; `context` as in `break_rod`."""
         state = self.assemble(pose, pose_rate)
         with drake_guard("setting the plant's state"):
             self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(context), state)
@@ -181,17 +160,7 @@ def build_plant(
     *,
     visuals: bool = False,
 ) -> tuple[Diagram, StewartPlant]:
-    """A Diagram that holds the plant and nothing else, with its ports exported as `torque` and `state`.
-
-    Args:
-        robot: Geometry and masses.
-        options: As in `add_plant`.
-        gravity: As in `add_plant`.
-        visuals: As in `add_plant`.
-
-    Raises:
-        ConfigurationError, DrakeCheckError: As in `add_plant`.
-    """
+    """A Diagram that holds `add_plant` and nothing else, with its ports exported as `torque` and `state`."""
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
     with drake_guard("building the plant"):

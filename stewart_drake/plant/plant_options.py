@@ -30,16 +30,12 @@ class BrokenRod(Section, key="plant.broken_rod"):
     """[s] when it breaks."""
 
 
+# What only the plant of Drake can have.
 _OF_DRAKE = ("rod_joint", "collision", "universal_damping", "platform_joint_damping", "broken_rod")
-"""Keys of what only Drake's plant can have."""
 
 
 class PlantOptions(Section, key="plant"):
-    """Options of the simulated robot.
-
-    Raises:
-        ConfigurationError: A value is not finite, out of range, or not one of those allowed.
-    """
+    """Options of the simulated robot."""
 
     time_step: Annotated[Real, Field(ge=MIN_TIME_STEP, le=MAX_TIME_STEP)] = 0.001
     """[s] period of the discrete plant."""
@@ -86,18 +82,11 @@ class PlantOptions(Section, key="plant"):
 
 
 def platform_damping_limit(robot: RobotParameters, options: PlantOptions) -> float:
-    """Largest `platform_joint_damping` d that its explicit integration bears.
+    """Largest `platform_joint_damping` d [N m s/rad] that its explicit integration bears.
 
     A ball that turns at w takes the power d w^2, and w^2 <= 2 (w_rod^2 + w_platform^2). Against the rods' and the
     platform's own inertia alone, no motion decays faster than d max(2 / I_rod, 12 / I_platform); the limit makes that
     1 / time_step, half of what is stable. A rod between two balls may spin about its thin axis: I_rod is small then.
-
-    Args:
-        robot: Inertias.
-        options: Time step and rod joint.
-
-    Returns:
-        [N m s/rad].
     """
     rod_inertia = min(robot.rod_inertia) if options.rod_joint == "ball" else robot.rod_inertia[0]
     fastest = max(2.0 / rod_inertia, 12.0 / robot.smallest_platform_inertia)

@@ -7,6 +7,7 @@ instant. Angles of cranks are theta, not Drake's motor angle, which is zero at h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,13 +47,7 @@ class StateIndices:
 
 
 class StateMap:
-    """The state of one robot, read and composed.
-
-    Attributes:
-        robot: Geometry.
-        rod_joint: Joint between crank and rod.
-        indices: Where things are in the state.
-    """
+    """The state of one robot, read and composed."""
 
     def __init__(self, robot: RobotParameters, rod_joint: RodJoint, indices: StateIndices) -> None:
         self.robot, self.rod_joint, self.indices = robot, rod_joint, indices
@@ -80,11 +75,7 @@ class StateMap:
         if pose_rate.shape != pose.shape or not np.isfinite(pose_rate).all():
             raise ConfigurationError("pose_rate", pose_rate, f"finite numbers of the pose's shape {pose.shape}")
         legs = leg_geometry(self.robot, pose)
-        nearest = np.abs(legs.transmission)
-        if nearest.min(initial=1.0) < 1e-6:
-            at = np.unravel_index(int(nearest.argmin()), nearest.shape)
-            raise SingularPoseError("serial", pose[at[:-1]], float(nearest[at]), 1e-6, int(at[-1]))
-
+        _refuse_small("serial", np.abs(legs.transmission), pose)
         twist = pose_rate_to_twist(pose, pose_rate)
         v_joint = twist[..., None, 3:] + cross(twist[..., None, :3], legs.arm)
         theta_rate = np.sum(legs.e_l * v_joint, axis=-1) / (self.robot.crank_lengths * legs.transmission)
@@ -95,10 +86,7 @@ class StateMap:
         crank_rotation = np.stack(np.broadcast_arrays(legs.crank, self._lateral, legs.e_n), axis=-1)
         to_joint = np.swapaxes(crank_rotation @ self._home.rod_in_crank, -1, -2)
         direction = _times(to_joint, legs.e_l)
-        swing = np.hypot(direction[..., 1], direction[..., 2])
-        if swing.min(initial=1.0) < 1e-6:
-            at = np.unravel_index(int(swing.argmin()), swing.shape)
-            raise SingularPoseError("rod_joint", pose[at[:-1]], float(swing[at]), 1e-6, int(at[-1]))
+        _refuse_small("rod_joint", np.hypot(direction[..., 1], direction[..., 2]), pose)
         angles = _universal_angles(direction)
         if self.rod_joint == "universal":
             rates = _universal_rates(angles, _times(to_joint, e_l_rate - cross(w_crank, legs.e_l)))
@@ -118,14 +106,7 @@ class StateMap:
         return state
 
     def pose_and_rate(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of the platform and its rate.
-
-        Args:
-            state: (..., nq + nv).
-
-        Returns:
-            (..., 6) [rad, m], pitch in [-pi/2, pi/2], and (..., 6) [rad/s, m/s] Euler rates and velocity.
-        """
+        """Pose (..., 6) [rad, m], pitch in [-pi/2, pi/2], and its rate (..., 6) [rad/s, m/s] of states."""
         state = np.asarray(state, dtype=float)
         pose, rate = np.empty((2, *state.shape[:-1], 6))
         pose[..., 3:] = state[..., self.indices.position]
@@ -144,38 +125,15 @@ class StateMap:
         return pose, rate
 
     def crank_angles(self, state: np.ndarray) -> np.ndarray:
-        """Angles theta of the cranks.
-
-        Args:
-            state: (..., nq + nv).
-
-        Returns:
-            (..., 6) [rad], not wrapped.
-        """
-        angles: np.ndarray = np.asarray(state, dtype=float)[..., self.indices.crank] + self._home.crank_angles
-        return angles
+        """Angles theta (..., 6) [rad] of the cranks, not wrapped."""
+        return np.asarray(state, dtype=float)[..., self.indices.crank] + self._home.crank_angles
 
     def crank_rates(self, state: np.ndarray) -> np.ndarray:
-        """Speeds of the cranks.
-
-        Args:
-            state: (..., nq + nv).
-
-        Returns:
-            (..., 6) [rad/s].
-        """
-        rates: np.ndarray = np.asarray(state, dtype=float)[..., self.indices.crank_rate]
-        return rates
+        """Speeds (..., 6) [rad/s] of the cranks."""
+        return np.asarray(state, dtype=float)[..., self.indices.crank_rate]
 
     def loop_gap(self, state: np.ndarray) -> np.ndarray:
-        """Distance between each rod's end and its joint on the platform, which constraints keep near zero.
-
-        Args:
-            state: (..., nq + nv).
-
-        Returns:
-            (..., 6) [m].
-        """
+        """Distance (..., 6) [m] between each rod's end and its joint on the platform; constraints keep it near zero."""
         state = np.asarray(state, dtype=float)
         theta = self.crank_angles(state)
         cosine, sine = np.cos(theta)[..., None], np.sin(theta)[..., None]
@@ -189,13 +147,18 @@ class StateMap:
         end = self.robot.shaft_positions + lengths[0] * crank + lengths[1] * e_l
         rotation = _quaternion_rotation(state[..., self.indices.quaternion])
         arm = self.robot.platform_joints @ np.swapaxes(rotation, -1, -2)
-        gap: np.ndarray = np.linalg.norm(end - arm - state[..., None, self.indices.position], axis=-1)
-        return gap
+        return np.linalg.norm(end - arm - state[..., None, self.indices.position], axis=-1)
+
+
+def _refuse_small(kind: Literal["serial", "rod_joint"], margins: np.ndarray, pose: np.ndarray) -> None:
+    """Raises a SingularPoseError where a margin (..., 6) of a leg is next to nothing."""
+    if margins.min(initial=1.0) < 1e-6:
+        at = np.unravel_index(int(margins.argmin()), margins.shape)
+        raise SingularPoseError(kind, pose[at[:-1]], float(margins[at]), 1e-6, int(at[-1]))
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    product: np.ndarray = (matrix @ vector[..., None])[..., 0]
-    return product
+    return (matrix @ vector[..., None])[..., 0]
 
 
 def _universal_angles(direction: np.ndarray) -> np.ndarray:
@@ -214,31 +177,26 @@ def _universal_rates(angles: np.ndarray, direction_rate: np.ndarray) -> np.ndarr
 def _universal_rotation(angles: np.ndarray) -> np.ndarray:
     """(..., 3, 3) [-] Rx(a) Ry(b)."""
     (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    zero = np.zeros_like(sa)
-    rows = [[cb, zero, sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return _matrix([cb, np.zeros_like(sa), sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb])
 
 
 def _quaternion(rpy: np.ndarray) -> np.ndarray:
     """(..., 4) [-] w, x, y, z of `rotation_matrix(rpy)`."""
     (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(0.5 * rpy), -1, 0), np.moveaxis(np.cos(0.5 * rpy), -1, 0)
-    return np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=-1,
-    )
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.stack([w, x, y, z], axis=-1)
 
 
 def _quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
     """(..., 3, 3) [-] rotation of a quaternion of any length, as Drake reads it."""
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
-    rows = [
+    return _matrix(
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
+    )
+
+
+def _matrix(*rows: list[np.ndarray]) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

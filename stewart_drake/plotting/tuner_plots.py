@@ -25,7 +25,7 @@ from stewart_drake.plotting.panels import (
 
 _STYLES = tuple(zip((BLUE, ORANGE, PURPLE, YELLOW, SKY, GREEN), "oDs^vP", strict=True))
 _APART = 0.11
-"""Of a line, between contestants."""
+"""Of a line, between candidates."""
 _SHOWN = (0.08, 12.0)
 """Ratios beyond stand at the edge, hollow."""
 
@@ -33,11 +33,11 @@ _SHOWN = (0.08, 12.0)
 def plot_costs(
     kinds: Sequence[str], ratios: Mapping[str, Sequence[tuple[float, float, float]]], against: str
 ) -> Figure:
-    """Cost over that of one contestant, a line a kind.
+    """Cost over that of one candidate, a line a kind.
 
     Args:
         kinds: Names of the lines.
-        ratios: Contestant -> for each kind, ratio with both ends of its interval.
+        ratios: Candidate -> for each kind, ratio with both ends of its interval.
         against: Whose cost is 1.
     """
     figure, axes = panels(1, 1, 1.6 + 0.34 * len(kinds))

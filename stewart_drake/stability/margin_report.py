@@ -18,25 +18,18 @@ _POSE = ("roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m")
 
 
 def quantities(found: LoopMargins, period: float) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
-    """Each margin: its key, its name with unit, (m,) of the worst motor alone, (m,) of all at once.
-
-    Args:
-        found: Margins.
-        period: [s].
-    """
-    one, together = found.single, found.all_at_once
-    for key, name, scale, worst in (
-        ("disk", "disk margin [-]", 1.0, "min"),
-        ("gain_low", "gain down to [-]", 1.0, "max"),
-        ("gain_high", "gain up to [-]", 1.0, "min"),
-        ("phase_deg", "phase [deg]", 180.0 / np.pi, "min"),
-        ("delay_s", "delay [ms]", 1e3, "min"),
-        ("delay_ticks", "delay [ticks]", 1.0 / period, "min"),
+    """Each margin: its key, its name with unit, (m,) of the worst motor alone, (m,) of all at once; period [s]."""
+    for key, name, field, scale in (
+        ("disk", "disk margin [-]", "disk", 1.0),
+        ("gain_low", "gain down to [-]", "gain_low", 1.0),
+        ("gain_high", "gain up to [-]", "gain_high", 1.0),
+        ("phase_deg", "phase [deg]", "phase", 180.0 / np.pi),
+        ("delay_s", "delay [s]", "delay", 1.0),
+        ("delay_ticks", "delay [ticks]", "delay", 1.0 / period),
     ):
-        field = key.removesuffix("_deg").removesuffix("_s").removesuffix("_ticks")
-        alone = getattr(getattr(one, field), worst)(axis=-1)
-        unit = 1.0 if key == "delay_s" else scale
-        yield key, name, unit * alone, unit * getattr(together, field)
+        alone = getattr(found.single, field)
+        worst = alone.max(axis=-1) if key == "gain_low" else alone.min(axis=-1)
+        yield key, name, scale * worst, scale * getattr(found.all_at_once, field)
 
 
 def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
@@ -49,8 +42,9 @@ def table(found: LoopMargins, period: float) -> list[tuple[str, ...]]:
     """Rows of texts under `HEADER`."""
     rows = []
     for key, name, alone, together in quantities(found, period):
-        scale = 1e3 if key == "delay_s" else 1.0
-        numbers = [scale * each for values in (alone, together) for each in spread(values, key == "gain_low")]
+        numbers = [each for values in (alone, together) for each in spread(values, key == "gain_low")]
+        if key == "delay_s":
+            name, numbers = "delay [ms]", [1e3 * each for each in numbers]
         rows.append((name, *(f"{each:.3g}" for each in numbers)))
     return rows
 
@@ -83,10 +77,6 @@ def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
     def plain(values: np.ndarray, most: bool) -> list[float | None]:
         return [each if np.isfinite(each) else None for each in spread(values, most)]
 
-    numbers = {
-        key: {"one_motor": plain(alone, key == "gain_low"), "all_at_once": plain(together, key == "gain_low")}
-        for key, _, alone, together in quantities(found, loops.period)
-    }
     worst = int(found.all_at_once.disk.argmin())
     return {
         "poses": len(loops.poses),
@@ -98,7 +88,10 @@ def document(loops: LinearLoops, found: LoopMargins) -> dict[str, Any]:
         "worst_frequency_rad_s": float(found.frequency[worst]),
         "bounds_apart": gap(found),
         "columns": ["worst", "all but 5 %", "median"],
-        "margins": numbers,
+        "margins": {
+            key: {"one_motor": plain(alone, key == "gain_low"), "all_at_once": plain(together, key == "gain_low")}
+            for key, _, alone, together in quantities(found, loops.period)
+        },
     }
 
 

@@ -8,20 +8,16 @@ P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins" (IEEE Contr
 
 from __future__ import annotations
 
-import contextlib
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import matrix_balance, schur
 
 from stewart_drake.stability.linear_loop import LinearLoops
 from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
 
 _SLOWEST = 0.1
 """Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
-_MODAL_ERROR = 1e-7
-"""Of responses by modes; loops whose modes are worse than that are solved one by one."""
-_BLOCK = 50
-"""Loops at once."""
 
 
 class Margins(NamedTuple):
@@ -66,45 +62,37 @@ class LoopMargins(NamedTuple):
 
 
 def loop_margins(loops: LinearLoops, count: int = 300) -> LoopMargins:
-    """Margins of each of the loops.
-
-    Args:
-        loops: At m poses, or of several settings at once, stacked.
-        count: Frequencies, spaced evenly in their logarithm.
-    """
-    poles, modes = np.linalg.eig(loops.closed)
+    """Margins of each of the loops, at so many frequencies, spaced evenly in their logarithm."""
+    poles = np.linalg.eigvals(loops.closed)
     radius = np.abs(poles).max(axis=-1)
     frequencies = _grid(poles, loops.period, count)
-    responses = _Responses(loops, poles, modes, np.exp(1j * frequencies * loops.period))
-    # What fits into a processor's cache.
-    blocks = [np.arange(at, min(at + _BLOCK, len(radius))) for at in range(0, len(radius), _BLOCK)]
-    parts = [_of_block(responses.sensitivity(rows), frequencies, radius[rows] < 1.0) for rows in blocks]
-    single, all_at_once = (
-        Margins(*map(np.concatenate, zip(*(part[k] for part in parts), strict=True))) for k in (0, 1)
-    )
-    not_above, at, curves = (np.concatenate([part[k] for part in parts]) for k in (2, 3, 4))
-    return LoopMargins(radius, single, all_at_once, not_above, frequencies[at], frequencies, curves)
-
-
-def _of_block(
-    sensitivity: np.ndarray, frequencies: np.ndarray, stable: np.ndarray
-) -> tuple[Margins, Margins, np.ndarray, np.ndarray, np.ndarray]:
-    """One at a time, all at once, and of that the bound from above, the place on the grid and the curve."""
-    single = _classical(np.einsum("mfii->mif", sensitivity), frequencies, stable)
-    curves, logs, peak = _disks(sensitivity - 0.5 * np.eye(6))
-    rows = np.arange(len(curves))
-    not_above = 1.0 / lower_bound(sensitivity[rows, peak] - 0.5 * np.eye(6), logs[rows, peak])
-    disk = curves.min(axis=-1)
-    high = gain_of_disk(disk)
-    delay = (_lag(curves, np.eye(6) - sensitivity, logs) / frequencies).min(axis=-1)
-    found = Margins(disk, 1.0 / high, high, 2.0 * np.arctan(0.5 * disk), delay)
-    return single, _where(stable, found), np.where(stable, not_above, 0.0), peak, np.where(stable[:, None], curves, 0.0)
+    points = np.exp(1j * frequencies * loops.period)
+    each = zip(loops.closed, loops.b, loops.c, strict=True)
+    found = [_of_loop(_sensitivity(*matrices, points), frequencies) for matrices in each]
+    single, together, not_above, peak, curves = (np.array(each) for each in zip(*found, strict=True))
+    stable = radius < 1.0
+    none = np.array([0.0, 1.0, 1.0, 0.0, 0.0])
+    one = Margins(*np.moveaxis(np.where(stable[:, None, None], single, none[:, None]), 1, 0))
+    every = Margins(*np.where(stable[:, None], together, none).T)
+    not_above, curves = np.where(stable, not_above, 0.0), np.where(stable[:, None], curves, 0.0)
+    return LoopMargins(radius, one, every, not_above, frequencies[peak], frequencies, curves)
 
 
 def gain_of_disk(disk: np.ndarray) -> np.ndarray:
     """Largest factor of a disk (...); without end from alpha = 2 on. The smallest is its inverse."""
     with np.errstate(divide="ignore"):
         return np.where(disk < 2.0, (2.0 + disk) / (2.0 - disk), np.inf)
+
+
+def _of_loop(sensitivity: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, int, np.ndarray]:
+    """Fields of `Margins` (5, 6) one at a time, (5,) all at once, and of that `not_above`, place of peak, and curve."""
+    matrices = sensitivity - 0.5 * np.eye(6)
+    curve, logs, peak = _disks(matrices)
+    disk, high = curve[peak], gain_of_disk(curve[peak])
+    delay = (_lag(curve, np.eye(6) - sensitivity, logs) / frequencies).min()
+    together = np.array([disk, 1.0 / high, high, 2.0 * np.arctan(0.5 * disk), delay])
+    single = _classical(np.diagonal(sensitivity, axis1=-2, axis2=-1).T, frequencies)
+    return single, together, 1.0 / float(lower_bound(matrices[peak], logs[peak])), peak, curve
 
 
 def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
@@ -115,44 +103,20 @@ def _grid(poles: np.ndarray, period: float, count: int) -> np.ndarray:
     return np.geomspace(_SLOWEST * slowest, np.pi / period, count)
 
 
-class _Responses(NamedTuple):
-    """Loops with the modes (m, n, n) of their closed loops, to be asked at points (f,) of the unit circle."""
-
-    loops: LinearLoops
-    poles: np.ndarray
-    modes: np.ndarray
-    points: np.ndarray
-
-    def sensitivity(self, rows: np.ndarray) -> np.ndarray:
-        """S (k, f, 6, 6) of some loops: I + C (z I - A - B C)^-1 B."""
-        found = np.stack([self._by_modes(row) for row in rows])
-        tried = np.array([0, len(self.points) // 2, len(self.points) - 1])
-        error = np.abs(found[:, tried] - self._solved(rows, self.points[tried])).max(axis=(1, 2, 3))
-        for k in np.flatnonzero(~(error <= _MODAL_ERROR)):
-            found[k] = self._solved(rows[k : k + 1], self.points)[0]
-        return found + np.eye(6)
-
-    def _by_modes(self, row: int) -> np.ndarray:
-        """C (z I - A - B C)^-1 B (f, 6, 6), one multiplication of matrices: (z - pole)^-1 times columns and rows."""
-        into = np.full((self.modes.shape[-1], 6), np.nan + 0.0j)
-        with contextlib.suppress(np.linalg.LinAlgError):
-            into = np.linalg.solve(self.modes[row], self.loops.b[row].astype(complex))
-        out = (self.loops.c[row] @ self.modes[row]).T
-        parts = (out[:, :, None] * into[:, None, :]).reshape(-1, 36)
-        found: np.ndarray = (1.0 / (self.points[:, None] - self.poles[row]) @ parts).reshape(-1, 6, 6)
-        return found
-
-    def _solved(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """The same without modes, which may be hardly independent of each other."""
-        closed = self.loops.closed[rows][:, None]
-        left = points[:, None, None] * np.eye(closed.shape[-1]) - closed
-        right = np.broadcast_to(self.loops.b[rows][:, None], (*left.shape[:-1], 6))
-        solved: np.ndarray = self.loops.c[rows][:, None] @ np.linalg.solve(left, right)
-        return solved
+def _sensitivity(closed: np.ndarray, b: np.ndarray, c: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """S (f, 6, 6) = I + C (z I - A - B C)^-1 B at points (f,) of the unit circle, by back substitution."""
+    # States of other units and sizes cost digits, unless they are scaled alike before.
+    scaled, (sizes, _) = matrix_balance(closed, permute=False, separate=True)
+    triangle, turn = schur(scaled, output="complex")
+    n = len(closed)
+    into, x = turn.conj().T @ (b / sizes[:, None]), np.empty((n, len(points), 6), dtype=complex)
+    for i in reversed(range(n)):
+        x[i] = (into[i] + np.tensordot(triangle[i, i + 1 :], x[i + 1 :], 1)) / (points - triangle[i, i])[:, None]
+    return np.eye(6) + np.moveaxis(np.tensordot(c * sizes @ turn, x, 1), 0, 1)
 
 
-def _classical(own: np.ndarray, frequencies: np.ndarray, stable: np.ndarray) -> Margins:
-    """Margins of single loops from their sensitivity (m, 6, f)."""
+def _classical(own: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Fields of `Margins` (5, 6) of single loops from their sensitivity (6, f)."""
     disk = 1.0 / np.abs(own - 0.5).max(axis=-1)
     loop = 1.0 / own - 1.0
     # Between two points of the grid logarithms are taken as straight.
@@ -173,31 +137,25 @@ def _classical(own: np.ndarray, frequencies: np.ndarray, stable: np.ndarray) -> 
     at = np.exp(place[:-1] + share * np.diff(place))
     phase = np.where(unity, np.minimum(lag, 2.0 * np.pi - lag), np.inf).min(axis=-1)
     delay = np.where(unity, lag / at, np.inf).min(axis=-1)
-    return _where(stable[:, None], Margins(disk, np.exp(low), np.exp(high), phase, delay))
+    return np.array([disk, np.exp(low), np.exp(high), phase, delay])
 
 
-def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Disk margin (m, f) at each frequency, log D (m, f, 6), and where on the grid (m,) it is smallest.
+def _disks(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Disk margin (f,) of matrices (f, 6, 6), log D (f, 6), and where on the grid it is smallest.
 
     The upper bound of mu is refined at its peak, and again wherever that makes another frequency the peak.
     """
     logs = balanced(matrices)
     bound = upper_bound(matrices, logs)
-    done = np.zeros(bound.shape, dtype=bool)
-    rows = np.arange(len(bound))
-    while True:
-        peak = bound.argmax(axis=-1)
-        left = np.flatnonzero(~done[rows, peak])
-        if not len(left):
-            return 1.0 / bound, logs, peak
-        for place in zip(left, peak[left], strict=True):
-            logs[place] = refined(matrices[place], logs[place])
-        at = left, peak[left]
-        bound[at], done[at] = upper_bound(matrices[at], logs[at]), True
+    done = np.zeros(len(bound), dtype=bool)
+    while not done[peak := int(bound.argmax())]:
+        logs[peak], done[peak] = refined(matrices[peak], logs[peak]), True
+        bound[peak] = upper_bound(matrices[peak], logs[peak])
+    return 1.0 / bound, logs, peak
 
 
 def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Lag (m, f) [rad] that all motors together bear at each frequency, each up to that.
+    """Lag (f,) [rad] that all motors together bear at each frequency, each up to that.
 
     The larger of two bounds: of the disk, and of 1 + d with |d| < 1 / mu(T). Where mu(T) < 1/2, no lag is too much.
     S, T and their difference have the same elements off the diagonal, so one log D balances them all.
@@ -205,8 +163,3 @@ def _lag(disks: np.ndarray, complementary: np.ndarray, logs: np.ndarray) -> np.n
     size = upper_bound(complementary, logs)
     chord = np.arcsin(0.5 / np.maximum(size, 0.5))
     return np.where(size < 0.5, np.inf, 2.0 * np.maximum(chord, np.arctan(0.5 * disks)))
-
-
-def _where(stable: np.ndarray, found: Margins) -> Margins:
-    """The margins where a loop is stable, and those of one that has none elsewhere."""
-    return Margins(*(np.where(stable, each, 1.0 if "gain" in name else 0.0) for name, each in found._asdict().items()))

@@ -19,23 +19,16 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
     """The log D (..., n) that makes the Frobenius norm of D M D^-1 small, nearly the best for sigma_max too.
 
     E. Osborne, "On pre-conditioning of matrices" (J. ACM 7, 1960), row by row.
-
-    Args:
-        matrices: (..., n, n) M.
     """
-    squares = np.abs(matrices) ** 2
-    n = squares.shape[-1]
-    squares[..., np.arange(n), np.arange(n)] = 0.0
-    squares += np.finfo(float).tiny
+    n = matrices.shape[-1]
+    squares = np.abs(matrices) ** 2 * (1.0 - np.eye(n)) + np.finfo(float).tiny
     logs = np.zeros(squares.shape[:-1])
-    for _ in range(_SWEEPS):
-        for i in range(n):
-            # Row i grows by e^2s, column i shrinks by it.
-            step = 0.25 * np.log(squares[..., i].sum(axis=-1) / squares[..., i, :].sum(axis=-1))
-            logs[..., i] += step
-            factor = np.exp(2.0 * step)[..., None]
-            squares[..., i, :] *= factor
-            squares[..., i] /= factor
+    for i in np.tile(np.arange(n), _SWEEPS):
+        # Row i grows by e^2s, column i shrinks by it.
+        step = 0.25 * np.log(squares[..., i].sum(axis=-1) / squares[..., i, :].sum(axis=-1))
+        logs[..., i] += step
+        squares[..., i, :] *= np.exp(2.0 * step)[..., None]
+        squares[..., i] /= np.exp(2.0 * step)[..., None]
     return logs
 
 
@@ -59,25 +52,16 @@ def upper_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
     return np.linalg.svd(_scaled(matrices, logs), compute_uv=False)[..., 0]
 
 
-def lower_bound(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Spectral radius (...) of Q M, the larger of two unitary Q; no mu is below it.
+def lower_bound(matrix: np.ndarray, logs: np.ndarray) -> float:
+    """Spectral radius of Q M (n, n), the larger of two unitary Q; mu is not below it.
 
     One Q is the identity, the other turns the left singular vector of D M D^-1 onto the right one, element by element:
     where the largest singular value is simple at the best D, that gives mu itself.
-
-    Args:
-        matrices: (..., n, n) M.
-        logs: (..., n) log D, see `refined`.
     """
-    left, _, right = np.linalg.svd(_scaled(matrices, logs))
-    turn = right[..., 0, :].conj() * left[..., :, 0].conj()
-    turn = np.where(np.abs(turn) > 0.0, turn / np.maximum(np.abs(turn), 1e-300), 1.0)
-    return np.maximum(_radius(matrices), _radius(turn[..., None] * matrices))
+    left, _, right = np.linalg.svd(_scaled(matrix, logs))
+    turn = np.exp(-1j * np.angle(right[0] * left[:, 0]))
+    return float(max(np.abs(np.linalg.eigvals(each)).max() for each in (matrix, turn[:, None] * matrix)))
 
 
 def _scaled(matrices: np.ndarray, logs: np.ndarray) -> np.ndarray:
     return np.exp(logs[..., :, None] - logs[..., None, :]) * matrices
-
-
-def _radius(matrices: np.ndarray) -> np.ndarray:
-    return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)

@@ -17,15 +17,18 @@ from stewart_drake.campaigns.plan import identity
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
-from stewart_drake.files.whole import checksum
+from stewart_drake.files.whole import PACKAGE, checksum
+from stewart_drake.files.yaml_files import read_mapping
 from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
+from stewart_drake.section import Real, Section, Text
 from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation
 
+SHIPPED = PACKAGE / "weights" / "baselines.yaml"
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 LEAST_COST = 1e-3
@@ -33,8 +36,34 @@ LEAST_COST = 1e-3
 DIGITS = 3
 """Of a setting: what is run is what is written down."""
 
+Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
 """Kind and robot."""
+
+
+class Baselines(Section, key=""):
+    """What a trained tuner has to beat, found by `make tuner_baselines`: settings (4,) in decades above the default."""
+
+    name: Text = "baselines"
+    best: Numbers
+    """Over both robots."""
+    best_of_robot: dict[Text, Numbers]
+    """Robot -> the best over its own kinds."""
+    best_of_kind: dict[Text, dict[Text, Numbers]]
+    """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
+    pair: dict[Text, tuple[Real, Real]]
+    """Robot -> the best of the paper's nine pairs."""
+    schedule: dict[Text, Any]
+    """Keys of `ScheduleTuner`, made over both robots."""
+    costs: dict[Text, dict[Text, dict[Text, Real]]]
+    """Robot -> kind -> geometric mean of J over the seeds: default, and the above."""
+    evaluations: dict[Text, Real]
+    """Points in each search, and seeds of each kind."""
+
+    @classmethod
+    def load(cls, path: Path = SHIPPED) -> Baselines:
+        """Reads the file that the package carries, or another."""
+        return cls.from_dict(read_mapping("settings", path, 200))
 
 
 class Case(NamedTuple):
@@ -137,7 +166,11 @@ class Benchmark(KeptRuns):
     def _task(self, candidate: Candidate, case: Case) -> Task:
         scenario, base = _situation(case)
         changes = {**candidate(case, scenario), "plant.engine": self._engine, "log_period": None}
-        drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
+        # A network counts by its content, whatever its file is called.
+        tuner = changes.get("tuner", {})
+        section = TUNERS.section_of(tuner)
+        text = None if section is None else section.from_dict(tuner).content()
+        drawn = {"case": list(case), "changes": changes, "network": None if text is None else checksum(text)}
         # Twelve digits are as many as a double holds exactly.
         return Task(int(checksum(drawn)[:12], 16), case.seed, base, changes, drawn, measure_parts)
 
@@ -146,10 +179,3 @@ class Benchmark(KeptRuns):
 def _situation(case: Case) -> tuple[Scenario, Mapping[str, Any]]:
     scenario = situation(*case)
     return scenario, scenario.to_dict()
-
-
-def _network(tuner: Mapping[str, Any]) -> str | None:
-    """Digest of the network of a tuner, whatever its file is called."""
-    section = TUNERS.section_of(tuner)
-    text = None if section is None else section.from_dict(tuner).content()
-    return None if text is None else checksum(text)

@@ -41,11 +41,9 @@ BURST = 1.6
 def feasible_amplitudes(
     robot: RobotParameters, limits: Limits, gravity: float
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
-    """Amplitudes at each of `FREQUENCIES`.
+    """Largest feasible amplitudes (n_f, 6) [rad, m] at each of `FREQUENCIES`: of each axis alone, and of all at once.
 
-    Returns:
-        (n_f, 6) [rad, m] largest feasible amplitude of each axis alone, and (n_f, 6) the largest common share of these
-        that is feasible with all six axes moving at once, `PHASES` apart.
+    All at once, `PHASES` apart, have the largest common share of those of each axis alone.
     """
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
     together = []
@@ -84,19 +82,14 @@ def _bursts(
 
 def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list[Scenario]:
     """The nine experiments of so many ticks: every pair of `OMEGAS` held fixed, on `experiment_reference`."""
-    reference = experiment_reference(base)
+    kept = {name: getattr(base, name) for name in ("gravity", "robot", "model_robot", "plant", "limits")}
+    kept |= {"reference": experiment_reference(base), "controller": base.lqi, "duration": samples * base.lqi.period}
+    kind, window = base.tuner.density, base.tuner.window
     return [
         Scenario(
             name=f"experiment {index}",
-            duration=samples * base.lqi.period,
-            gravity=base.gravity,
-            robot=base.robot,
-            model_robot=base.model_robot,
-            plant=base.plant,
-            reference=reference,
-            controller=base.lqi,
-            tuner=FixedTuner(omega_q=omega_q, omega_r=omega_r, density=base.tuner.density, window=base.tuner.window),
-            limits=base.limits,
+            tuner=FixedTuner(omega_q=omega_q, omega_r=omega_r, density=kind, window=window),
+            **kept,
         )
         for index, (omega_q, omega_r) in enumerate(itertools.product(OMEGAS, OMEGAS))
     ]
@@ -105,11 +98,7 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
 def dataset_from_logs(
     logs: Sequence[SimulationLog], samples: int, kind: DensityKind, window: int, metadata: dict[str, Any]
 ) -> Dataset:
-    """Densities of logged errors and torques, one row a tick; a log per experiment.
-
-    Raises:
-        RunFailure: A run ended before its last sample; it says which.
-    """
+    """Densities of logged errors and torques, one row a tick; a log per experiment."""
     inputs, outputs = [], []
     for index, log in enumerate(logs):
         _refuse_part(index, log, samples)
@@ -122,12 +111,11 @@ def dataset_from_logs(
 
 
 def _refuse_part(index: int, log: SimulationLog, samples: int) -> None:
+    """Raises a RunFailure where a run ended before its last sample."""
     if not log.reached_end or len(log.time) < samples:
         omega_q, omega_r = log.scenario.tuner.weights
-        raise RunFailure(
-            f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g}) ended at {log.end_time:.3f} s: "
-            f"{log.message}"
-        )
+        name = f"experiment {index} (omega_Q {omega_q:g}, omega_R {omega_r:g})"
+        raise RunFailure(f"{name} ended at {log.end_time:.3f} s: {log.message}")
 
 
 def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:

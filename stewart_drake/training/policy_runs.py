@@ -1,4 +1,4 @@
-"""A policy in a situation on the fast engine: what the run costs, and which features the policy hears.
+"""A policy in a situation on the fast engine: what the run costs, and which features the policy gets.
 
 Weights reach a run in memory. Nothing else of training builds a policy or runs one.
 """
@@ -6,7 +6,7 @@ Weights reach a run in memory. Nothing else of training builds a policy or runs 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,22 +33,14 @@ _SKIPPED, _SAMPLED = 30, 10
 
 
 class Episode(NamedTuple):
-    """A run of a policy, but for its weights: a case, and the taste kappa."""
+    """A run of a policy, but for its weights: a case, and the smoothness kappa."""
 
     case: Case
     kappa: float = 0.0
 
 
 class Frame(NamedTuple):
-    """All of a policy but its weights.
-
-    Attributes:
-        centre: (4,) setting in the middle of the box, the best fixed one.
-        mean: (13,) of the features.
-        scale: (13,) of the features.
-        low: (13,) least features heard in training.
-        high: (13,) largest.
-    """
+    """All of a policy but its weights: the centre of its box (4,), and statistics and range (13,) of its features."""
 
     centre: np.ndarray
     mean: np.ndarray = np.zeros(len(FEATURES))
@@ -58,41 +50,42 @@ class Frame(NamedTuple):
 
     def policy(self, weights: np.ndarray) -> Policy:
         """The policy with weights (`WEIGHTS`,); with zeros it stays at the centre."""
-        hidden, hidden_bias, output, output_bias = np.split(
-            weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN])
+        ends = np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN])
+        hidden, hidden_bias, output, output_bias = np.split(weights, ends)
+        layers = Layers(
+            mean=self.mean,
+            scale=self.scale,
+            hidden=hidden.reshape(HIDDEN, -1),
+            hidden_bias=hidden_bias,
+            output=output.reshape(SIZE, -1),
+            output_bias=output_bias,
+            centre=self.centre,
+            below=self.centre - LOWEST,
+            above=HIGHEST - self.centre,
+            low=self.low,
+            high=self.high,
         )
-        return Policy(
-            Layers(
-                mean=self.mean,
-                scale=self.scale,
-                hidden=hidden.reshape(HIDDEN, -1),
-                hidden_bias=hidden_bias,
-                output=output.reshape(SIZE, -1),
-                output_bias=output_bias,
-                centre=self.centre,
-                below=self.centre - LOWEST,
-                above=HIGHEST - self.centre,
-                low=self.low,
-                high=self.high,
-            )
-        )
+        return Policy(layers)
 
 
 def episode_cost(policy: Policy, episode: Episode) -> float:
-    """Logarithm of what a run of a policy costs, at the taste of the episode."""
+    """Logarithm of what a run of a policy costs, at the kappa of the episode."""
     return _run(policy, episode)
 
 
 def episode_features(policy: Policy, episode: Episode) -> np.ndarray:
-    """Features (n, 13) that a policy hears in a run, some of them."""
-    listener = _Listener(policy)
-    _run(listener, episode)
-    return np.array(listener.heard[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
+    """Features (n, 13) that a policy gets in a run, some of them."""
+    recorder = _Recorder(policy)
+    _run(recorder, episode)
+    return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
 
 
 def _run(chooser: Chooser, episode: Episode) -> float:
     scenario = _fast(episode.case)
-    log = simulate_unchecked(scenario.replace({"tuner": _GivenTuner.of(chooser, scenario, episode.kappa)}))
+    q_pose, q_rate, q_integral, r = scenario.tuner.weights
+    tuner = _GivenTuner(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=episode.kappa)
+    vars(tuner)["given"] = chooser
+    log = simulate_unchecked(scenario.replace({"tuner": tuner}))
     return log_cost({"status": log.status, **measure_parts(log)}, CostScales().at(episode.kappa))
 
 
@@ -107,38 +100,30 @@ def _fast(case: Case) -> Scenario:
 class _GivenTuner(PolicyTuner):
     """A policy that stands in memory."""
 
-    @classmethod
-    def of(cls, chooser: Chooser, scenario: Scenario, kappa: float) -> Self:
-        """On top of the weights that a scenario has."""
-        q_pose, q_rate, q_integral, r = scenario.tuner.weights
-        tuner = cls(q_pose=q_pose, q_rate=q_rate, q_integral=q_integral, r=r, kappa=kappa)
-        vars(tuner)["given"] = chooser
-        return tuner
-
     def chooser(self) -> Chooser:  # type: ignore[override]
-        """See `SettingTuner.chooser`."""
+        """What it was given."""
         given: Chooser = vars(self)["given"]
         return given
 
 
-class _Listener:
-    """A policy that writes down what it hears; see `Chooser`."""
+class _Recorder:
+    """A policy that writes down its features; see `Chooser`."""
 
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
         self.numbers, self.law = policy.numbers, self._tick
-        self.heard: list[np.ndarray] = []
+        self.rows: list[np.ndarray] = []
 
     def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
         density, error, torque, innovation, reference, state = inputs
         found = np.empty(len(FEATURES))
-        _hear(setups, density, error, torque, innovation, reference, state.copy(), found)
-        self.heard.append(found)
+        _features(setups, density, error, torque, innovation, reference, state.copy(), found)
+        self.rows.append(found)
         policy_tick(setups, own, *inputs)
 
 
 @njit
-def _hear(
+def _features(
     setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
 ) -> None:
     """`features` of arrays."""

@@ -28,8 +28,7 @@ from stewart_drake.control.policy import SIZE, Policy
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.training.baselines import Baselines
-from stewart_drake.training.benchmark import Cell, cases_of, cells_for, cells_of, mean_over_cells
+from stewart_drake.training.benchmark import Baselines, cases_of, cells_for, cells_of, mean_over_cells
 from stewart_drake.training.policy_runs import HIDDEN, WEIGHTS, Episode, Frame, episode_cost, episode_features
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION
 
@@ -47,72 +46,53 @@ VALIDATED = 5
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train a policy.
-
-    Attributes:
-        seed: Of the first weights, the tastes and the directions.
-        generations: Steps of evolution.
-        situations: Of each kind and robot in a generation, times `MORE`.
-        pool: Of each kind and robot, that generations take theirs from in turn.
-        validation: Of each kind and robot, by which the best generation is chosen.
-        robots: Names of those to train on.
-    """
+    """How to train a policy; numbers of situations are of each kind and robot."""
 
     seed: int = 0
+    """Of the first weights, the smoothness and the directions."""
     generations: int = 150
+    """Steps of evolution."""
     situations: int = 8
+    """In a generation, times `MORE`."""
     pool: int = 32
+    """That generations take theirs from in turn."""
     validation: int = 6
+    """By which the best generation is chosen."""
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
 @dataclass
 class State:
-    """Where a training stands; what its file holds.
-
-    Attributes:
-        fixed: (pool,) log J of each episode of the pool at the centre.
-        validated: (validation,) likewise of the validation episodes.
-        mean: (13,) of the features.
-        scale: (13,) of the features.
-        weights: (n,) of the network, flat.
-        moments: (2, n) of Adam.
-        best: (n,) weights of the generation that is best on validation; at first those of the start.
-        least: Mean of log J over that at the centre on validation, of `best`.
-        generation: Done.
-        seconds: [s] on the clock.
-        history: (g, 2) generation and mean of log J over that at the centre on validation.
-    """
+    """Where a training stands; what its file holds."""
 
     fixed: np.ndarray
+    """(pool,) log J of each episode of the pool at the centre."""
     validated: np.ndarray
+    """(validation,) likewise of the validation episodes."""
     mean: np.ndarray
     scale: np.ndarray
+    """(13,) of the features."""
     weights: np.ndarray
     moments: np.ndarray
+    """(n,) of the network, flat; (2, n) of Adam."""
     best: np.ndarray
+    """(n,) weights of the generation that is best on validation; at first those of the start."""
     least: float = 0.0
+    """Mean of log J over that at the centre on validation, of `best`."""
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(g, 2) generation and mean of log J over that at the centre on validation."""
 
     def save(self, file: Path, identity: str) -> None:
-        """Writes it beside and renames.
-
-        Raises:
-            ConfigurationError: The folder is missing or not writable.
-        """
+        """Writes it beside and renames."""
         content = io.BytesIO()
         np.savez(content, identity=identity, **vars(self))
         write_atomically(file, content.getvalue())
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        """Reads what `save` wrote.
-
-        Raises:
-            ConfigurationError: It is no such file, or of a training with other options.
-        """
+        """Reads what `save` wrote; a ConfigurationError where it is no such file, or of other options."""
         try:
             with np.load(file, allow_pickle=False) as content:
                 values = {name: value if value.ndim else value.item() for name, value in content.items()}
@@ -127,12 +107,7 @@ class State:
 
 
 class Training:
-    """The steps of `train_policy`.
-
-    Args:
-        options: How to train.
-        place: Where the runs go.
-    """
+    """The steps of `train_policy`, with runs at a place."""
 
     def __init__(self, options: PolicyOptions, place: Workplace) -> None:
         self.options, self._place = options, place
@@ -140,9 +115,9 @@ class Training:
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
         self.cases = cases_of(cells, TRAINING[: options.pool])
         rng = np.random.default_rng(options.seed)
-        # Half of the pool has a taste of its own.
-        tastes = np.where(rng.random(len(self.cases)) < 0.5, rng.uniform(-1.0, 1.0, len(self.cases)), 0.0)
-        self.episodes = [Episode(case, float(kappa)) for case, kappa in zip(self.cases, tastes, strict=True)]
+        # Half of the pool has a smoothness (kappa) of its own.
+        kappas = np.where(rng.random(len(self.cases)) < 0.5, rng.uniform(-1.0, 1.0, len(self.cases)), 0.0)
+        self.episodes = [Episode(case, float(kappa)) for case, kappa in zip(self.cases, kappas, strict=True)]
         self.validation = cases_of(cells, VALIDATION[: options.validation])
         self.identity = checksum({"options": dataclasses.asdict(options), "centre": self.centre.tolist()})
 
@@ -151,19 +126,17 @@ class Training:
         rng = np.random.default_rng([self.options.seed, 1])
         weights = np.zeros(WEIGHTS)
         stays = Frame(self.centre).policy(weights)
-        fixed = self.costs([stays] * len(self.episodes), self.episodes)
-        validated = self.costs([stays] * len(self.validation), [Episode(case) for case in self.validation])
-        heard = []
+        fixed, validated = self.costs([stays] * len(self.episodes), self.episodes), self.validate(stays)
+        runs = []
         for places in cells_of(self.cases).values():
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
-                heard += [(stays, self.episodes[place]), (Frame(self.centre).policy(weights), self.episodes[place])]
-        features = np.concatenate(self._map(episode_features, heard))
+                runs += [(stays, self.episodes[place]), (Frame(self.centre).policy(weights), self.episodes[place])]
+        features = np.concatenate(self._map(episode_features, runs))
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(features.std(axis=0), 1e-3)
-        moments = np.zeros((2, WEIGHTS))
-        return State(fixed, validated, features.mean(axis=0), scale, weights, moments, best=weights)
+        return State(fixed, validated, features.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def step(self, state: State) -> State:
         """One more generation: each situation twice, with weights on opposite sides of the present ones.
@@ -175,7 +148,7 @@ class Training:
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
         directions = rng.standard_normal((len(chosen), WEIGHTS))
-        frame = self.frame(at)
+        frame = Frame(self.centre, at.mean, at.scale)
         policies = [frame.policy(at.weights + side * SPREAD * way) for side in (1.0, -1.0) for way in directions]
         plus, minus = self.costs(policies, [self.episodes[place] for place in chosen] * 2).reshape(2, -1)
         share = self._shares(chosen, 0.5 * (plus + minus) - at.fixed[chosen])
@@ -190,18 +163,15 @@ class Training:
         return at
 
     def finish(self, state: State) -> Policy:
-        """The best policy, with the range of what it hears on the pool, and its card."""
-        policy = self.frame(state).policy(state.best)
+        """The best policy, with the range of its features on the pool, and its card."""
+        frame = Frame(self.centre, state.mean, state.scale)
+        policy = frame.policy(state.best)
         features = np.concatenate(self._map(episode_features, [(policy, episode) for episode in self.episodes]))
         low, high = np.quantile(features, [0.0005, 0.9995], axis=0)
-        # All tastes were drawn, if not to the last one.
+        # All of kappa was drawn, if not to its very ends.
         low[FEATURES.index("kappa")], high[FEATURES.index("kappa")] = -1.0, 1.0
-        policy = self.frame(state)._replace(low=low, high=high).policy(state.best)
+        policy = frame._replace(low=low, high=high).policy(state.best)
         return Policy(policy.layers, self._card(state, self.validate(policy) - state.validated))
-
-    def frame(self, state: State) -> Frame:
-        """All but the weights."""
-        return Frame(self.centre, state.mean, state.scale)
 
     def validate(self, policy: Policy) -> np.ndarray:
         """Log J of a policy in each validation situation."""
@@ -235,21 +205,21 @@ class Training:
         return share
 
     def _card(self, state: State, ratio: np.ndarray) -> dict[str, Any]:
-        """Where a policy comes from."""
-        cells: dict[Cell, np.ndarray] = cells_of(self.validation)
+        """Where a policy comes from; `ratio` is log J over that at the centre, by validation situation."""
+        kinds = {
+            f"{robot}: {kind}": ratio[places].mean() for (kind, robot), places in cells_of(self.validation).items()
+        }
         return {
             "made_by": "stewart-drake train --tuner policy",
             "date": date.today().isoformat(),
             "method": "evolution on the fast engine",
             "data": f"situations of training/situations.py, seeds from {TRAINING[0]} on; chosen by those from "
             f"{VALIDATION[0]} on",
-            "cost": "J of control/objective.py at kappa 0; other tastes in half of the situations",
+            "cost": "J of control/objective.py at kappa 0; other kappa in half of the situations",
             "options": {**dataclasses.asdict(self.options), "robots": list(self.options.robots)},
             "J_over_best_fixed_by_generation": [[int(at), round(math.exp(value), 3)] for at, value in state.history],
             "J_over_best_fixed": round(math.exp(mean_over_cells(ratio, self.validation)), 3),
-            "J_over_best_fixed_by_kind": {
-                f"{robot}: {kind}": round(math.exp(ratio[places].mean()), 3) for (kind, robot), places in cells.items()
-            },
+            "J_over_best_fixed_by_kind": {name: round(math.exp(value), 3) for name, value in kinds.items()},
             "seconds": round(state.seconds),
             "limits": "robots, sensors and motions of training/situations.py; see docs/results/tuner.md",
             "versions": {name: version for name, version in collect_versions().items() if version is not None},
@@ -280,10 +250,6 @@ def train_policy(
         file: Written after each generation and gone on from, where it is there; removed at the end. None for none.
         tell: Called with generations done and a word on it.
         where: Where the runs go; None for a process on each core.
-
-    Raises:
-        ConfigurationError: See `State`.
-        StewartDrakeError, KeyboardInterrupt: See `carry_out`; the generations done are kept.
     """
     if where is None:
         where = LocalProcesses(os.cpu_count())

@@ -1,4 +1,4 @@
-"""Runs on which tuners are searched, trained and judged: kinds of situations, drawn by kind, robot and seed.
+"""Runs on which tuners are searched, trained and assessed: kinds of situations, drawn by kind, robot and seed.
 
 What matters in a run happens in its second half, which its cost is made of: pushes come there, and motions that change
 do so at 60 to 75 % of it.
@@ -23,8 +23,8 @@ from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
-"""Seeds: of what is searched and trained on, of what is chosen by, and of what is judged by. Earlier policies were
-judged on those from 2e6 on."""
+"""Seeds: of what is searched and trained on, of what is chosen by, and of what is assessed by. Earlier policies
+were assessed on those from 2e6 on."""
 _TRIES = 50
 """Draws of a situation until the robot can do its motion; nearly all can at once."""
 
@@ -34,23 +34,20 @@ Changes = dict[str, Any]
 
 @dataclass(frozen=True)
 class Setup:
-    """A robot with its sensors, motors and bus, before anything is drawn.
-
-    Attributes:
-        scenario: Name of a shipped one.
-        changes: What of it is otherwise.
-        duration: [s] of a run.
-        viscous: [N m s/rad] friction of its motors.
-        beyond: [N m] lowest and highest dry friction that nobody believes.
-        push: [-] size of pushes beside those of the paper's robot, once torques and lengths are counted.
-    """
+    """A robot with its sensors, motors and bus, before anything is drawn."""
 
     scenario: str
+    """Name of a shipped one."""
     changes: Changes
+    """What of it is otherwise."""
     duration: float
+    """[s] of a run."""
     viscous: float
+    """[N m s/rad] friction of its motors."""
     beyond: tuple[float, float]
+    """[N m] lowest and highest dry friction that nobody believes."""
     push: float
+    """[-] size of pushes beside those of the paper's robot, once torques and lengths are counted."""
 
     @cached_property
     def base(self) -> Scenario:
@@ -239,12 +236,9 @@ def _delayed(draw: Draw) -> Changes:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of situations.
+    """A kind of situations: a draw of one, as changes of a `Setup.base`, and the robots that it is for.
 
-    Attributes:
-        draw: One of them, as changes of a `Setup.base`.
-        robots: Names of those that it is for.
-        trained: Whether tuners may be made on it; of the others they see nothing before they are judged.
+    Tuners are made on those that are `trained`; of the others they see nothing before they are assessed.
     """
 
     draw: Callable[[Draw], Changes]
@@ -278,11 +272,7 @@ def kinds_of(robot: str, trained: bool | None = None) -> list[str]:
 
 
 def situation(kind: str, robot: str, seed: int) -> Scenario:
-    """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant.
-
-    Raises:
-        ConfigurationError: A kind that there is not, or not for this robot; a seed below 0.
-    """
+    """A run that the robot can do, the same for the same arguments; with the default setting, on Drake's plant."""
     if kind not in KINDS:
         raise ConfigurationError("kind", kind, f"one of {', '.join(KINDS)}")
     if robot not in KINDS[kind].robots:

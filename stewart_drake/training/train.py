@@ -34,14 +34,7 @@ class TrainingOptions(Section, key="training"):
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """A trained network and how well it does.
-
-    Attributes:
-        network: With its provenance.
-        training_loss: (epochs,) mean squared error of log10 omega.
-        validation_loss: (epochs,).
-        scores: R^2 on training and validation samples, for log omega_Q, log omega_R and log ratio.
-    """
+    """A trained network, (epochs,) mean squared errors of log10 omega, and R^2 by side and target."""
 
     network: TunerNetwork
     training_loss: np.ndarray
@@ -50,11 +43,7 @@ class TrainingResult:
 
 
 def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
-    """(n,) mask of the training samples.
-
-    Raises:
-        ConfigurationError: One side of the split is empty.
-    """
+    """(n,) mask of the training samples; a ConfigurationError where one side is empty."""
     rng = np.random.default_rng(options.seed)
     group_of = np.arange(len(dataset.run)) if options.split == "samples" else dataset.run
     groups = rng.permutation(np.unique(group_of))
@@ -70,11 +59,8 @@ def _refuse_empty_class(dataset: Dataset, training: np.ndarray, options: Trainin
         classes = np.unique(values)
         lacking = np.setdiff1d(classes, values[training])
         if len(lacking) and len(classes) < len(np.unique(dataset.run)):
-            raise ConfigurationError(
-                "training.seed",
-                options.seed,
-                f"one whose split by {options.split} leaves training samples of {name} = {lacking[0]:g}",
-            )
+            allowed = f"one whose split by {options.split} leaves training samples of {name} = {lacking[0]:g}"
+            raise ConfigurationError("training.seed", options.seed, allowed)
 
 
 def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
@@ -88,10 +74,7 @@ def train_network(
 ) -> TrainingResult:
     """Trains the tuner; the same data, options and torch give the same network to the last bit.
 
-    Args:
-        dataset: From `collect_dataset` or `load_dataset`.
-        options: See `TrainingOptions`.
-        progress: Called with the epochs done, now and then.
+    `progress` is called with the epochs done, now and then.
 
     Raises:
         ConfigurationError: A split that leaves one side empty, or a value of omega_Q or omega_R without training
@@ -103,60 +86,32 @@ def train_network(
     target = np.log10(dataset.outputs)
     mean, scale = dataset.inputs[training].mean(axis=0), dataset.inputs[training].std(axis=0)
     scale = np.where(scale > 1e-9, scale, 1.0)
-
     # One thread and double precision: sums are then taken in one order, and the result repeats to the bit.
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        generator = torch.Generator().manual_seed(options.seed)
-        inputs = torch.from_numpy((dataset.inputs - mean) / scale)
-        targets = torch.from_numpy(target)
-        mask = torch.from_numpy(training)
-        layers = (
-            torch.nn.Linear(INPUTS, HIDDEN, dtype=torch.float64),
-            torch.nn.Linear(HIDDEN, OUTPUTS, dtype=torch.float64),
-        )
-        network = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1])
-        with torch.no_grad():
-            for layer in layers:
-                bound = layer.in_features**-0.5
-                layer.weight.uniform_(-bound, bound, generator=generator)
-                layer.bias.uniform_(-bound, bound, generator=generator)
-        optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
-        training_loss, validation_loss = np.empty(options.epochs), np.empty(options.epochs)
-        for epoch in range(options.epochs):
-            optimiser.zero_grad()
-            squared = (network(inputs) - targets) ** 2
-            loss = squared[mask].mean()
-            loss.backward()
-            optimiser.step()
-            training_loss[epoch] = loss.item()
-            validation_loss[epoch] = squared[~mask].mean().item()
-            if progress is not None and (epoch % 50 == 49 or epoch == options.epochs - 1):
-                progress(epoch + 1.0)
-        hidden_weights, hidden_bias, output_weights, output_bias = (
-            p.detach().numpy().copy() for p in network.parameters()
-        )
+        inputs = (dataset.inputs - mean) / scale
+        (hidden, hidden_bias, output, output_bias), losses = _descend(inputs, target, training, options, progress)
     finally:
         torch.set_num_threads(threads)
-
-    result = TunerNetwork(
+    network = TunerNetwork(
         mean,
         scale,
-        hidden_weights,
+        hidden,
         hidden_bias,
-        output_weights,
+        output,
         output_bias,
         omega_min=dataset.outputs.min(axis=0),
         omega_max=dataset.outputs.max(axis=0),
         density=dataset.metadata.get("density", "magnitude"),
         window=dataset.metadata.get("window", 49),
     )
-    predicted = result.log_weights(dataset.inputs)
-    scores = {}
-    for side, rows in (("training", training), ("validation", ~training)):
-        for name, mix in (("omega_Q", (1, 0)), ("omega_R", (0, 1)), ("ratio", (1, -1))):
-            scores[f"{side} R^2 of log {name}"] = r_squared(target[rows] @ mix, predicted[rows] @ mix)
+    predicted = network.log_weights(dataset.inputs)
+    scores = {
+        f"{side} R^2 of log {name}": r_squared(target[rows] @ mix, predicted[rows] @ mix)
+        for side, rows in (("training", training), ("validation", ~training))
+        for name, mix in (("omega_Q", (1, 0)), ("omega_R", (0, 1)), ("ratio", (1, -1)))
+    }
     provenance = {
         "made_by": "stewart-drake collect, stewart-drake train",
         "dataset_sha256": dataset.digest(),
@@ -168,5 +123,37 @@ def train_network(
         "scores": {name: score if np.isfinite(score) else None for name, score in scores.items()},
         "data": {k: v for k, v in dataset.metadata.items() if k != "scenario"},
     }
-    result.provenance.update(provenance)
-    return TrainingResult(result, training_loss, validation_loss, scores)
+    network.provenance.update(provenance)
+    return TrainingResult(network, losses[:, 0], losses[:, 1], scores)
+
+
+def _descend(
+    inputs: np.ndarray,
+    target: np.ndarray,
+    training: np.ndarray,
+    options: TrainingOptions,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Weights and biases of both layers after so many epochs of Adam, and losses (epochs, 2) of both sides."""
+    generator = torch.Generator().manual_seed(options.seed)
+    hidden = torch.nn.Linear(INPUTS, HIDDEN, dtype=torch.float64)
+    output = torch.nn.Linear(HIDDEN, OUTPUTS, dtype=torch.float64)
+    network = torch.nn.Sequential(hidden, torch.nn.Tanh(), output)
+    with torch.no_grad():
+        for layer in (hidden, output):
+            bound = layer.in_features**-0.5
+            layer.weight.uniform_(-bound, bound, generator=generator)
+            layer.bias.uniform_(-bound, bound, generator=generator)
+    given, wanted, mask = (torch.from_numpy(each) for each in (inputs, target, training))
+    optimiser = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
+    losses = np.empty((options.epochs, 2))
+    for epoch in range(options.epochs):
+        optimiser.zero_grad()
+        squared = (network(given) - wanted) ** 2
+        loss = squared[mask].mean()
+        loss.backward()
+        optimiser.step()
+        losses[epoch] = loss.item(), squared[~mask].mean().item()
+        if progress is not None and (epoch % 50 == 49 or epoch == options.epochs - 1):
+            progress(epoch + 1.0)
+    return [each.detach().numpy().copy() for each in network.parameters()], losses

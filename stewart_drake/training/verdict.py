@@ -12,13 +12,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.tables import markdown, to_arrow, write_table
+from stewart_drake.campaigns.tables import markdown, write_table
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import locked_folder, write_atomically
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import (
     MEASURED,
+    Baselines,
     Benchmark,
     Candidate,
     Case,
@@ -33,25 +32,14 @@ from stewart_drake.training.benchmark import (
 )
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Changes
 
-CONFIDENCE = 0.95
-RESAMPLES = 4999
+CONFIDENCE, RESAMPLES = 0.95, 4999
 SEEDS = 14
 """Of each kind of each robot: 308 runs of each candidate."""
 BEST_FIXED = "best fixed"
-COLUMNS = (
-    Column("candidate", "", "its name", "text"),
-    Column("kind", "", "of situations", "text"),
-    Column("robot", "", "its name", "text"),
-    Column("seed", "", "of the situation", "whole"),
-    Column("status", "", "how the run ended", "text"),
-    Column("reason", "", "why, where it was not completed", "text"),
-    Column("cost", "1", "J, see `control.objective`"),
-    Column("ratio", "1", f"J over that of `{BEST_FIXED}` in the same situation"),
-    Column("rmse_norm_deg", "deg", "RMS length of the error in rotation over the second half"),
-    Column("rmse_norm_mm", "mm", "likewise in position"),
-    Column("torque_change_rms", "N m", "RMS change of a motor's torque from tick to tick over the second half"),
-)
-GROUPS: Mapping[str, Callable[[Cell], bool]] = {
+COLUMNS = ("candidate", "kind", "robot", "seed", "status", "reason", "cost", "ratio", *MEASURED)
+"""Of verdict.csv: cost J and its ratio to that of `BEST_FIXED` in the same situation; figures of the second half."""
+Within = Callable[[Cell], bool]
+GROUPS: Mapping[str, Within] = {
     "all kinds": lambda _: True,
     "without hold": lambda cell: cell[0] != "hold",
     "kinds never trained on": lambda cell: not KINDS[cell[0]].trained,
@@ -87,19 +75,11 @@ def _estimate(logs: Sequence[np.ndarray], statistic: Callable[..., Any], seed: i
     # Half a second of import.
     from scipy.stats import bootstrap
 
-    value = float(statistic(*logs))
+    value, rng = float(statistic(*logs)), np.random.default_rng(seed)
     if all(np.ptp(each) == 0.0 for each in logs):
         return Estimate(*np.exp([value] * 3).tolist())
-    interval = bootstrap(
-        list(logs),
-        statistic,
-        n_resamples=RESAMPLES,
-        batch=500,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
+    options = {"n_resamples": RESAMPLES, "batch": 500, "confidence_level": CONFIDENCE, "method": "percentile"}
+    interval = bootstrap(list(logs), statistic, vectorized=True, rng=rng, **options).confidence_interval
     return Estimate(*np.exp([value, interval.low, interval.high]).tolist())
 
 
@@ -119,22 +99,10 @@ class Verdict:
     logs: np.ndarray
     failed: np.ndarray
 
-    def ratios(self, over: str = BEST_FIXED) -> np.ndarray:
-        """(candidates, cases) logarithms of J over that of one of them."""
-        return self.logs - self.logs[self.names.index(over)]
-
-    def of(
-        self, name: str, within: Callable[[Cell], bool] = lambda _: True, over: str = BEST_FIXED
-    ) -> list[np.ndarray]:
-        """Logarithms of ratios of a candidate, an array for each cell that counts."""
-        row = self.ratios(over)[self.names.index(name)]
+    def of(self, name: str, within: Within = GROUPS["all kinds"], over: str = BEST_FIXED) -> list[np.ndarray]:
+        """Logarithms of J of a candidate over that of another, an array for each cell that counts."""
+        row = self.logs[self.names.index(name)] - self.logs[self.names.index(over)]
         return [row[places] for cell, places in cells_of(self.cases).items() if within(cell)]
-
-    def worst_cell(self, name: str) -> tuple[Cell, float]:
-        """The cell with the largest geometric mean of ratios, and that."""
-        means = [float(np.exp(each.mean())) for each in self.of(name)]
-        worst = int(np.argmax(means))
-        return list(cells_of(self.cases))[worst], means[worst]
 
 
 def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
@@ -151,7 +119,7 @@ def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, C
     }
 
 
-def judge(
+def assess(
     entered: Mapping[str, Candidate],
     folder: Path,
     seeds: int = SEEDS,
@@ -164,6 +132,8 @@ def judge(
 
     `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
     """
+    import pyarrow as pa
+
     cases, scales = cases_of(cells_for(), HELD_OUT[:seeds]), CostScales()
     with Benchmark(folder, engine, where, tell, restart) as benchmark:
         rows = benchmark.run(list(entered.values()), cases)
@@ -171,20 +141,14 @@ def judge(
     logs = np.reshape([log_cost(row, scales) for row in rows], shape)
     failed = np.reshape([row["status"] != "completed" for row in rows], shape)
     verdict = Verdict(tuple(entered), tuple(cases), logs, failed)
+    ratios = logs - logs[verdict.names.index(BEST_FIXED)]
+    pairs = [(name, case) for name in entered for case in cases]
     table = [
-        {
-            "candidate": name,
-            **case._asdict(),
-            **{key: row.get(key) for key in ("status", "reason", *MEASURED)},
-            "cost": np.exp(log),
-            "ratio": np.exp(ratio),
-        }
-        for (name, case), row, log, ratio in zip(
-            [(name, case) for name in entered for case in cases], rows, logs.flat, verdict.ratios().flat, strict=True
-        )
+        {"candidate": name, **case._asdict(), **row, "cost": np.exp(log), "ratio": np.exp(ratio)}
+        for (name, case), row, log, ratio in zip(pairs, rows, logs.flat, ratios.flat, strict=True)
     ]
-    about = {"seeds": seeds, "engine": engine, "scales": scales.to_dict()}
-    write_table(to_arrow(COLUMNS, table, "verdict", about), folder, "verdict")
+    columns = {name: [row.get(name) for row in table] for name in COLUMNS}
+    write_table(pa.table(columns), folder, "verdict")
     write_atomically(folder / "verdict.md", page(verdict).encode())
     return verdict
 
@@ -192,7 +156,8 @@ def judge(
 def page(verdict: Verdict) -> str:
     """The tables as Markdown; the candidate after `BEST_FIXED` is set against all others."""
     first, *rivals = others = [name for name in verdict.names if name != BEST_FIXED]
-    groups = {name: within for name, within in GROUPS.items() if any(map(within, cells_of(verdict.cases)))}
+    cells = cells_of(verdict.cases)
+    groups = {name: within for name, within in GROUPS.items() if any(map(within, cells))}
     lines = [
         f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
         f"{len(verdict.cases)} runs of each candidate, each kind of each robot counting alike, with intervals of "
@@ -213,21 +178,20 @@ def page(verdict: Verdict) -> str:
     lines += [
         "By kind: J of the best fixed setting (geometric mean), then ratios (geometric mean with interval; median).",
         "",
-        *markdown(
-            ["kind", "robot", BEST_FIXED, *others],
-            [_cell_row(verdict, cell, others) for cell in cells_of(verdict.cases)],
-        ),
+        *markdown(["kind", "robot", BEST_FIXED, *others], [_cell_row(verdict, cell, others) for cell in cells]),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _whole_row(verdict: Verdict, name: str, groups: Any) -> list[str]:
-    (kind, robot), mean = verdict.worst_cell(name)
+    means = [float(np.exp(each.mean())) for each in verdict.of(name)]
+    worst = int(np.argmax(means))
+    kind, robot = list(cells_of(verdict.cases))[worst]
     return [
         name,
         *(str(geometric_mean(verdict.of(name, within))) for within in groups),
         str(median(verdict.of(name))),
-        f"{mean:.2f}, {kind}, {robot}",
+        f"{means[worst]:.2f}, {kind}, {robot}",
         str(int(verdict.failed[verdict.names.index(name)].sum())),
     ]
 
@@ -246,12 +210,8 @@ def write_picture(verdict: Verdict, folder: Path) -> str | None:
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.tuner_plots import plot_costs
 
-    cells = cells_of(verdict.cases)
-    ratios = {
-        name: [geometric_mean(verdict.of(name, lambda cell, at=at: cell == at)) for at in cells]  # type: ignore[misc]
-        for name in verdict.names
-        if name != BEST_FIXED
-    }
+    others, cells = [name for name in verdict.names if name != BEST_FIXED], cells_of(verdict.cases)
+    ratios = {name: [geometric_mean([each]) for each in verdict.of(name)] for name in others}
     labels = [kind if robot == "paper" else f"{kind}, {robot}" for kind, robot in cells]
     with locked_folder(folder):
         return draw(partial(plot_costs, labels, ratios, BEST_FIXED), folder / "verdict.png")

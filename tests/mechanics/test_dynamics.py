@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.math import RollPitchYaw
-from scipy.integrate import solve_ivp
 from strategies import ROBOT, UNEQUAL, poses, robots_and_poses, vectors
 
 from stewart_drake.errors import ConfigurationError, UnreachablePoseError
@@ -18,14 +16,11 @@ from stewart_drake.mechanics.dynamics import (
     task_bias,
     task_inertia,
 )
-from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics import (
     inverse_kinematics,
     pose_jacobian,
     pose_rate_to_twist,
     rotation_matrix,
-    twist_jacobian,
-    twist_to_pose_rate,
 )
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())
@@ -104,22 +99,6 @@ def test_inertia_and_bias_of_an_independent_implementation(case):
     np.testing.assert_allclose(bias, case["task_bias_with_gravity"], rtol=1e-9, atol=1e-11)
 
 
-def test_free_motion_of_an_independent_computation():
-    case = DATA["free_motion"]
-    torque = np.array(case["torque"])
-
-    def derivative(_, state):
-        pose, twist = state[:6], state[6:]
-        load = twist_jacobian(ROBOT, pose).T @ torque - task_bias(ROBOT, pose, twist)
-        return np.concatenate([twist_to_pose_rate(pose, twist), np.linalg.solve(task_inertia(ROBOT, pose), load)])
-
-    start = np.concatenate([case["pose"], np.zeros(6)])
-    end = solve_ivp(derivative, (0.0, case["time"]), start, rtol=1e-10, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(end[3:6], case["position"], atol=2e-8)
-    quaternion = RollPitchYaw(end[:3]).ToQuaternion().wxyz()
-    np.testing.assert_allclose(quaternion, case["quaternion_wxyz"], atol=2e-8)
-
-
 @given(at=robots_and_poses(), rate=vectors(6, 2.0))
 def test_inertia_gives_the_kinetic_energy_of_all_bodies(at, rate):
     robot, pose = at
@@ -150,40 +129,12 @@ def test_torques_satisfy_lagranges_equations_of_the_energies(at, rate, accelerat
     np.testing.assert_allclose(pose_jacobian(robot, pose).T @ torque, generalised, rtol=1e-5, atol=1e-5)
 
 
-@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
-def test_inverse_dynamics_is_inertia_and_bias_through_the_jacobian(pose, rate, acceleration):
-    twist = pose_rate_to_twist(pose, rate)
-    at, rate_at = motion(pose, rate, acceleration)
-    twist_rate = differentiate(lambda t: pose_rate_to_twist(at(t), rate_at(t)), 0.0)
-    load = task_inertia(ROBOT, pose) @ twist_rate + task_bias(ROBOT, pose, twist)
-    torque = inverse_dynamics(ROBOT, pose, rate, acceleration)
-    np.testing.assert_allclose(twist_jacobian(ROBOT, pose).T @ torque, load, rtol=1e-7, atol=1e-7)
-
-
 @given(at=robots_and_poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
 def test_forward_dynamics_undoes_inverse_dynamics(at, rate, acceleration):
     robot, pose = at
     torque = inverse_dynamics(robot, pose, rate, acceleration, 5.0)
     found = forward_dynamics(robot, pose, rate, torque, 5.0)
     np.testing.assert_allclose(found, acceleration, rtol=1e-8, atol=1e-8)
-
-
-@given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 10.0))
-def test_the_rate_of_the_twist_is_drakes(pose, rate, acceleration):
-    twist, twist_rate = np.empty((2, 6))
-    twists_of_motion(pose, rate, acceleration, twist, twist_rate)
-    np.testing.assert_array_equal(twist, pose_rate_to_twist(pose, rate))
-    drake = RollPitchYaw(pose[:3]).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate[:3], twist_rate[:3])
-    np.testing.assert_allclose(drake, acceleration[:3], atol=1e-12)
-    np.testing.assert_array_equal(twist_rate[3:], acceleration[3:])
-
-
-@given(at=robots_and_poses())
-def test_holding_torques_are_the_gradient_of_the_potential_energy(at):
-    robot, pose = at
-    gradient = [differentiate(lambda s, e=e: potential_energy(robot, pose + s * e), 0.0) for e in np.eye(6)]
-    held = pose_jacobian(robot, pose).T @ static_torque(robot, pose)
-    np.testing.assert_allclose(held, gradient, rtol=1e-7, atol=1e-7)
 
 
 def test_a_pose_out_of_reach_raises_and_a_torque_of_another_size_is_refused():

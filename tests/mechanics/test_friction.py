@@ -53,16 +53,12 @@ def explicit(law, anchor, slip, angles, rates):
 def implicit(law, anchor, slip, angles, rates, mobility=MOBILITY, step=STEP, sweeps=friction.SWEEPS):
     out, bristles = np.empty(6), np.zeros(1, np.dtype([("anchor", float, 6), ("slip", float, 6)]))
     bristles["anchor"], bristles["slip"] = anchor, slip
-    friction.implicit_torque(law_of(law), law_of(bristles), angles, rates, mobility, step, sweeps, out)
+    friction.implicit_torque(record(law), record(bristles), angles, rates, mobility, step, sweeps, out)
     return out
 
 
-def law_of(array):
-    return record(array)
-
-
 def drag(law, anchor, slip, angles, step):
-    friction.drag_anchors(law_of(law), angles, step, anchor, slip)
+    friction.drag_anchors(record(law), angles, step, anchor, slip)
 
 
 def driven(law, step, moves, tension=0.0):
@@ -94,19 +90,7 @@ def test_steady_sliding_meets_the_stribeck_curve(rate):
     curve = COULOMB + (BREAK_AWAY - COULOMB) * np.exp(-((rate / STRIBECK_RATE) ** 2))
     np.testing.assert_allclose(torques[-1], -(curve + VISCOUS * rate), rtol=1e-6)
     np.testing.assert_allclose(slip, rate, rtol=1e-6)
-    assert friction.level(law_of(LAW), 3, rate) == pytest.approx(curve, rel=1e-12)
-
-
-def test_within_the_elastic_set_the_anchor_keeps_its_last_bit():
-    moves = [(np.ones(6), 0.999 * step) for step in (0.25, 0.25, 0.25, 0.25, -1.0)]
-    np.testing.assert_array_equal(driven(LAW, STEP, moves)[2], np.zeros(6))
-
-
-def test_a_motor_that_has_slipped_takes_break_away_to_move_again():
-    _, increments, anchor, slip = driven(LAW, STEP, [(np.ones(6), 1e3)] * 5)
-    assert levels(LAW, slip).max() < 1.01 * COULOMB
-    drag(LAW, anchor, slip, increments.sum(axis=0), STEP)
-    assert levels(LAW, slip).min() > 0.99 * BREAK_AWAY
+    assert friction.level(record(LAW), 3, rate) == pytest.approx(curve, rel=1e-12)
 
 
 @settings(max_examples=40)
@@ -118,71 +102,3 @@ def test_the_implicit_torque_is_that_of_the_motion_it_makes(law_and_step, tensio
     end = size * rates + step * MOBILITY @ result
     expected = explicit(law, anchor, slip, angles + step * end, end)
     np.testing.assert_allclose(result, expected, atol=1e-9 * of(law).break_away.max())
-
-
-@settings(max_examples=20)
-@given(vectors(6), vectors(6, 0.3))
-def test_thirty_sweeps_are_enough(tension, rates):
-    some, many = (
-        implicit(LAW, tension * SET, np.zeros(6), np.zeros(6), rates, sweeps=n) for n in (friction.SWEEPS, 120)
-    )
-    np.testing.assert_allclose(some, many, atol=1e-5 * COULOMB)
-
-
-def load(ratio, steps):
-    """Angles (steps, 6) of cranks under a torque of `ratio` times break-away on each motor, by the exact inertia."""
-    angles, rates, torque = np.zeros(6), np.zeros(6), ratio * BREAK_AWAY * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-    anchor, slip, seen = np.zeros(6), np.zeros(6), []
-    for _ in range(steps):
-        free = rates + STEP * MOBILITY @ torque
-        rates = free + STEP * MOBILITY @ implicit(LAW, anchor, slip, angles, free)
-        angles = angles + STEP * rates
-        drag(LAW, anchor, slip, angles, STEP)
-        seen.append(angles)
-    return np.array(seen)
-
-
-@pytest.mark.parametrize("ratio", [0.5, 0.98])
-def test_a_load_below_break_away_is_held_at_1_ms(ratio):
-    angles = load(ratio, 200)
-    assert np.abs(angles).max() < 1.1 * SET
-    assert np.abs(angles[-1] - angles[99]).max() / 0.1 < 1e-12
-    assert np.abs(load(1.02, 200)[-1]).max() > 1e-3
-
-
-def hunted(ratios, seconds=60.0, coulomb=0.05):
-    """Errors (n, 6) of six uncoupled motors under PID at rest off the target; break-away is `ratios` times Coulomb.
-
-    Each turns 2e-3 kg m^2; the controller's poles without friction are at -20 rad/s, three times.
-    """
-    inertia, pole = 2e-3, 20.0
-    law = friction_law(coulomb, coulomb * ratios, 0.02, 0.0, np.full(6, inertia), STEP)
-    angles, rates, integral, mobility = np.full(6, 0.02), np.zeros(6), np.zeros(6), np.eye(6) / inertia
-    anchor, slip, seen = angles.copy(), np.zeros(6), []
-    for _ in range(round(seconds / STEP)):
-        integral = integral + STEP * angles
-        free = rates - STEP * (3.0 * pole**2 * angles + 3.0 * pole * rates + pole**3 * integral)
-        rates = free + STEP / inertia * implicit(law, anchor, slip, angles, free, mobility, sweeps=1)
-        angles = angles + STEP * rates
-        drag(law, anchor, slip, angles, STEP)
-        seen.append(angles)
-    return np.array(seen)
-
-
-@pytest.mark.slow
-def test_integral_action_hunts_where_break_away_is_above_coulomb_and_only_there():
-    """Hunting needs a level at rest above that in sliding.
-
-    B. Armstrong and B. Amin, "PID control in the presence of static friction" (Automatica 32, 1996): no limit cycle
-    where the two are equal. R. Hensen, M. van de Molengraft and M. Steinbuch, "Friction induced hunting limit cycles"
-    (Automatica 39, 2003): the same of bristles. A jump from rest begins with the difference of the two, so that the
-    amplitude grows with their ratio.
-    """
-    errors = hunted(np.array([1.0, 1.2, 1.4, 1.6, 1.8, 2.0]))
-    middle, end = (np.ptp(part, axis=0) for part in (errors[20000:40000], errors[40000:]))
-    assert end[0] < 1e-6
-    assert (end[1:] > 1e-4).all()
-    assert (np.diff(end) > 0.0).all()
-    # A limit cycle: it neither dies nor grows. It stands still at its turning points, and jumps between.
-    np.testing.assert_allclose(end[2:], middle[2:], rtol=0.05)
-    assert np.mean(np.abs(np.diff(errors[40000:, 5])) < 1e-9) > 0.5

@@ -91,15 +91,6 @@ def test_crank_angles_of_an_independent_implementation(case):
     np.testing.assert_allclose(inverse_kinematics(ROBOT, case["pose"]), case["crank_angles_rad"], atol=1e-13)
 
 
-@given(pose=poses())
-def test_turning_the_pose_by_120_degrees_permutes_the_legs(pose):
-    third = Rotation.from_euler("z", 120.0, degrees=True).as_matrix()
-    turned = np.concatenate([roll_pitch_yaw(third @ rotation_matrix(pose[:3]) @ third.T), third @ pose[3:]])
-    np.testing.assert_allclose(
-        inverse_kinematics(ROBOT, turned), np.roll(inverse_kinematics(ROBOT, pose), 2), atol=1e-12
-    )
-
-
 @settings(max_examples=200)
 @given(pose=poses())
 def test_forward_kinematics_from_home_inverts_inverse_kinematics(pose):
@@ -109,12 +100,6 @@ def test_forward_kinematics_from_home_inverts_inverse_kinematics(pose):
     np.testing.assert_allclose(inverse_kinematics(ROBOT, found), theta, atol=1e-10)
 
 
-@given(pose=poses(0.8), offset=vectors(6, 0.02))
-def test_forward_kinematics_from_a_guess_nearby_keeps_the_assembly(pose, offset):
-    theta = inverse_kinematics(ROBOT, pose)
-    np.testing.assert_allclose(forward_kinematics(ROBOT, theta, pose + offset), pose, atol=1e-10)
-
-
 def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
     # Shafts so far out that no rod comes back to the platform, once the cranks point outwards.
     wide = ROBOT.replace(shaft_circle_radius=0.48, home_height=0.02, branch=1)
@@ -122,22 +107,6 @@ def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
         forward_kinematics(wide, np.zeros(6))
     assert caught.value.residual > 0.01
     assert caught.value.iterations == 30
-
-
-def test_forward_kinematics_stops_after_the_iterations_it_was_given():
-    theta = inverse_kinematics(ROBOT, ROBOT.home_pose + 0.05)
-    with pytest.raises(ForwardKinematicsError) as caught:
-        forward_kinematics(ROBOT, theta, max_iterations=1)
-    assert caught.value.iterations == 1
-    assert 0.0 < caught.value.residual < 0.01
-
-
-def test_forward_kinematics_from_a_singular_guess_raises_instead_of_dividing_by_zero():
-    flat = ROBOT.replace(shaft_height=-1e-3)
-    # Cranks and platform in one plane: all rods lie in it, and no first-order step leaves it.
-    with pytest.raises(ForwardKinematicsError) as caught:
-        forward_kinematics(flat, np.zeros(6), guess=[0, 0, 0, 0, 0, -1e-3])
-    assert caught.value.iterations == 0
 
 
 @given(at=robots_and_poses(), rate=vectors(6))
@@ -153,13 +122,6 @@ def test_pose_jacobian_against_central_differences_and_what_follows_from_it(at, 
     np.testing.assert_allclose(twist_to_pose_rate(pose, twist), rate, atol=1e-13)
     rates = crank_rates(robot, leg_geometry(robot, pose), pose, rate)
     np.testing.assert_allclose(rates, jacobian @ rate, rtol=1e-9, atol=1e-9)
-
-
-@given(pose=poses(), twist=vectors(6))
-def test_rod_lines_give_the_speed_of_the_platform_joints_along_the_rods(pose, twist):
-    legs = leg_geometry(ROBOT, pose)
-    speed = twist[3:] + np.cross(twist[:3], platform_joints(pose) - pose[3:])
-    np.testing.assert_allclose(rod_lines(legs) @ twist, np.sum(legs.e_l * speed, axis=-1), atol=1e-14)
 
 
 @given(at=robots_and_poses())
@@ -188,19 +150,6 @@ def test_an_unreachable_pose_among_many_is_named_with_leg_and_margin():
     assert caught.value.margin < 0.0
 
 
-@pytest.mark.parametrize("direction", [*np.vstack([AXES[3:], -AXES[3:]])])
-def test_reach_ends_where_a_crank_is_at_its_dead_centre(direction):
-    def worst(distance):
-        return reach_margin(ROBOT, ROBOT.home_pose + distance * direction).min()
-
-    edge = brentq(worst, 0.0, 0.5, xtol=1e-15)
-    inside = ROBOT.home_pose + (edge - 1e-9) * direction
-    leg = reach_margin(ROBOT, inside).argmin()
-    assert abs(leg_geometry(ROBOT, inside).transmission[leg]) < 1e-3
-    with pytest.raises(UnreachablePoseError):
-        inverse_kinematics(ROBOT, ROBOT.home_pose + (edge + 1e-9) * direction)
-
-
 @pytest.mark.parametrize(("axis", "beyond"), [(0, 1.4), (1, -1.3), (2, 1.56)])
 def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyond):
     def determinant(angle):
@@ -213,42 +162,13 @@ def test_conditioning_vanishes_exactly_where_the_rods_lines_lose_rank(axis, beyo
     assert abs(leg_geometry(ROBOT, pose).transmission).min() > 0.2
 
 
-@given(pose=poses())
-def test_conditioning_is_a_ratio_of_singular_values_free_of_units(pose):
-    ratio = conditioning(ROBOT, pose)
-    assert 0.0 < ratio <= 1.0
-    scale = 3.0
-    lengths = (
-        "shaft_circle_radius",
-        "shaft_height",
-        "platform_joint_radius",
-        "crank_length",
-        "rod_length",
-        "home_height",
-        "characteristic_length",
-    )
-    larger = ROBOT.replace(**{name: scale * getattr(ROBOT, name) for name in lengths})
-    assert conditioning(larger, np.concatenate([pose[:3], scale * pose[3:]])) == pytest.approx(ratio, rel=1e-9)
-
-
-@pytest.mark.parametrize("shape", [(0, 6), (3, 0, 6), (0, 3, 6)])
-def test_no_poses_and_no_angles_give_none(shape):
-    assert inverse_kinematics(ROBOT, np.zeros(shape)).shape == shape
-    assert forward_kinematics(ROBOT, np.zeros(shape)).shape == shape
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        *(
-            (lambda bad=bad: inverse_kinematics(ROBOT, bad), "pose")
-            for bad in (np.zeros(5), 0.3, [0, 0, 0, 0, 0, np.nan])
-        ),
-        *((lambda bad=bad: inverse_kinematics(ROBOT, ROBOT.home_pose, bad), "branch") for bad in (0, 2)),
-        *(
-            (lambda bad=bad: forward_kinematics(ROBOT, bad), "crank_angles")
-            for bad in (np.zeros(5), np.full(6, np.nan), 0.0)
-        ),
+        (lambda: inverse_kinematics(ROBOT, np.zeros(5)), "pose"),
+        (lambda: inverse_kinematics(ROBOT, [0, 0, 0, 0, 0, np.nan]), "pose"),
+        (lambda: inverse_kinematics(ROBOT, ROBOT.home_pose, 0), "branch"),
+        (lambda: forward_kinematics(ROBOT, np.full(6, np.nan)), "crank_angles"),
         (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.full(6, np.inf)), "guess"),
         (lambda: forward_kinematics(ROBOT, np.zeros(6), guess=np.tile(ROBOT.home_pose, (3, 1))), r"guess.*\(6,\)"),
     ],

@@ -1,5 +1,4 @@
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -18,9 +17,8 @@ from stewart_drake.mechanics.kinematics import (
     reach_margin,
 )
 from stewart_drake.planning import measures
-from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_bounds, limit_margins
+from stewart_drake.planning.limits import PLACES, RULES, Limits, limit_margins
 
-STOPS = ROBOT.replace(legs=[{"crank_angle_range": (-0.8, 1.8)}] * 6)
 ALL = Limits()
 NONE = Limits(**{field.name: None for field in dataclasses.fields(Limits)})
 GRAVITY = 9.81
@@ -59,44 +57,6 @@ def test_segment_distance_is_the_minimum_over_both_segments_parallel_touching_or
     assert segment_distance(a, b, c, d) == pytest.approx(brute_distance(a, b, c, d), abs=1e-6)
 
 
-X, Y, Z, O = np.vstack([np.eye(3), np.zeros(3)])  # noqa: E741 the origin is called O
-
-
-@pytest.mark.parametrize(
-    ("segments", "distance"),
-    [
-        pytest.param((O, X, Y, X + Y), 1.0, id="parallel beside"),
-        pytest.param((O, X, X + Y, Y), 1.0, id="antiparallel beside"),
-        pytest.param((O, X, 3 * X + Y, 2 * X + Y), math.sqrt(2.0), id="parallel one after the other"),
-        pytest.param((O, 4 * X, X + Y, 2 * X + Y), 1.0, id="parallel one within the other"),
-        pytest.param((X + Y, 2 * X + Y, O, 4 * X), 1.0, id="parallel the other within the one"),
-        pytest.param((O, X, 2 * X, 3 * X), 1.0, id="on one line apart"),
-        pytest.param((O, 2 * X, X, 3 * X), 0.0, id="on one line overlapping"),
-        pytest.param((-X, X, Z - Y, Z + Y), 1.0, id="crossing at a height"),
-        pytest.param((-X, X, -Y, Y), 0.0, id="crossing"),
-        pytest.param((O, X, 2 * X - Y, 2 * X + Y), 1.0, id="end against middle"),
-        pytest.param((2 * X - Y, 2 * X + Y, O, X), 1.0, id="middle against end"),
-        pytest.param((O, X, 2 * X + Y, 3 * X + 5 * Y), math.sqrt(2.0), id="end against end"),
-        pytest.param((O, O, Y, Y), 1.0, id="two points"),
-        pytest.param((Y, Y, -X, X), 1.0, id="point and segment"),
-        pytest.param((-X, X, 2 * X, 2 * X), 1.0, id="segment and point beyond"),
-    ],
-)
-@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, -0.7, 1.1)])
-def test_segment_distance_in_every_special_position(segments, distance, turn):
-    rotation = RollPitchYaw(turn).ToRotationMatrix().matrix()
-    a, b, c, d = (rotation @ point + [0.1, 0.2, 0.3] for point in segments)
-    assert segment_distance(a, b, c, d) == pytest.approx(distance, abs=1e-15)
-    assert segment_distance(c, d, b, a) == pytest.approx(distance, abs=1e-15)
-
-
-@pytest.mark.parametrize("angle", [1e-4, 1e-6, 1e-7, 1e-8, 1e-9, 1e-12])
-def test_segment_distance_of_nearly_parallel_segments_that_cross_at_a_height(angle):
-    across = np.array([math.cos(angle), math.sin(angle), 0.0])
-    found = segment_distance(-X, X, 1e-3 * Z - across, 1e-3 * Z + across)
-    assert found == pytest.approx(1e-3, abs=1e-12)
-
-
 def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
     theta = inverse_kinematics(ROBOT, ROBOT.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.02])
     free = ROBOT.replace(legs=[{"crank_angle_range": (-0.5, 0.6)}] + [{}] * 5)
@@ -110,13 +70,6 @@ def test_a_crank_keeps_within_its_stops_and_one_without_them_anywhere():
     )
 
 
-def test_every_limit_has_a_margin_of_its_own_with_a_place_for_each_column():
-    margins = limit_margins(STOPS, ALL, *np.zeros((3, 2, 6)) + [ROBOT.home_pose], GRAVITY)
-    assert list(margins) == list(RULES) == list(PLACES)
-    for limit, values in margins.items():
-        assert values.shape == (2, len(PLACES[limit]))
-
-
 def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot_span():
     assert list(margins_at(ROBOT.home_pose, limits=NONE)) == ["reach"]
     np.testing.assert_allclose(margins_at(ROBOT.home_pose, limits=NONE)["reach"], reach_margin(ROBOT, ROBOT.home_pose))
@@ -124,11 +77,6 @@ def test_none_switches_each_limit_off_except_the_bound_beyond_which_a_rod_cannot
         left = margins_at(ROBOT.home_pose, limits=dataclasses.replace(ALL, **{field.name: None}))
         gone = {"reach": set(), "torque_fraction": {"torque"}}.get(field.name, {field.name})
         assert set(RULES) - set(left) == gone | {"crank_range"}
-
-
-def test_the_torque_limit_is_a_part_of_the_motors_effort():
-    assert limit_bounds(ROBOT, Limits(torque_fraction=0.5))["torque"] == 2.5
-    assert limit_bounds(ROBOT.replace(effort_limit=8.0), ALL)["torque"] == 8.0
 
 
 @given(pose=poses(), rate=vectors(6, 2.0), acceleration=vectors(6, 20.0))
@@ -182,21 +130,6 @@ def test_clearance_is_the_distance_of_the_two_named_links_of_two_legs_between_th
         assert leg == int(one.split()[1]) != int(other.split()[1])
         gap = segment_distance(*ends[one], *ends[other]) - 2 * radius
         assert margin == pytest.approx(gap - 0.005, abs=1e-14)
-
-
-def test_out_of_reach_only_reach_and_pitch_are_known_and_the_others_are_not_guessed():
-    pose = np.tile(ROBOT.home_pose, (3, 1))
-    pose[1, 5] = 0.6
-    margins = limit_margins(ROBOT, ALL, pose, 0.0 * pose, 0.0 * pose, GRAVITY)
-    for limit, values in margins.items():
-        assert np.isnan(values[1]).all() == (limit not in {"reach", "euler_pitch"})
-        assert np.isfinite(values[[0, 2]]).all()
-    assert margins["reach"][1].min() < 0.0
-    alone = limit_margins(ROBOT, ALL, *(values[1:2] for values in (pose, 0.0 * pose, 0.0 * pose)), GRAVITY)
-    assert np.isnan(alone["torque"]).all()
-    on_axis = np.zeros((1, 6))
-    on_axis[0, 3:] = ROBOT.shaft_positions[0] - ROBOT.platform_joints[0] - [0.0, 0.3, 0.0]
-    assert limit_margins(ROBOT, ALL, on_axis, *np.zeros((2, 1, 6)), GRAVITY)["reach"].min() == -np.inf
 
 
 def test_a_parallel_singularity_jumped_over_between_two_samples_counts():

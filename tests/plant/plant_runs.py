@@ -58,11 +58,6 @@ class Run:
         return plant.CalcKineticEnergy(plant.GetMyContextFromRoot(self.context))
 
     @property
-    def energy(self):
-        plant = self.stewart.plant
-        return self.kinetic_energy + plant.CalcPotentialEnergy(plant.GetMyContextFromRoot(self.context))
-
-    @property
     def contacts(self):
         plant = self.stewart.plant
         results = plant.get_contact_results_output_port().Eval(plant.GetMyContextFromRoot(self.context))

@@ -79,11 +79,10 @@ def energy(robot, state):
     return kinetic + GRAVITY * height
 
 
-@pytest.mark.parametrize("robot", [PAPER, HEAVY, OFF], ids=["paper", "heavy legs", "centre off"])
-@pytest.mark.parametrize("push", [NO_PUSH, np.array([0.1, -0.05, 0.08, 1.0, -2.0, 1.5])], ids=["free", "pushed"])
-def test_energy_changes_by_the_work_of_motors_and_pushes(robot, push):
+@pytest.mark.parametrize("robot", [HEAVY, OFF], ids=["heavy legs", "centre off"])
+def test_energy_changes_by_the_work_of_motors_and_pushes(robot):
     """Up to the order of the method: a step of a tenth leaves a tenth."""
-    torque, left = static_torque(robot, robot.home_pose) * 1.05, []
+    torque, left, push = static_torque(robot, robot.home_pose) * 1.05, [], np.array([0.1, -0.05, 0.08, 1.0, -2.0, 1.5])
     for step in (1e-3, 1e-4):
         payload = {"payload_mass": PAYLOAD, "payload_position": list(PLACE)}
         chain = ClosedChain(robot, PlantOptions.from_dict({"time_step": step, **payload}), GRAVITY)
@@ -99,10 +98,9 @@ def test_energy_changes_by_the_work_of_motors_and_pushes(robot, push):
     [
         ({}, 5e-5),
         ({"friction": RUBBING}, 5e-5),
-        ({"payload_mass": 0.5, "payload_position": [0.02, 0.01, 0.05]}, 5e-5),
         ({"time_step": 1e-4}, 5e-6),
     ],
-    ids=["bare", "friction", "payload", "fine"],
+    ids=["bare", "friction", "fine"],
 )
 def test_drakes_plant_moves_alike_and_the_difference_is_of_the_order_of_the_step(changes, bound):
     """A tenth of a second of free motion: 0.1 rad and centimetres; the angles of cranks differ by less than `bound`.
@@ -128,17 +126,6 @@ def test_drakes_plant_moves_alike_and_the_difference_is_of_the_order_of_the_step
     assert np.abs(end["pose"] - PAPER.home_pose).max() > 0.01
 
 
-def test_friction_holds_a_robot_at_rest():
-    chain = ClosedChain(PAPER, PlantOptions.from_dict({"friction": {"coulomb": 0.05}}), GRAVITY)
-    start, signs = chain.initial(PAPER.home_pose, STILL), np.array([1, -1, 1, -1, 1, -1])
-    torque = static_torque(PAPER, PAPER.home_pose)
-    rows = stepped(chain, start, torque + 0.04 * signs, 3000)
-    assert np.ptp(rows["angles"][1000:], axis=0).max() < 1e-12
-    np.testing.assert_array_equal(rows["anchor"][-1], rows["anchor"][0])
-    away = stepped(chain, start, torque + 0.08 * signs, 300)
-    assert np.abs(away["angles"][-1] - away["angles"][0]).max() > 1e-3
-
-
 def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn():
     chain = ClosedChain(PAPER, PlantOptions(), GRAVITY)
     start = chain.initial(PAPER.home_pose, STILL)
@@ -152,17 +139,7 @@ def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn(
     np.testing.assert_allclose(there["angles"][-1], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"rod_joint": "ball"},
-        {"collision": True},
-        {"universal_damping": 1e-4},
-        {"platform_joint_damping": 1e-5},
-        {"broken_rod": {"leg": 1, "time": 0.5}},
-    ],
-    ids=lambda changes: next(iter(changes)),
-)
+@pytest.mark.parametrize("changes", [{"rod_joint": "ball"}, {"broken_rod": {"leg": 1, "time": 0.5}}])
 def test_what_it_cannot_have_is_refused_by_name(changes):
     assert PlantOptions.from_dict(changes).engine == "drake"
     with pytest.raises(ConfigurationError) as caught:

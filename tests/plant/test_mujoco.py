@@ -12,15 +12,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from multibody_model import task_dynamics
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 from strategies import ROBOT
 
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque, task_bias, task_inertia
-from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian, twist_to_pose_rate
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_to_pose_rate
 from stewart_drake.mujoco_model import MujocoRobot
-from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot.robot_files import load_robot
@@ -46,11 +46,6 @@ def built(robot, time_step=STEP):
     return build_plant(robot, PlantOptions(time_step=time_step))
 
 
-def thin(robot):
-    """Rods without spin inertia, as the closed form has them."""
-    return robot.replace(rod_inertia=(*robot.rod_inertia[:2], 1e-12))
-
-
 @functools.cache
 def of_drake(motion, time_step=STEP):
     """(7,) [m, -] where Drake's plant has the platform after DURATION: X, Y, Z and the quaternion."""
@@ -68,11 +63,10 @@ def of_drake(motion, time_step=STEP):
 
 
 @functools.cache
-def of_mujoco(motion, integrator, time_step=STEP, change=None):
-    """The same of MuJoCo, and its largest gap at the end [m]; `change` of the robot before."""
+def of_mujoco(motion, integrator, time_step=STEP):
+    """The same of MuJoCo, and its largest gap at the end [m]."""
     robot, pose, torque = MOTIONS[motion]
-    changed = robot if change is None else change(robot)
-    engine = MujocoRobot(changed, STANDARD_GRAVITY, PlantOptions(time_step=time_step), integrator)
+    engine = MujocoRobot(robot, STANDARD_GRAVITY, PlantOptions(time_step=time_step), integrator)
     _, stewart = built(robot)
     engine.set_state(stewart, stewart.assemble(pose))
     engine.advance(torque, round(DURATION / time_step))
@@ -87,18 +81,14 @@ def plants_model(robot, pose, twist, torque):
     return task_dynamics(stewart, context).acceleration(torque)
 
 
-def closed_form(robot, pose, twist, torque):
-    load = twist_jacobian(robot, pose).T @ torque - task_bias(robot, pose, twist)
-    return np.linalg.solve(task_inertia(robot, pose), load)
-
-
 @functools.cache
-def exact(motion, model=plants_model):
-    """The same of a model, integrated to rounding."""
+def exact(motion):
+    """The same of the plant's model, integrated to rounding."""
     robot, pose, torque = MOTIONS[motion]
 
     def derivative(_, state):
-        return np.concatenate([twist_to_pose_rate(state[:6], state[6:]), model(robot, state[:6], state[6:], torque)])
+        pose, twist = state[:6], state[6:]
+        return np.concatenate([twist_to_pose_rate(pose, twist), plants_model(robot, pose, twist, torque)])
 
     start = np.concatenate([pose, np.zeros(6)])
     end = solve_ivp(derivative, (0.0, DURATION), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
@@ -139,26 +129,6 @@ def test_runge_kutta_of_mujoco_reaches_the_exact_motion(motion):
         # No nearer than its loops are closed, and that is of second order in the step.
         assert errors[-1] < gap < 1e-8 * (time_step / STEP) ** 2
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
-
-
-@pytest.mark.slow
-@motions
-def test_closed_form_lacks_the_spin_of_the_rods_alone(motion):
-    platform, gap = of_mujoco(motion, "RK4", change=thin)
-    assert apart(motion, platform, exact(motion, closed_form)) < gap
-    spin = apart(motion, exact(motion), exact(motion, closed_form))
-    assert 20.0 * gap < spin < 1e-6
-
-
-@pytest.mark.slow
-@motions
-def test_drake_reaches_the_exact_motion_as_its_step_shrinks(motion):
-    coarse, middle, fine = (of_drake(motion, time_step) for time_step in (2.0 * STEP, STEP, 0.5 * STEP))
-    errors = [apart(motion, platform, exact(motion)) for platform in (coarse, middle, fine)]
-    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.02)
-    assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.01)
-    # Without its errors of first and second order; the third leaves 1e-11 m of the reference, 2e-9 m of the bold one.
-    assert apart(motion, (8.0 * fine - 6.0 * middle + coarse) / 3.0, exact(motion)) < 5e-9
 
 
 @pytest.mark.slow

@@ -1,19 +1,16 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from pydrake.systems.analysis import Simulator
+from multibody_model import task_dynamics
 from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, vectors
 
-from stewart_drake.errors import DrakeCheckError
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import (
     pose_rate_to_twist,
     reach_margin,
-    rotation_matrix,
     twist_jacobian,
     twist_to_pose_rate,
 )
-from stewart_drake.plant.multibody_model import task_dynamics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
 
@@ -108,68 +105,3 @@ def test_with_universal_joints_only_the_spin_of_the_rods_differs(robot, gravity,
     agree(whole.input_map, twist_jacobian(robot, pose).T)
     spin = np.transpose([spins(stewart, pose, twist_to_pose_rate(pose, twist)) for twist in np.eye(6)])
     agree(whole.inertia - half.inertia, 0.5 * ix * spin.T @ spin)
-
-
-# --- against the plant's own steps -----------------------------------------------------------------------------------
-
-
-def with_spin(stewart, state, spin):
-    """The state with its ball-jointed rods turning about their own axes as well."""
-    state = state.copy()
-    state[stewart.indices.rod_rate] += spin * rotation_matrix(state[stewart.indices.rod])[..., 2]
-    return state
-
-
-def relative_error(robot, spin, pose, rate, torque, time_step, options):
-    """(6,) [-] acceleration of one step of SAP less that of the model before the step, over the latter's largest.
-
-    SAP feels the curvature of the constraints through the gap alone, which settles by halves: forty steps first.
-    """
-    diagram, stewart = built(robot, time_step=time_step, **options)
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    plant_context = stewart.plant.GetMyMutableContextFromRoot(context)
-    state = stewart.assemble(pose, rate)
-    if spin:
-        state = with_spin(stewart, state, spin)
-    stewart.plant.SetPositionsAndVelocities(plant_context, state)
-    diagram.GetInputPort("torque").FixValue(context, torque)
-    simulator.AdvanceTo(40 * time_step)
-    model = task_dynamics(stewart, plant_context).acceleration(torque)
-    before = diagram.GetOutputPort("state").Eval(context)[stewart.indices.twist].copy()
-    simulator.AdvanceTo(41 * time_step)
-    after = diagram.GetOutputPort("state").Eval(context)[stewart.indices.twist]
-    return ((after - before) / time_step - model) / np.abs(model).max()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "spin", "options"),
-    [
-        (ROBOT, 0.0, {}),
-        (HEAVY, 0.0, {}),
-        (OTHER, 0.0, {}),
-        (THICK, 0.0, {}),
-        (THICK, 20.0, {"rod_joint": "ball"}),
-        (ROBOT, 0.0, {"motor_damping": 0.02, "universal_damping": 0.01, "platform_joint_damping": 0.003}),
-    ],
-    ids=["table 1", "heavy legs", "other geometry", "thick rods", "spinning rods", "damped"],
-)
-def test_accelerations_of_sap_reach_it_at_first_order(robot, spin, options):
-    rng = np.random.default_rng(3)
-    for _ in range(3):
-        pose = robot.home_pose + 0.5 * REGION * rng.uniform(-1.0, 1.0, 6)
-        rate, torque = rng.uniform(-1.5, 1.5, 6), rng.uniform(-2.0, 2.0, 6)
-        coarse, middle, fine = (
-            relative_error(robot, spin, pose, rate, torque, time_step, options) for time_step in (1e-4, 5e-5, 2.5e-5)
-        )
-        assert np.abs(fine).max() < 1e-3
-        assert np.abs(middle).max() / np.abs(fine).max() == pytest.approx(2.0, rel=0.1)
-        # Without its first and second orders; the third leaves up to 9e-7. The spin of ROBOT's rods would show: 1e-5.
-        assert np.abs(8.0 * fine - 6.0 * middle + coarse).max() / 3.0 < 2e-6
-
-
-def test_context_of_the_diagram_is_refused_and_drake_does_not_exit():
-    diagram, stewart = built(ROBOT)
-    with pytest.raises(DrakeCheckError, match="task dynamics"):
-        task_dynamics(stewart, diagram.CreateDefaultContext())

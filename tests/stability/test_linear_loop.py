@@ -102,11 +102,8 @@ def test_the_linear_loop_answers_a_small_push_as_drakes_plant_does(changes):
     "changes",
     [
         ["controller.feedforward=none"],
-        [*OBSERVER, "controller.feedforward=none"],
-        ["model_robot={platform_mass: 2.0}"],
-        [*OBSERVER, "model_robot={platform_mass: 2.0}"],
+        [*OBSERVER, "model_robot={platform_mass: 2.0, rod_length: 0.405}"],
         [*OBSERVER, "plant.payload_mass=0.5", "plant.payload_position=[0.02, 0, 0.05]"],
-        [*OBSERVER, "model_robot={rod_length: 0.405}"],
         ["controller={kind: computed_torque, integral_frequency: 0}"],
         ["controller={kind: pid, ki: 0}"],
     ],

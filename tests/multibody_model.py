@@ -6,71 +6,44 @@ v = N V, N = [-J_joints^-1 J_platform; 1], and M = N' M_tree N, h = N' (C v - fo
 Nothing is shared with the closed form over the legs in `dynamics`, so that each can check the other.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
-from pydrake.systems.framework import Context
-
-from stewart_drake.errors import drake_guard
-from stewart_drake.plant.multibody_plant import StewartPlant
-from stewart_drake.robot.leg import LEGS
+from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
 _KV = JacobianWrtVariable.kV
 
 
 @dataclass(frozen=True, eq=False)
 class TaskDynamics:
-    """inertia d(twist)/dt + bias = input_map T, in the twist [w, v] of P in B.
-
-    Attributes:
-        inertia: (6, 6) [kg m^2, kg m, kg] symmetric positive definite.
-        bias: (6,) [N m, N] Coriolis, centrifugal, gyroscopic, gravity and damping terms.
-        input_map: (6, 6) [-, 1/m] from motor torques to the load on the platform; transpose of d(theta)/d(twist).
-    """
+    """inertia (6, 6) d(twist)/dt + bias (6,) = input_map (6, 6) T, in the twist [w, v] of P in B."""
 
     inertia: np.ndarray
     bias: np.ndarray
     input_map: np.ndarray
 
-    def acceleration(self, torque: np.ndarray) -> np.ndarray:
+    def acceleration(self, torque):
         """d(twist)/dt (6,) [rad/s^2, m/s^2] under motor torques (6,) [N m]."""
         return np.linalg.solve(self.inertia, self.input_map @ torque - self.bias)
 
 
-def task_dynamics(stewart: StewartPlant, context: Context) -> TaskDynamics:
-    """Dynamics of the closed chain at the state in a Context.
+def task_dynamics(stewart, context):
+    """Dynamics of the closed chain at the state in a Context of `stewart.plant`, whose loops must be closed.
 
     All bodies act, a rod's spin about its own axis included. Universal joints determine that spin; the closed form of
-    `dynamics` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it
-    has. Contact and dry friction of the motors are not in it: `T` is what reaches the cranks.
-
-    Args:
-        stewart: The plant, with the damping that its options ask for.
-        context: Context of `stewart.plant` itself, not of the Diagram around it. Its loops must be closed and must not
-            be opening, as `stewart.assemble` makes them; a gap of simulation enters as it is.
-
-    Returns:
-        Inertia, bias and input map.
-
-    Raises:
-        DrakeCheckError: The Context is not that of the plant.
-        numpy.linalg.LinAlgError: Exactly at a crank's dead centre.
+    `dynamics` leaves it out. Ball joints leave it free: no load acts on it, so each rod keeps the spin that it has.
+    Dry friction of the motors is not in it: `T` is what reaches the cranks.
     """
     plant, index = stewart.plant, stewart.indices
     nq = plant.num_positions()
     joints = np.concatenate([index.crank_rate, index.rod_rate.ravel()]) - nq
     platform = index.twist - nq
-    with drake_guard("task dynamics of the plant"):
-        jacobian, drift = _loop_rows(stewart, context)
-        inertia = plant.CalcMassMatrix(context)
-        forces = MultibodyForces(plant)
-        # Gravity, joint damping and bushings; actuation is apart.
-        plant.CalcForceElementsContribution(context, forces)
-        load = plant.CalcBiasTerm(context) - plant.CalcGeneralizedForces(context, forces)
+    jacobian, drift = _loop_rows(stewart, context)
+    inertia = plant.CalcMassMatrix(context)
+    forces = MultibodyForces(plant)
+    # Gravity, joint damping and bushings; actuation is apart.
+    plant.CalcForceElementsContribution(context, forces)
+    load = plant.CalcBiasTerm(context) - plant.CalcGeneralizedForces(context, forces)
     solved = np.linalg.solve(jacobian[:, joints], np.column_stack([jacobian[:, platform], drift]))
     basis, curvature = np.zeros((plant.num_velocities(), 6)), np.zeros(plant.num_velocities())
     basis[platform] = np.eye(6)
@@ -82,29 +55,27 @@ def task_dynamics(stewart: StewartPlant, context: Context) -> TaskDynamics:
     )
 
 
-def _loop_rows(stewart: StewartPlant, context: Context) -> tuple[np.ndarray, np.ndarray]:
+def _loop_rows(stewart, context):
     """Rows J (18 or 24, nv) of what a closed robot's velocities obey, and dJ/dt v: platform's joints less rods' ends.
 
     With ball joints the last six rows are the rods' spins: a motion of the platform brings none. Their dJ/dt v is left
     at zero, because it would add spin alone, which has no inertia in common with such a motion.
     """
     plant, robot = stewart.plant, stewart.robot
-    platform, rods = plant.GetFrameByName("platform"), [plant.GetFrameByName(f"rod_{leg}") for leg in range(LEGS)]
+    platform, rods = plant.GetFrameByName("platform"), [plant.GetFrameByName(f"rod_{leg}") for leg in range(6)]
     seat_rows, seat_drift = _points(plant, context, platform, robot.platform_joints.T)
-    ends = [
-        _points(plant, context, rod, np.array([[0.0], [0.0], [length]]))
-        for rod, length in zip(rods, robot.rod_lengths, strict=True)
-    ]
+    tips = [np.array([[0.0], [0.0], [length]]) for length in robot.rod_lengths]
+    ends = [_points(plant, context, rod, tip) for rod, tip in zip(rods, tips, strict=True)]
     rows = [seat_rows - np.concatenate([rod_rows for rod_rows, _ in ends])]
     drift = [seat_drift - np.concatenate([rod_drift for _, rod_drift in ends])]
     if stewart.rod_joint == "ball":
         world = plant.world_frame()
         rows += [plant.CalcJacobianAngularVelocity(context, _KV, rod, world, rod)[2:] for rod in rods]
-        drift.append(np.zeros(LEGS))
+        drift.append(np.zeros(6))
     return np.concatenate(rows), np.concatenate(drift)
 
 
-def _points(plant: MultibodyPlant, context: Context, frame: Frame, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _points(plant, context, frame, points):
     """Velocity Jacobian (3 n, nv) and its drift (3 n,) in the world, of n points (3, n) [m] fixed in a frame."""
     world = plant.world_frame()
     rows = plant.CalcJacobianTranslationalVelocity(context, _KV, frame, points, world, world)
