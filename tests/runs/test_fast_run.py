@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.control.controller_options import ControllerOptions
-from stewart_drake.control.function_part import function_part
 from stewart_drake.control.tuners import FixedTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import IdealSensors
@@ -14,10 +12,9 @@ from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
-from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
+from stewart_drake.registry import SENSORS, TUNERS
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import Positive
 
 WEIGHT = static_torque(Scenario().robot, Scenario().robot.home_pose)
 FAST = ("plant.engine=reduced",)
@@ -201,16 +198,6 @@ class ShiftedSensors(IdealSensors):
         return (Part("shifted", {"plant_pose": 12, "time": 1}, ("reading",), initial, tick),)
 
 
-class SpringOptions(ControllerOptions):
-    """A function as a controller with a section of its own."""
-
-    kind: str = "spring"
-    period: Positive = 0.005
-
-    def parts(self, setup):  # noqa: ARG002
-        return (function_part(push),)
-
-
 class LouderTuner(FixedTuner):
     """Doubles the weights from the second tick on."""
 
@@ -228,13 +215,13 @@ class LouderTuner(FixedTuner):
     "changes",
     [
         {"sensors": {"kind": "shifted"}, "tuner": "fixed"},
-        {"controller": {"kind": "spring"}, "command_delay": 1, "sensors": {"kind": "shifted"}},
+        {"controller": push, "command_delay": 1, "sensors": {"kind": "shifted"}},
         {"tuner": {"kind": "louder"}},
     ],
     ids=["sensors", "sensors and controller", "tuner"],
 )
 def test_kinds_from_outside_run_alike_on_both_engines(monkeypatch, changes):
-    for family, section in ((SENSORS, ShiftedSensors), (CONTROLLERS, SpringOptions), (TUNERS, LouderTuner)):
+    for family, section in ((SENSORS, ShiftedSensors), (TUNERS, LouderTuner)):
         monkeypatch.setattr(family, "_lines", dict(family._lines))
         family.add(section)
     motion = {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.301]}
