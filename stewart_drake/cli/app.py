@@ -92,8 +92,7 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
 
-    from stewart_drake.runs.engine import engine_of
-    from stewart_drake.runs.simulation import check_scenario, refuse_too_long
+    from stewart_drake.runs.simulation import check_scenario, engine_of, refuse_too_long
     from stewart_drake.runs.simulation import run as simulate
 
     refuse_too_long(loaded)

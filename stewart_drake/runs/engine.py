@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from stewart_drake.logs.log import SIGNALS
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import times_of
 from stewart_drake.scenario import Scenario
-
-if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
 
 
 class Engine(ABC):
@@ -67,18 +64,6 @@ class Engine(ABC):
 
     def close(self) -> None:  # noqa: B027 - nothing to do where nothing is held
         """Lets go of it all."""
-
-
-def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
-    """The engine that a scenario asks for, see `PlantOptions.engine`."""
-    # The closed form needs no Drake, which takes seconds to import.
-    if scenario.plant.engine == "reduced":
-        from stewart_drake.runs.fast_run import FastRun
-
-        return FastRun(scenario, meshcat)
-    from stewart_drake.runs.drake_run import DrakeRun
-
-    return DrakeRun(scenario, meshcat)
 
 
 def quiet() -> np.errstate:

@@ -160,19 +160,20 @@ def write_run(
 
 def _put(part: Path, scenario: Scenario, out: str | Path | None, force: bool) -> Path:
     """Renames a folder to its place."""
+    before = part.with_name("before.part")
     try:
         # The run may have taken hours: other results may be there now.
         place = results_place(scenario, out, force)
-        before = part.with_name("before.part")
         if place.exists():
             place.rename(before)
         part.rename(place)
-        if before.exists():
-            for path in before.iterdir():
-                if path.name not in _FILES:
-                    path.rename(place / path.name)
+        for path in before.iterdir() if before.exists() else ():
+            if path.name not in _FILES:
+                path.rename(place / path.name)
         shutil.rmtree(part.parent)
     except (ConfigurationError, OSError) as error:
+        if out is None and part.exists() and place.exists():
+            return _put(part, scenario, out, force)  # another run has just taken that number
         why = error.allowed if isinstance(error, ConfigurationError) else f"a place to rename to ({error.strerror})"
         raise ConfigurationError("--out", str(out or scenario.name), f"{why}; the results are in {part}") from None
     return place

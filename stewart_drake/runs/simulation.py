@@ -30,7 +30,7 @@ from stewart_drake.logs.outcomes import find_warnings, judge
 from stewart_drake.logs.rows import RunRows
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.planning.feasibility import refuse_turns
-from stewart_drake.runs.engine import Engine, engine_of, quiet
+from stewart_drake.runs.engine import Engine, quiet
 from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import steps_per, times_of
@@ -42,6 +42,18 @@ if TYPE_CHECKING:
 
 CHUNK = 0.05
 """[s] simulated time between two calls of `progress`."""
+
+
+def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
+    """The engine that a scenario asks for, see `PlantOptions.engine`."""
+    # The closed form needs no Drake, which takes seconds to import.
+    if scenario.plant.engine == "reduced":
+        from stewart_drake.runs.fast_run import FastRun
+
+        return FastRun(scenario, meshcat)
+    from stewart_drake.runs.drake_run import DrakeRun
+
+    return DrakeRun(scenario, meshcat)
 
 
 def run(
