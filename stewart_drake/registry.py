@@ -52,7 +52,7 @@ ESTIMATORS = Family(
 )
 OWN_MONITORS = Family({}, own="safety.user_monitor:UserMonitor", methods=("look",))
 """Those of the user's own, under `safety.monitors`; the others stand in `safety.safety_options`."""
-OWN_METRICS = Family({}, own="logs.user_metric:UserMetric", methods=("of",))
+OWN_METRICS = Family({}, own="logs.metric_table:UserMetric", methods=("of",))
 """Those of the user's own, under `metrics`; the others stand in `logs.metric_table`."""
 DISTURBANCES = Family(
     {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -57,8 +56,6 @@ from stewart_drake.wording import keys_of, shown
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
 
-MAX_LOG_ROWS = 10**8
-"""Of some 0.8 kilobytes each."""
 MAX_STEPS = 10**9
 """Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
 
@@ -243,10 +240,6 @@ class Scenario(Section):
             )
         if self.log_period is not None and self.log_period > self.duration:
             raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
-        if self.duration / self.effective_log_period > MAX_LOG_ROWS * (1.0 + 1e-9):
-            steps = math.ceil(self.duration / MAX_LOG_ROWS / self.plant.time_step)
-            allowed = f"at least {steps * self.plant.time_step:g} s for a run of {self.duration:g} s"
-            raise ConfigurationError("log_period", self.effective_log_period, f"{allowed}: a log has at most 1e8 rows")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:

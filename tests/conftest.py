@@ -36,7 +36,7 @@ ROOT = Path(__file__).parent.parent
 pytest_plugins = ("quick_report",)
 
 
-SHARED = ("report", "attacked", "cluster", "done", "collected", "wheel")
+SHARED = ("report", "cluster", "done", "collected", "wheel")
 """Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
 
 

@@ -323,8 +323,7 @@ def test_a_run_takes_the_code_of_every_part_along_and_can_be_run_again(tmp_path,
 METRIC = """
 from stewart_drake import Metric
 
-height = Metric("height", "m", "largest height", lambda t: t.gathered["height"], "steps",
-                gather=lambda before, rows: max([*rows["pose"][:, 5].tolist(), before or 0.0]))
+height = Metric("height", "m", "largest height", lambda rows: rows["pose"][:, 5].max(), "steps")
 broken = Metric("broken", "", "raises", lambda t: 1 / 0, "steps")
 other = 3
 """
@@ -348,7 +347,7 @@ def test_a_metric_by_its_path_is_computed_and_in_every_table(tmp_path, monkeypat
     assert "height" in (tmp_path / "many" / "sweep.csv").read_text().splitlines()[0]
     assert "height" not in run_metrics(run(Scenario(**SHORT)))
     scenario = load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:broken']"], trust_code=True)
-    with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 6\)"):
+    with pytest.raises(MetricError, match=r"^metric broken: ZeroDivisionError: division by zero \(mine.py, line 5\)"):
         run(scenario)
     with pytest.raises(ConfigurationError, match=r"^metrics\.0\.kind: .*Metric\(.*\), not of a int"):
         run(load_scenario(tmp_path / "s.yaml", ["metrics=['mine.py:other']"], trust_code=True))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from stewart_drake.campaigns.executors import SerialExecutor
-from stewart_drake.campaigns.one_run import simulate_figures
+from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.campaigns.plan import run_plan
 from stewart_drake.campaigns.sweep_file import Sweep, load_sweep
 from stewart_drake.errors import ConfigurationError
@@ -362,7 +362,7 @@ def test_a_study_has_the_rows_of_one_version_of_a_users_file(call, parts):
     )
 
     def edited(scenario):
-        log = simulate_figures(scenario)
+        log = simulate(scenario)
         parts.write_text(PARTS + "\n")
         # Trusted or not, this study began with another.
         Scenario.from_dict({"disturbances": [f"{parts}:Push"]}, trust_code=True)

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.number_table import read_numbers
+from stewart_drake.files.tables import column_name, numbers_to_csv, read_numbers
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot.leg import LEGS
 from stewart_drake.section import Positive, Section
@@ -22,14 +22,12 @@ MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
 _FARTHEST = 1e6
 """[m] beyond which no tracker is."""
 QUANTITIES = (
-    *((name, "rad") for name in ("roll", "pitch", "yaw")),
-    *((name, "m") for name in ("x", "y", "z")),
-    *((f"theta_{leg}", "rad") for leg in range(LEGS)),
+    *((f"pose_{name}", "rad") for name in ("roll", "pitch", "yaw")),
+    *((f"pose_{name}", "m") for name in ("x", "y", "z")),
+    *((f"crank_angle_{leg}", "rad") for leg in range(LEGS)),
 )
 """What a file has columns of, and the unit in which it is kept."""
-UNITS = {"rad": {"rad": 1.0, "deg": math.pi / 180.0}, "m": {"m": 1.0, "mm": 1e-3}}
-"""Units that a column's name may end in, and what one is of the unit that is kept."""
-COLUMNS = tuple(f"{name}_{unit}" for name, unit in QUANTITIES)
+COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
 
 
 class MeasurementNoise(Section, key="noise"):
@@ -106,8 +104,7 @@ class Measurements:
 
     def to_csv(self) -> str:
         """A table that `load_measurements` reads."""
-        rows = (",".join(map(repr, row)) for row in np.concatenate([self.pose, self.angles], axis=-1).tolist())
-        return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+        return numbers_to_csv(QUANTITIES, np.concatenate([self.pose, self.angles], axis=-1))
 
     def _refuse(self, wrong: np.ndarray, table: np.ndarray, allowed: str) -> None:
         if wrong.any():
@@ -120,17 +117,15 @@ def load_measurements(path: str | Path) -> Measurements:
     """Reads measured poses.
 
     Args:
-        path: A CSV file with a header and a column for each of roll, pitch, yaw (`roll_rad` or `roll_deg`), x, y, z
-            (`x_m` or `x_mm`) of the marker in the tracker's frame, and the readings of legs 0 to 5 (`theta_0_rad` or
-            `theta_0_deg`), in any order. R = Rz(yaw) Ry(pitch) Rx(roll). Further columns are left alone.
+        path: A table, see `files.tables`, with `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`,
+            `pose_y_m`, `pose_z_m` of the marker in the tracker's frame, and the readings `crank_angle_0_rad` to
+            `crank_angle_5_rad`, in any order (`_deg`, `_mm` will do). R = Rz(yaw) Ry(pitch) Rx(roll). Further columns
+            are left alone.
 
     Raises:
         ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no finite
             number; as for `Measurements`.
     """
     source = f"poses file {path}"
-    columns = [
-        (name, {f"{name}_{ending}": factor for ending, factor in UNITS[unit].items()}) for name, unit in QUANTITIES
-    ]
-    values = read_numbers(path, source, columns, MAX_BYTES, MAX_ROWS)
+    values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)
     return Measurements(values[:, :6], values[:, 6:], source)

@@ -17,7 +17,7 @@ from stewart_drake.calibration.parameters import (
     FrameName,
     Name,
 )
-from stewart_drake.files.installed import need_pandas
+from stewart_drake.files.tables import need_pandas
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 

@@ -115,13 +115,17 @@ def _others(measurements: Measurements, start: Start | None) -> Iterator[tuple[M
         swapped = angles.copy()
         swapped[:, [one, other]] = angles[:, [other, one]]
         got = "readings that fit if these two are swapped"
-        error = ConfigurationError(f"{source}: theta_{one} and theta_{other}", got, "each leg's own encoder")
+        error = ConfigurationError(
+            f"{source}: crank_angle_{one} and crank_angle_{other}", got, "each leg's own encoder"
+        )
         yield Measurements(pose, swapped, source), error
     for leg in range(LEGS):
         inverted = angles.copy()
         inverted[:, leg] = -angles[:, leg]
         got = "readings that fit with the other sign"
-        error = ConfigurationError(f"{source}: theta_{leg}", got, "angles that grow as the guess's crank angle does")
+        error = ConfigurationError(
+            f"{source}: crank_angle_{leg}", got, "angles that grow as the guess's crank angle does"
+        )
         yield Measurements(pose, inverted, source), error
 
 

@@ -22,7 +22,7 @@ from stewart_drake.hardware.motors import holdable_load
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.logs.tally import pose_distance
+from stewart_drake.logs.rows import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.safety import RAMP

@@ -15,7 +15,6 @@ from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.whole import NOT_FINITE, plain_json
-from stewart_drake.logs.log_rows import NoRows
 from stewart_drake.logs.metric_table import MetricError, flat
 from stewart_drake.logs.metrics import run_metrics
 
@@ -60,7 +59,7 @@ class Task:
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
-    """What a comparison runs by default: `simulation.run`, which takes the options; one that was interrupted raises.
+    """What a study runs by default: `simulation.run`, which takes the options; one that was interrupted raises.
 
     Raises:
         KeyboardInterrupt: It was interrupted.
@@ -82,14 +81,9 @@ def uninterrupted(log: SimulationLog) -> SimulationLog:
     return log
 
 
-def simulate_figures(scenario: Scenario) -> SimulationLog:
-    """What a sweep runs by default: the same without rows, so that a run may be as long as it likes."""
-    return simulate(scenario, rows=NoRows())
-
-
 def simulate_unchecked(scenario: Scenario) -> SimulationLog:
     """The same without the check of its motion, for one that has been checked before."""
-    return simulate(scenario, rows=NoRows(), check=False)
+    return simulate(scenario, check=False)
 
 
 def execute(function: RunFunction, task: Task) -> Row:

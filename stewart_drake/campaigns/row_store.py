@@ -13,9 +13,9 @@ from typing import Any, BinaryIO, Self
 from stewart_drake.campaigns.tables import Row
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import (
+    check_file,
     checksum,
     locked_folder,
-    open_checked,
     read_checked,
     seal,
     unseal,
@@ -64,7 +64,7 @@ class RowStore:
             opened.enter_context(locked_folder(self.folder))
             try:
                 path.touch()
-                open_checked(path, str(path), _LARGEST).close()
+                check_file(path, str(path), _LARGEST)
                 self._stream = opened.enter_context(path.open("a+b", buffering=0))
             except OSError as error:
                 raise ConfigurationError(str(path), error.strerror, "a file that can be written to") from None

@@ -81,7 +81,8 @@ class RunStore:
                 LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else SerialExecutor(),
             )
             tell(1.0)
-            return [replace(logs[path] or load_log(path), scenario=s) for path, s in zip(paths, scenarios, strict=True)]
+            logs |= {path: load_log(path) for path in missing}
+            return [replace(logs[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
 
 def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:

@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
-from stewart_drake.campaigns.one_run import simulate_figures
 from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
 from stewart_drake.campaigns.tables import INCIDENTAL, Row, flat
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
@@ -151,10 +150,6 @@ class Sweep(Plan):
             key: _times(self._bases[key], value) if self.distributions[key].factor else value
             for key, value in drawn.items()
         }
-
-    def simulation(self, index: int) -> Any:  # noqa: ARG002 - the same for all
-        """See `Plan.simulation`: of a sweep no log is kept."""
-        return simulate_figures
 
     def variants(self) -> list[Scenario]:
         """See `Plan.variants`."""

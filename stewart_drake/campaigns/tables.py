@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stewart_drake.files.parquet_files import to_csv
+from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import NOT_FINITE, write_atomically
 from stewart_drake.logs.metric_table import Column
 
@@ -59,15 +58,6 @@ def to_arrow(
         arrays.append(pa.array(values, type=types[column.kind]))
     text = json.dumps(about)
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={f"stewart_drake.{key}": text}))
-
-
-def to_parquet(table: pa.Table) -> bytes:
-    """The table as a Parquet file."""
-    import pyarrow.parquet as pq
-
-    stream = io.BytesIO()
-    pq.write_table(table, stream, compression="zstd")
-    return stream.getvalue()
 
 
 def write_table(table: pa.Table, folder: Path, name: str) -> None:

@@ -15,7 +15,7 @@ from stewart_drake.campaigns.comparison import ComparisonResult, run_comparison
 from stewart_drake.campaigns.comparison_table import Sheet, number
 from stewart_drake.campaigns.executors import Workplace
 from stewart_drake.campaigns.kept_runs import KeptRuns
-from stewart_drake.campaigns.one_run import Task, outcome, simulate_figures, simulate_unchecked
+from stewart_drake.campaigns.one_run import Task, outcome, simulate, simulate_unchecked
 from stewart_drake.campaigns.plan import identity_of
 from stewart_drake.campaigns.search import minimise
 from stewart_drake.campaigns.tables import Row, to_arrow, write_table
@@ -137,9 +137,7 @@ class _Evaluations:
         cells = self._tuning.cells(controller)
         tasks = [self._task(cell, k, setting) for k, setting in enumerate(settings, first) for cell in cells]
         # The motions are the same in all evaluations: the first checks them.
-        found = self._runs.rows(
-            tasks, lambda task: simulate_unchecked if task.drawn["evaluation"] else simulate_figures
-        )
+        found = self._runs.rows(tasks, lambda task: simulate_unchecked if task.drawn["evaluation"] else simulate)
         made = []
         for k, setting in enumerate(settings):
             runs = found[k * len(cells) : (k + 1) * len(cells)]

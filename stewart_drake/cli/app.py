@@ -74,7 +74,7 @@ def cli(context: click.Context) -> None:
 
 @cli.command()
 @click.argument("scenario")
-@out_folder()
+@click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @overrides()
 @click.option("--force", is_flag=True, help="Replace the results of another scenario in the folder.")
 @trust_flag
@@ -85,21 +85,18 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
     Exit status: 0 completed, 2 bad input, 3 stopped, lost or failed (the log is kept), 130 interrupted.
     """
-    from stewart_drake.logs.log_rows import RowsInFile
     from stewart_drake.logs.outcomes import told
-    from stewart_drake.runs.outputs import ResultsFolder
+    from stewart_drake.runs.outputs import prepare_folder, results_place, write_run
     from stewart_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario, overrides)
-    out = out if out is not None else Path("runs") / loaded.name
-    results = ResultsFolder(out, loaded, force)
-    rows = RowsInFile(results.folder)
-    rows.check(loaded)
+    place = results_place(loaded, out, force)
 
     from stewart_drake.runs.engine import engine_of
-    from stewart_drake.runs.simulation import check_scenario
+    from stewart_drake.runs.simulation import check_scenario, refuse_too_long
     from stewart_drake.runs.simulation import run as simulate
 
+    refuse_too_long(loaded)
     if loaded.duration > _LONG and not quiet:
         click.echo("checking the motion", err=True)
     with shown_compiling(quiet):
@@ -113,17 +110,12 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     engine = engine_of(loaded, viewer)
     graph = engine.graph()
     # Only now, with everything checked, does anything appear on the disk.
-    with results:
-        with shown_compiling(quiet), ProgressBar(loaded.name, loaded.duration, quiet) as advance:
-            log = simulate(loaded, progress=advance, check=False, rows=rows, engine=engine)
-        try:
-            metrics = results.finish(log, graph)
-        except KeyboardInterrupt:
-            where = f"the log is in {results.folder}"
-            click.echo(f"stewart-drake: interrupted while writing the results; {where}", err=True)
-            sys.exit(EXIT_INTERRUPTED)
+    prepare_folder(place.parent, out)
+    with shown_compiling(quiet), ProgressBar(loaded.name, loaded.duration, quiet) as advance:
+        log = simulate(loaded, progress=advance, check=False, engine=engine)
+    results = write_run(log, out, graph, force=force)
     if not quiet:
-        print_run(log, metrics, out)
+        print_run(log, results.metrics, results.folder)
     for line in results.left_out:
         click.echo(f"stewart-drake: {line}", err=True)
     if log.status != "completed":
@@ -146,7 +138,7 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
 
     Exit status: 0 done, 2 bad input, 130 interrupted.
     """
-    from stewart_drake.runs.outputs import SPACE, prepare_folder
+    from stewart_drake.runs.outputs import prepare_folder
     from stewart_drake.scenario import load_scenario
 
     base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
@@ -155,7 +147,7 @@ def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str
     from stewart_drake.paper.reproduce import reproduce as make_report
 
     check_base(base)
-    prepare_folder(out, SPACE)
+    prepare_folder(out)
 
     def tell(section: Section) -> None:
         # Where the bar cannot move, in a log file say, a line for each section.

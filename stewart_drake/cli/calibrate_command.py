@@ -60,9 +60,10 @@ def calibrate(
 ) -> None:
     """Geometry and homing offsets of a robot from measured POSES and its encoders' readings.
 
-    POSES is a CSV file with a row for each pose at rest: roll_rad, pitch_rad, yaw_rad, x_m, y_m, z_m of the tracker's
-    marker in the tracker's frame (or _deg, _mm) and theta_0_rad to theta_5_rad, the readings (or _deg). Where the
-    tracker stands, and where on the platform its marker is, need not be known.
+    POSES is a CSV file with a row for each pose at rest: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m,
+    pose_y_m, pose_z_m of the tracker's marker in the tracker's frame (or _deg, _mm) and crank_angle_0_rad to
+    crank_angle_5_rad, the readings (or _deg). Where the tracker stands, and where on the platform its marker is, need
+    not be known.
 
     With --plan it writes poses to measure in that form: within the limits of the robot, and such as tell most.
     --set changes those limits.
@@ -100,12 +101,12 @@ def _calibrate(
     from stewart_drake.calibration.fit import calibrate as fit
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
-    from stewart_drake.runs.outputs import SPACE, prepare_file, prepare_folder
+    from stewart_drake.runs.outputs import prepare_file, prepare_folder
 
     found = fit(load_robot(robot), poses, noise, known_frames, hold)
-    prepare_file(out, SPACE)
+    prepare_file(out)
     if report_folder is not None:
-        _report(found, prepare_folder(report_folder, SPACE))
+        _report(found, prepare_folder(report_folder))
     write_atomically(out, robot_file(found).encode())
     if not quiet:
         rows = [*summary(found), ("robot in", str(out))]
@@ -139,13 +140,13 @@ def _plan(
     from stewart_drake.calibration.pose_plan import plan_poses
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.scenario import load_scenario
 
     guess = load_robot(robot)
     limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
     plan = plan_poses(guess, count, limits, noise, known_frames, hold)
-    prepare_file(out, SPACE)
+    prepare_file(out)
     write_atomically(out, plan.targets.to_csv().encode())
     if not quiet:
         header, rows = plan_table(plan)

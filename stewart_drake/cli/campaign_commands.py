@@ -63,7 +63,7 @@ def under_way(
 ) -> Iterator[tuple[Path, Workplace, Callable[[float], None]]]:
     """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
     from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses
-    from stewart_drake.runs.outputs import SPACE, prepare_folder
+    from stewart_drake.runs.outputs import prepare_folder
 
     where: Workplace = LocalProcesses(workers)
     if scheduler is not None:
@@ -72,7 +72,7 @@ def under_way(
             raise ConfigurationError("--workers", workers, allowed)
         where = cluster = DaskCluster(scheduler)
         cluster.connect()
-    folder = prepare_folder(out if out is not None else Path("runs") / f"{plan.name}{ending}", SPACE)
+    folder = prepare_folder(out if out is not None else Path("runs") / f"{plan.name}{ending}")
     done = 0.0
     try:
         with ProgressBar(plan.name, float(plan.runs), quiet, unit="runs") as advance:

@@ -54,12 +54,12 @@ def identify(
     from stewart_drake.identification.identification_report import parameter_columns, robot_file, summary
     from stewart_drake.identification.identify import identify as fit
     from stewart_drake.robot.robot_files import load_robot
-    from stewart_drake.runs.outputs import SPACE, prepare_file, prepare_folder
+    from stewart_drake.runs.outputs import prepare_file, prepare_folder
 
     found = fit(load_robot(robot), logs, hold, ask or ASKED, validate, bandwidth, torque_lag)
-    prepare_file(out, SPACE)
+    prepare_file(out)
     if report_folder is not None:
-        _report(found, prepare_folder(report_folder, SPACE))
+        _report(found, prepare_folder(report_folder))
     write_atomically(out, robot_file(found).encode())
     if not quiet:
         rows = [*summary(found), ("robot in", str(out))]
@@ -102,7 +102,7 @@ def excite(
     from stewart_drake.identification.excitation import excite as design
     from stewart_drake.planning.feasibility import check_reference
     from stewart_drake.robot.robot_files import load_robot
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.scenario import load_scenario
 
     guess = load_robot(robot)
@@ -114,7 +114,7 @@ def excite(
     found = design(guess, scenario.limits, hold, gravity=scenario.gravity, seed=seed)
     check_reference(guess, scenario.limits, found.reference, duration, scenario.gravity).raise_if_infeasible()
     scenario = scenario.replace({"name": "excitation", "reference": found.reference.to_dict()})
-    prepare_file(out, SPACE)
+    prepare_file(out)
     write_atomically(out, to_yaml(scenario.to_dict()).encode())
     if not quiet:
         rows = [

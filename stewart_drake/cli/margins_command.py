@@ -34,7 +34,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
     Exit status: 0 done, 2 bad input.
     """
-    from stewart_drake.runs.outputs import SPACE, prepare_folder
+    from stewart_drake.runs.outputs import prepare_folder
     from stewart_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario, overrides)
@@ -43,7 +43,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 
     with shown_compiling(quiet):
         loops = linear_loops(loaded, poses_to_stand_at(loaded, poses, seed))
-    folder = prepare_folder(out, SPACE)
+    folder = prepare_folder(out)
 
     import pyarrow.parquet as pq
 

@@ -99,10 +99,10 @@ def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
     from stewart_drake.campaigns.robot_table import HEADER, robot_rows, robots_page
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot, robot_names
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
 
     chosen = {name: load_robot(name) for name in names or robot_names()}
-    prepare_file(out, SPACE)
+    prepare_file(out)
     with ProgressBar("robots", float(len(chosen)), quiet, unit="robots") as advance:
         rows = robot_rows(chosen, advance)
     write_atomically(out, robots_page(rows).encode())

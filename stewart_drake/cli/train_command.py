@@ -24,10 +24,10 @@ def collect(out: Path, quiet: bool) -> None:
     Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
     """
     from stewart_drake.campaigns.executors import LocalProcesses
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.training.collect import collect_dataset
 
-    prepare_file(out, SPACE)
+    prepare_file(out)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
         dataset = collect_dataset(progress=advance, where=LocalProcesses())
     dataset.save(out)
@@ -85,10 +85,10 @@ def train(
 
 
 def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> None:
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.training.policy_training import PolicyOptions, train_policy
 
-    prepare_file(out, SPACE)
+    prepare_file(out)
     options = PolicyOptions(seed=seed, generations=generations)
     with ProgressBar("policy", float(generations), quiet, unit="generations") as advance:
         policy = train_policy(
@@ -103,7 +103,7 @@ def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> None:
 
 
 def _train_paper(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
-    from stewart_drake.runs.outputs import SPACE, prepare_file
+    from stewart_drake.runs.outputs import prepare_file
     from stewart_drake.training.dataset import load_dataset
 
     data = load_dataset(dataset)
@@ -111,7 +111,7 @@ def _train_paper(dataset: Path, out: Path, seed: int, epochs: int, split: Split,
     from stewart_drake.training.train import TrainingOptions, train_network
 
     options = TrainingOptions(seed=seed, epochs=epochs, split=split)
-    prepare_file(out, SPACE)
+    prepare_file(out)
     with ProgressBar("training", float(epochs), quiet, unit="epochs") as advance:
         result = train_network(data, options, progress=advance)
     result.network.save(out)

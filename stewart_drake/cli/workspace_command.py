@@ -48,7 +48,7 @@ def workspace(
 
     Exit status: 0 done, 2 bad input, 130 interrupted.
     """
-    from stewart_drake.runs.outputs import SPACE, prepare_folder
+    from stewart_drake.runs.outputs import prepare_folder
     from stewart_drake.scenario import load_scenario
 
     base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
@@ -66,7 +66,7 @@ def workspace(
     except ConfigurationError as error:
         # A region of poses needs no motion.
         click.echo(f"stewart-drake: left out is the scenario's own motion: {error}", err=True)
-    prepare_folder(out, SPACE)
+    prepare_folder(out)
 
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.paper.report import write_report

@@ -12,19 +12,12 @@ from ruamel.yaml import YAML
 from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
-from ruamel.yaml.nodes import Node, ScalarNode
 from ruamel.yaml.representer import SafeRepresenter
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, read_checked
 
 MAX_BYTES = 1_000_000
-MAX_NODES = 100_000
-"""Values and keys of a text, each as often as aliases and merge keys repeat it."""
-MAX_DEPTH = 100
-"""Sections and lists inside of each other."""
-MAX_DIGITS = 400
-"""Of a whole number: more than any number here may have, fewer than Python would refuse to write."""
 
 
 def shipped_folder(kind: str) -> Path:
@@ -86,27 +79,26 @@ def parse_yaml(text: str, key: str) -> Any:
     """Plain values from a YAML text.
 
     Raises:
-        ConfigurationError: `key` is not well-formed YAML, or has tags; it is too large, see `MAX_NODES`, `MAX_DEPTH`
-            and `MAX_DIGITS`; a section holds itself.
+        ConfigurationError: `key` is not well-formed YAML, or has tags or aliases.
     """
     # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
     yaml = YAML(typ="safe", pure=True)
-    yaml.Composer = _BoundedComposer
+    yaml.Composer = _PlainComposer
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return yaml.load(text)
-    except _TooLargeError as error:
-        raise ConfigurationError(key, error.found, error.allowed) from None
     except MarkedYAMLError as error:
         mark = error.problem_mark
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         what = " ".join(str(error.problem).removeprefix("but ").split())
-        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags") from None
+        raise ConfigurationError(key, f"{where}{what}", "well-formed YAML without tags and aliases") from None
     except Exception as error:
         # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
         text = " ".join(str(error).split())
-        raise ConfigurationError(key, f"{type(error).__name__}: {text}", "well-formed YAML without tags") from None
+        raise ConfigurationError(
+            key, f"{type(error).__name__}: {text}", "well-formed YAML without tags and aliases"
+        ) from None
 
 
 def to_yaml(data: Any) -> str:
@@ -132,55 +124,11 @@ class _Representer(SafeRepresenter):
 _Representer.add_representer(str, _Representer.represent_str)
 
 
-class _TooLargeError(Exception):
-    def __init__(self, line: int, found: str, allowed: str) -> None:
-        self.found, self.allowed = f"line {line + 1}: {found}", allowed
-        super().__init__(found)
-
-
-class _BoundedComposer(Composer):
-    """Measures a text while it becomes a graph, before any value is built from it.
-
-    A node that an alias names is part of the graph once, but counts each time: whoever walks through the values meets
-    it each time. A merge key is an alias too.
-    """
-
-    def __init__(self, loader: Any = None) -> None:
-        super().__init__(loader)
-        self._open = 0
-        self._sizes: dict[Node, tuple[int, int]] = {}
-        """Of each node that is complete: nodes in it, sections inside of each other."""
+class _PlainComposer(Composer):
+    """Refuses aliases, and with them merge keys: a few of them say more than any memory holds."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        alias = self.parser.check_event(AliasEvent)
-        self._open += 1
-        self._refuse(self.parser.peek_event().start_mark.line, len(self._sizes), self._open)
-        node = super().compose_node(parent, index)
-        self._open -= 1
-        line = node.start_mark.line
-        if alias and node not in self._sizes:
-            raise _TooLargeError(line, "a section that holds itself", "sections that end")
-        if not alias:
-            self._sizes[node] = self._measure(node)
-        count, depth = self._sizes[node]
-        self._refuse(line, count, self._open + depth)
-        return node
-
-    @staticmethod
-    def _refuse(line: int, count: int, depth: int) -> None:
-        if count > MAX_NODES:
-            raise _TooLargeError(line, f"more than {MAX_NODES} values", f"at most {MAX_NODES}, aliases followed")
-        if depth > MAX_DEPTH:
-            raise _TooLargeError(line, f"sections {depth} deep", f"at most {MAX_DEPTH} inside of each other")
-
-    def _measure(self, node: Node) -> tuple[int, int]:
-        if isinstance(node, ScalarNode):
-            digits = len(re.sub(r"^[-+]?(0[box])?|_", "", node.value))
-            if node.tag == "tag:yaml.org,2002:int" and digits > MAX_DIGITS:
-                raise _TooLargeError(
-                    node.start_mark.line, f"a whole number of {digits} digits", f"at most {MAX_DIGITS} digits"
-                )
-            return 1, 0
-        parts = [part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,))]
-        sizes = [self._sizes[part] for part in parts]
-        return 1 + sum(count for count, _ in sizes), 1 + max((depth for _, depth in sizes), default=0)
+        if self.parser.check_event(AliasEvent):
+            event = self.parser.peek_event()
+            raise MarkedYAMLError(problem=f"an alias, *{event.anchor}", problem_mark=event.start_mark)
+        return super().compose_node(parent, index)

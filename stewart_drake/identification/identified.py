@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.files.installed import need_pandas
+from stewart_drake.files.tables import need_pandas
 from stewart_drake.identification.estimate import Estimate
 from stewart_drake.identification.parameters import (
     COULOMB,

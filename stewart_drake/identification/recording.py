@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.number_table import read_numbers
+from stewart_drake.files.tables import numbers_to_csv, read_numbers
 from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -20,12 +20,12 @@ from stewart_drake.sampling import unwrapped
 MAX_BYTES, MAX_ROWS = 300_000_000, 1_000_000
 UNEVEN = 0.1
 """[-] of a step by which times may lie beside an even grid."""
-_UNITS = {
-    "time": {"": 1.0, "_s": 1.0, "_ms": 1e-3},
-    "crank_angle": {"": 1.0, "_rad": 1.0, "_deg": math.pi / 180.0},
-    "torque": {"": 1.0, "_Nm": 1.0, "_mNm": 1e-3},
-}
-"""Endings of a column's name, and what one of that unit is of s, rad, N m."""
+QUANTITIES = (
+    ("time", "s"),
+    *((f"crank_angle_{leg}", "rad") for leg in range(LEGS)),
+    *((f"torque_{leg}", "N m") for leg in range(LEGS)),
+)
+"""What a table has columns of, and the unit in which it is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,22 +90,16 @@ class Recording:
 
     def to_csv(self) -> str:
         """A table that `load_recording` reads."""
-        names = [
-            "time_s",
-            *(f"crank_angle_{leg}_rad" for leg in range(LEGS)),
-            *(f"torque_{leg}_Nm" for leg in range(LEGS)),
-        ]
-        rows = np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1).tolist()
-        return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]) + "\n"
+        return numbers_to_csv(QUANTITIES, np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1))
 
 
 def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
     """Reads a recording.
 
     Args:
-        path: A log of this package (.parquet, or a results folder), or a CSV file with a header and columns `time_s`
-            (or `_ms`), `crank_angle_0_rad` to `crank_angle_5_rad` (or `_deg`), `torque_0_Nm` to `torque_5_Nm` (or
-            `_mNm`); without ending they are in s, rad and N m.
+        path: A log of this package (.parquet, or a results folder), or a CSV file, see `files.tables`, with `time_s`,
+            `crank_angle_0_rad` to `crank_angle_5_rad` and `torque_0_Nm` to `torque_5_Nm` (`_ms`, `_deg`,
+            `_mNm` will do).
         guess: Whose it should be.
         lag: [s] of a CSV file, see `Recording`. Torques measured with the angles have 0, commands that are held until
             the next row half a row.
@@ -117,9 +111,7 @@ def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -
     if Path(path).suffix.lower() != ".csv":
         return of_log(load_log(path), guess, f"log {path}")
     source = f"recording {path}"
-    names = ["time", *(f"crank_angle_{leg}" for leg in range(LEGS)), *(f"torque_{leg}" for leg in range(LEGS))]
-    columns = [(name, {name + ending: factor for ending, factor in _ways(name)}) for name in names]
-    values = read_numbers(path, source, columns, MAX_BYTES, MAX_ROWS)
+    values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)
     return Recording(values[:, 0], values[:, 1:7], values[:, 7:], lag, source=source)
 
 
@@ -151,7 +143,3 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
     # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
     lag = 0.5 * (tick - log.scenario.plant.time_step)
     return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
-
-
-def _ways(name: str) -> list[tuple[str, float]]:
-    return list(_UNITS[name.rstrip("012345").rstrip("_")].items())

@@ -13,14 +13,7 @@ FAILED = 1000.0
 
 
 def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:
-    """`cost` of a run from its metrics, at most `FAILED`, and that for a run that was not completed.
-
-    Args:
-        figures: Metrics by name; of them rmse_norm_deg, rmse_norm_mm and torque_change_rms, of a tick.
-        status: Of the run.
-        period: [s] of a tick.
-        scales: What counts as one.
-    """
+    """`cost` of a run with ticks of `period` [s] from its metrics by name, at most `FAILED`; that if not completed."""
     parts = [figures.get(name) for name in ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")]
     if status != "completed" or None in parts:
         return FAILED

@@ -1,38 +1,42 @@
-"""The log of one run: named signals with units and frames, kept as one Parquet file."""
+"""The log of one run: named signals with units and frames, arrays in memory, kept as a Parquet or CSV file."""
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stewart_drake.control.settings import NAMES
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import code_rule
-from stewart_drake.files.installed import need_pandas
-from stewart_drake.files.parquet_files import SealedWriter, read_sealed, to_csv
+from stewart_drake.files.tables import (
+    column_name,
+    need_pandas,
+    parquet_about,
+    quantity_of,
+    read_columns,
+    to_csv,
+    to_parquet,
+    with_about,
+)
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status, told
-from stewart_drake.scenario import MAX_LOG_ROWS, Scenario
+from stewart_drake.scenario import Scenario
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 AXIS_NAMES = ("roll", "pitch", "yaw", "x", "y", "z")
 LEG_NAMES = tuple(str(i) for i in range(6))
-ROW_GROUP = 65_536
-"""Rows of a log that are in memory at a time where it goes to a file."""
-UNFINISHED = "rows"
-"""Folder in a results folder under construction: parts of a log, numbered, each a log of its own."""
+MAX_ROWS = 2_000_000
+"""Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
 
-_FORMAT_KEY = b"stewart_drake.run"
-_VERSION = 2
-_LARGEST = 10**11
+_VERSION = 3
+_LARGEST = 10**10
 """[byte] of a file."""
 
 
@@ -127,8 +131,8 @@ def _state_column(name: str) -> tuple[str, str, str]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationLog:
-    """Signals of one run and how it ended.
+class SimulationLog(Mapping[str, np.ndarray]):
+    """Signals of one run by name, `log["pose"]`, and how it ended.
 
     Attributes:
         scenario: As run.
@@ -145,8 +149,8 @@ class SimulationLog:
         wall_time: [s] spent in the simulation.
         versions: Versions of what ran.
         files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
-        figures: See `tally.Tally.figures`, from every tick and step of the run, whatever rows the log has; None where
-            nobody took them. Those that are not finite are None and named in `not_finite`.
+        figures: The metrics, from every tick and step of the run, whatever rows the log has; None where nobody took
+            them. Those that are not finite are None and named in `not_finite`.
     """
 
     scenario: Scenario
@@ -164,6 +168,15 @@ class SimulationLog:
     versions: Mapping[str, str | None] = field(default_factory=dict)
     files: Mapping[str, str | None] = field(default_factory=dict)
     figures: Mapping[str, Any] | None = None
+
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Signal `name`.
@@ -191,18 +204,16 @@ class SimulationLog:
         return {name: _plain(getattr(self, name)) for name in _OUTCOME}
 
     def columns(self) -> dict[str, tuple[np.ndarray, str, str, str]]:
-        """Column name -> (values (n,), unit, frame, explanation)."""
+        """Column of a table, such as `pose_roll_rad` -> (values (n,), unit, frame, explanation)."""
         columns: dict[str, tuple[np.ndarray, str, str, str]] = {}
         for name, values in self.signals.items():
             spec = SIGNALS[name]
-            if name == "plant_state":
-                for index, state in enumerate(self.state_names):
-                    columns[f"plant_state.{state}"] = (values[:, index], *_state_column(state))
-            elif not spec.components:
-                columns[name] = (values, spec.units[0], spec.frame, spec.text)
-            else:
-                for index, (component, unit) in enumerate(zip(spec.components, spec.units, strict=True)):
-                    columns[f"{name}.{component}"] = (values[:, index], unit, spec.frame, spec.text)
+            parts = self.state_names if name == "plant_state" else spec.components
+            for index, part in enumerate(parts):
+                told = _state_column(part) if name == "plant_state" else (spec.units[index], spec.frame, spec.text)
+                columns[column_name(f"{name}_{part}", told[0])] = (values[:, index], *told)
+            if not spec.components and name != "plant_state":
+                columns[column_name(name, spec.units[0])] = (values, spec.units[0], spec.frame, spec.text)
         return columns
 
     def table(self) -> pa.Table:
@@ -217,15 +228,18 @@ class SimulationLog:
         return pa.Table.from_arrays([pa.array(values) for values, *_ in columns.values()], schema=pa.schema(fields))
 
     def __repr__(self) -> str:
-        """Whose run it is, how it ended and what is in it, in five lines."""
+        """Whose run it is, how it ended and what is in it, in some lines."""
         tick, row = self.scenario.controller.period, self.scenario.effective_log_period
-        return (
-            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, self.end_time)}\n"
-            f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s\n"
-            f"  {len(self.signals.get('time', ()))} rows, every {row:g} s\n"
-            f"  signals: {', '.join(self.signals)}\n"
-            f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}"
-        )
+        lines = [
+            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, self.end_time)}",
+            f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
+            f"  {len(self.signals.get('time', ()))} rows, every {row:g} s",
+            f"  signals: {', '.join(self.signals)}",
+            f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}",
+        ]
+        if self.message is not None:
+            lines.insert(1, f"  {self.message.splitlines()[0]}")
+        return "\n".join(lines)
 
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component.
@@ -237,13 +251,12 @@ class SimulationLog:
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
-        """The log as a Parquet file with a checksum."""
-        stream = io.BytesIO()
-        write_log(self, [self.table()], stream)
-        return stream.getvalue()
+        """The log as a Parquet file."""
+        about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
+        return to_parquet(with_about(self.table(), "run", about))
 
     def to_csv(self) -> bytes:
-        """The signals as a CSV file; of scenario and outcome it says nothing, so `load_log` does not read it."""
+        """The signals as a CSV file; of scenario and outcome it says nothing."""
         return to_csv(self.table())
 
     def save(self, path: str | Path) -> None:
@@ -263,90 +276,60 @@ _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in
 """What a log says besides its signals."""
 
 
-def write_log(log: SimulationLog, tables: Iterable[pa.Table], stream: BinaryIO) -> None:
-    """Writes a log as a Parquet file with a checksum.
-
-    Args:
-        log: Everything but the rows.
-        tables: At least one; the rows in order, see `SimulationLog.table`.
-        stream: An empty file, open for writing and reading.
-    """
-    import pyarrow as pa
-
-    run = {
-        "version": _VERSION,
-        "scenario": log.scenario.to_dict(),
-        "state_names": list(log.state_names),
-        "outcome": log.outcome(),
-    }
-    waiting = iter(tables)
-    held = [next(waiting)]
-    with SealedWriter(stream, held[0].schema, _FORMAT_KEY, run) as writer:
-        for table in waiting:
-            held.append(table)
-            if sum(part.num_rows for part in held) >= ROW_GROUP:
-                writer.write(pa.concat_tables(held))
-                held = []
-        if held:
-            writer.write(pa.concat_tables(held))
-
-
-def load_log(path: str | Path, most_rows: int | None = None) -> SimulationLog:
+def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:
     """Reads a log written by `SimulationLog.save` or by the command `run`.
 
     Args:
-        path: The file, or a results folder. Of a run that was killed midway its unfinished folder, with the rows up to
-            the last that were written.
-        most_rows: Of a longer log every so many rows are read, so that there are at most so many; None for all.
+        path: The file, or a results folder.
+        scenario: Of a CSV file, which says nothing of it; None for the default one, as long as the file.
 
     Raises:
         ConfigurationError: Missing file, not a log of this package, or not as it was written.
     """
-    path = Path(path)
     # Unlike `Path.is_dir` this never raises.
-    folder = os.path.isdir(path)  # noqa: PTH112
-    if folder and not (path / "log.parquet").exists() and (path / UNFINISHED).is_dir():
-        parts = [_load_file(part, most_rows) for part in sorted((path / UNFINISHED).glob("*.parquet"))]
-        if parts:
-            signals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].signals}
-            return replace(parts[-1], signals=signals)
-    return _load_file(path / "log.parquet" if folder else path, most_rows)
-
-
-def _load_file(path: Path, most_rows: int | None) -> SimulationLog:
+    path = Path(path) / "log.parquet" if os.path.isdir(path) else Path(path)  # noqa: PTH112
     key = f"log {path}"
-
-    def stride(rows: int) -> int:
-        return 1 if most_rows is None else max(1, -(-rows // most_rows))
-
-    run, columns = read_sealed(path, key, _FORMAT_KEY, _LARGEST, MAX_LOG_ROWS + 1, "this package", stride)
+    if path.suffix == ".csv":
+        signals, state_names = _read_signals(path, key)
+        end = float(signals["time"][-1]) if len(signals["time"]) else 0.0
+        made = scenario or Scenario(duration=max(end, 1.0))
+        message = "read from a CSV file, which does not say how the run ended"
+        return SimulationLog(made, signals, state_names, message=message, end_time=end)
+    about = parquet_about(path, key, "run", _LARGEST, "this package")
+    if about.get("version") != _VERSION:
+        raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
     try:
-        if run["version"] != _VERSION:
-            raise ConfigurationError(key, f"version {run['version']}", f"version {_VERSION}")
-        state_names = tuple(run["state_names"])
-        outcome = {name: run["outcome"][name] for name in _OUTCOME}
+        outcome = {name: about["outcome"][name] for name in _OUTCOME}
         outcome["warnings"] = tuple(outcome["warnings"])
-        scenario = run["scenario"]
+        # What is read is not run.
+        with code_rule("name"):
+            scenario = Scenario.from_dict(about["scenario"])
     except (KeyError, TypeError) as error:
         what = f"metadata that cannot be read ({type(error).__name__}: {error})"
         raise ConfigurationError(key, what, "a log written by this package") from None
-    try:
-        # What is read is not run.
-        with code_rule("name"):
-            scenario = Scenario.from_dict(scenario)
     except ConfigurationError as error:
         raise error.within(f"{key}: ") from None
+    return SimulationLog(scenario, *_read_signals(path, key), **outcome)
+
+
+def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Signals of a table by name, and the names of the plant's states."""
+
+    def choose(names: list[str]) -> dict[str, tuple[str, float]]:
+        return {quantity: (name, factor) for name in names for quantity, factor in [quantity_of(name)]}
+
+    columns = read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
+    state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
     for name, spec in SIGNALS.items():
-        components = state_names if name == "plant_state" else spec.components
-        wanted = [f"{name}.{component}" for component in components] if components else [name]
+        parts = state_names if name == "plant_state" else spec.components
+        wanted = [f"{name}_{part}" for part in parts] or [name]
         missing = [column for column in wanted if column not in columns]
         if not missing:
-            arrays = [columns.pop(column) for column in wanted]
-            signals[name] = np.stack(arrays, axis=-1) if components else arrays[0]
+            signals[name] = np.stack([columns[each] for each in wanted], axis=-1) if parts else columns[name]
         elif name == "time" or len(missing) < len(wanted):
-            raise ConfigurationError(key, f"no column {missing[0]}", "all columns of a signal, and time")
-    return SimulationLog(scenario, signals, state_names, **outcome)
+            raise ConfigurationError(key, f"no column of {missing[0]}", "all columns of a signal, and time")
+    return signals, state_names
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The table of metrics: what each is called, its unit, what it says and how it is computed. A line here is a metric.
+"""The table of metrics: name, unit, text, and the function of the rows of a run that computes it.
 
 `metrics.json`, the terminal and the tables of sweeps, comparisons and faults draw from it.
 """
@@ -6,20 +6,20 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
+from stewart_drake.families import UserMade
 from stewart_drake.files.code_path import source_of
 from stewart_drake.files.whole import NOT_FINITE
+from stewart_drake.logs.rows import RunRows
 from stewart_drake.wording import keys_of
 
 if TYPE_CHECKING:
-    from stewart_drake.logs.tally import Tally
     from stewart_drake.scenario import Scenario
 
 ValueKind = Literal["number", "whole", "flag", "text", "json"]
@@ -60,66 +60,46 @@ class Metric:
         name: Key of metrics.json, and column of tables; it means the same everywhere.
         unit: Of its numbers, separated by commas where they differ.
         text: What it says; which part of the run it is of follows from `over`.
-        of: Computes it from the sums over a run, a `Tally`; called only where there is something to compute it from.
-        over: Which rows it is of, a count of the tally; without any it is None.
+        of: Computes it from the rows of a run, see `rows.RunRows`; called only where there are such rows.
+        over: Which rows it is of, a count of theirs; without any it is None.
         parts: Columns of a metric that is a list, one for each of its numbers.
         label: In tables that are read; empty for those that are not shown there.
         form: How its numbers are shown.
         kind: Of its values.
-        gather: For what the tally does not sum up itself: called with what it gave for the rows so far (at first None)
-            and the next rows, named as in a log; the last is `tally.gathered[name]`.
     """
 
     name: str
     unit: str
     text: str
-    of: Callable[[Tally], Any]
+    of: Callable[[RunRows], Any]
     over: Over = "late_ticks"
     parts: tuple[str, ...] = ()
     label: str = ""
     form: str = ".4g"
     kind: ValueKind = "number"
-    gather: Callable[[Any, Mapping[str, np.ndarray]], Any] | None = None
 
-    def value(self, tally: Tally) -> Any:
+    def value(self, rows: RunRows) -> Any:
         """The metric of a run in plain values, None where there is nothing to compute it from.
 
         Raises:
             MetricError: `of` raises, or returns something else than `kind` and `parts` say.
         """
-        with self._named():
-            return self._plain(self.of(tally)) if getattr(tally, self.over) else None
-
-    def _plain(self, found: Any) -> Any:
-        if isinstance(found, (np.ndarray, np.generic)):
-            found = found.tolist()
-        if found is None:
+        if not getattr(rows, self.over):
             return None
-        allowed = _TYPES[self.kind]
-        if self.parts:
-            fits = isinstance(found, (list, tuple)) and len(found) == len(self.parts)
-            fits = fits and all(each is None or type(each) in allowed for each in found)
-        else:
-            fits = type(found) in allowed
-        if not fits:
-            count = f"{len(self.parts)} values of kind " if self.parts else "a value of kind "
-            raise MetricError(f"metric {self.name}: `of` returned {reprlib.repr(found)}, not {count}{self.kind}")
-        return found
-
-    def gathered(self, before: Any, signals: Mapping[str, np.ndarray]) -> Any:
-        """What `gather` makes of the next rows; None without one."""
-        with self._named():
-            return None if self.gather is None else self.gather(before, signals)
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Says of what is raised whose it is."""
         try:
-            yield
-        except MetricError:
-            raise
+            found = self.of(rows)
         except Exception as error:
             raise MetricError(f"metric {self.name}: {type(error).__name__}: {error}{raised_at(error)}") from error
+        found = found.tolist() if isinstance(found, (np.ndarray, np.generic)) else found
+        if found is None:
+            return None
+        fits = not self.parts or (isinstance(found, (list, tuple)) and len(found) == len(self.parts))
+        each = found if self.parts and fits else [found]
+        if not fits or any(value is not None and type(value) not in _TYPES[self.kind] for value in each):
+            count = f"{len(self.parts)} values" if self.parts else "a value"
+            said = f"`of` returned {reprlib.repr(found)}, not {count} of kind {self.kind}"
+            raise MetricError(f"metric {self.name}: {said}")
+        return found
 
     def columns(self) -> tuple[Column, ...]:
         """Its columns in a table."""
@@ -149,19 +129,19 @@ def _each(form: str, axes: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(form.format(axis) for axis in axes)
 
 
-def _torque_change(tally: Tally) -> float | None:
-    squares, count = tally.torque_change
-    return float(np.sqrt(squares / count)) if count else None
+def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
+    """A function of the two weights (n, 2) at the ticks; None where a run has none."""
+    return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
 
 
-def _mean_weight(index: int) -> Callable[[Tally], float | None]:
-    return lambda tally: None if tally.weights is None else float(tally.weights[index] / tally.ticks)
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _pair(
     name: str,
     text: str,
-    of: Callable[[Tally], Any],
+    of: Callable[[RunRows], Any],
     over: Over = "late_ticks",
     what: Sequence[str] = ("roll, pitch, yaw error", "position error"),
     labels: Sequence[str] = ("", ""),
@@ -174,13 +154,17 @@ def _pair(
     made = []
     for place, (unit, factor, axes) in enumerate((("deg", 180.0 / np.pi, _ANGLES), ("mm", 1e3, _LENGTHS))):
 
-        def value(tally: Tally, place: int = place, factor: float = factor) -> float | list[float]:
-            sizes = factor * np.reshape(of(tally), (2, -1))[place]
+        def value(rows: RunRows, place: int = place, factor: float = factor) -> float | list[float]:
+            sizes = factor * np.reshape(of(rows), (2, -1))[place]
             return sizes.tolist() if each else float(sizes[0])
 
         parts = _each(f"{name}_{{}}_{unit}", axes) if each else ()
         made.append(Metric(f"{name}_{unit}", unit, text.format(what[place]), value, over, parts, labels[place]))
     return made
+
+
+def _finite(rows: RunRows) -> bool:
+    return all(bool(np.isfinite(values).all()) for values in rows.signals.values())
 
 
 METRICS: list[Metric] = [
@@ -189,7 +173,7 @@ METRICS: list[Metric] = [
         labels=("RMSE roll pitch yaw, second half", "RMSE X Y Z, second half"),
     ),
     *_pair(
-        "peak", "largest error", lambda t: t.late_peaks, "late_steps", each=True,
+        "peak", "largest error", lambda t: np.abs(t.error[t.late]).max(axis=0), "late_steps", each=True,
         labels=("peak roll pitch yaw, second half", "peak X Y Z, second half"),
     ),
     *_pair("rmse_norm", "RMS length of the {}", lambda t: t.late_rms_norms),
@@ -214,36 +198,42 @@ METRICS: list[Metric] = [
     ),
     Metric(
         "torque_rms", "N m", "of all motors, within their limits, whole run",
-        lambda t: float(np.sqrt(t.torque_squares.sum() / (6 * t.ticks))), "ticks", label="torque RMS", form=".3f",
+        lambda t: _rms(t["torque_applied"][t.tick]), "ticks", label="torque RMS", form=".3f",
     ),
     Metric(
         "torque_rms_second_half", "N m", "of all motors, within their limits",
-        lambda t: float(np.sqrt(t.torque_squares[1] / (6 * t.late_ticks))),
+        lambda t: _rms(t["torque_applied"][t.late_tick]),
     ),
-    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", _torque_change),
+    Metric("torque_change_rms", "N m", "of the torque asked for, from tick to tick", lambda t: t.torque_change),
     Metric(
-        "torque_peak", "N m", "of all motors, within their limits, whole run", lambda t: t.torque_peak, "steps",
-        label="torque peak", form=".3f",
+        "torque_peak", "N m", "of all motors, within their limits, whole run",
+        lambda t: float(np.abs(t["torque_applied"]).max()), "steps", label="torque peak", form=".3f",
     ),
     Metric(
         "saturated_fraction", "1", "share of torques at the limit, of ticks and motors",
-        lambda t: t.at_limit / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
+        lambda t: int(t.at_limit.sum()) / (6 * t.ticks), "ticks", label="share of torques at the limit", form=".2%",
     ),
     Metric(
         "loop_gap_max_m", "m", "largest distance from a rod end to its platform joint",
         lambda t: t.largest["loop_gap"], "steps", label="largest loop gap", form=".2e",
     ),
-    Metric("omega_q", "1", "mean of omega_Q", _mean_weight(0), "ticks", label="omega_Q, mean", form=".3g"),
-    Metric("omega_r", "1", "mean of omega_R", _mean_weight(1), "ticks", label="omega_R, mean", form=".3g"),
+    Metric(
+        "omega_q", "1", "mean of omega_Q", _of_weights(lambda w: w[:, 0].mean()), "ticks",
+        label="omega_Q, mean", form=".3g",
+    ),
+    Metric(
+        "omega_r", "1", "mean of omega_R", _of_weights(lambda w: w[:, 1].mean()), "ticks",
+        label="omega_R, mean", form=".3g",
+    ),
     Metric(
         "omega_ratio", "1", "geometric mean of omega_Q / omega_R",
-        lambda t: None if t.weights is None else float(np.exp(t.log_ratio / t.ticks)), "ticks",
+        _of_weights(lambda w: np.exp(np.log(w[:, 0] / w[:, 1]).mean())), "ticks",
     ),
     Metric(
         "integral_at_5s", "rad s, m s", "integral state at 5 s", lambda t: t.integral, "ticks",
         parts=_each("integral_{}_at_5s", _ANGLES + _LENGTHS), label="integral states at 5 s", form=".2g",
     ),
-    Metric("finite", "", "every number of the log is finite", lambda t: t.finite, "steps", kind="flag"),
+    Metric("finite", "", "every number of the log is finite", _finite, "steps", kind="flag"),
 ]  # fmt: skip
 """Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
 
@@ -300,9 +290,37 @@ def metrics_of(*scenarios: Scenario) -> list[Metric]:
     return found
 
 
+class UserMetric(UserMade, key="metrics"):
+    """A `Metric` that a module or file of the user's has; in Python it may stand here itself."""
+
+    asked = "of(rows) returns plain values"
+
+    def rules(self) -> None:
+        """Refuses arguments."""
+        if self.arguments:
+            raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
+
+    def load(self) -> Metric:
+        """The metric.
+
+        Raises:
+            ConfigurationError: It cannot be loaded, or is no `Metric`.
+        """
+        found = self.code.load(self.code_key)
+        if not isinstance(found, Metric):
+            allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
+            raise ConfigurationError(self.code_key, self.code, allowed)
+        return found
+
+    @property
+    def made(self) -> Metric:
+        """The metric."""
+        return self.load()
+
+
 def added_code() -> dict[str, str]:
     """Name -> source of what each metric from outside is computed by: with another body it is another metric."""
-    return {each.name: f"{source_of(each.of)}{source_of(each.gather)}" for each in METRICS[_SHIPPED:]}
+    return {each.name: source_of(each.of) for each in METRICS[_SHIPPED:]}
 
 
 def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:

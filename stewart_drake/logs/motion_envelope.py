@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -13,16 +13,7 @@ from stewart_drake.robot import RobotParameters
 
 
 def crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-    """Crank rates of a motion of the platform.
-
-    Args:
-        robot: Geometry.
-        pose: (n, 6) [rad, m].
-        pose_rate: (n, 6) [rad/s, m/s] Euler rates and velocity.
-
-    Returns:
-        (n, 6) [rad/s]; NaN where a rod cannot span, which a failing run can end with, or at a crank's dead centre.
-    """
+    """Crank rates (n, 6) [rad/s]; NaN where a rod cannot span, as at the end of a failing run, or at a dead centre."""
     rates = np.full(np.shape(pose), np.nan)
     within = np.all(reach_margin(robot, pose) > 0.0, axis=-1)
     rates[within] = np.einsum("nij,nj->ni", pose_jacobian(robot, pose[within]), pose_rate[within])
@@ -31,15 +22,15 @@ def crank_rates(robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class MotionEnvelope:
-    """The box around everything that a motion visited; lower bounds first.
+    """The box around everything that a motion visited, (2, 6) each, lower bounds first.
 
     Attributes:
-        pose: (2, 6) [rad, m].
-        pose_rate: (2, 6) [rad/s, m/s].
-        crank_angle: (2, 6) [rad].
-        crank_rate: (2, 6) [rad/s].
-        torque: (2, 6) [N m] within the motors' limits.
-        power: (2, 6) [W] of the motors; negative where they brake.
+        pose: [rad, m].
+        pose_rate: [rad/s, m/s].
+        crank_angle: [rad].
+        crank_rate: [rad/s].
+        torque: [N m] within the motors' limits.
+        power: [W] of the motors; negative where they brake.
     """
 
     pose: np.ndarray
@@ -48,11 +39,6 @@ class MotionEnvelope:
     crank_rate: np.ndarray
     torque: np.ndarray
     power: np.ndarray
-
-    def united(self, other: MotionEnvelope) -> MotionEnvelope:
-        """The box around both."""
-        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__dataclass_fields__)
-        return MotionEnvelope(*(np.stack([np.fmin(a[0], b[0]), np.fmax(a[1], b[1])]) for a, b in pairs))
 
 
 def motion_envelope(log: SimulationLog) -> MotionEnvelope:
@@ -65,7 +51,6 @@ def motion_envelope(log: SimulationLog) -> MotionEnvelope:
 
 def envelope_of_all(logs: Sequence[SimulationLog]) -> MotionEnvelope:
     """The box around all runs; at least one."""
-    envelope = motion_envelope(logs[0])
-    for log in logs[1:]:
-        envelope = envelope.united(motion_envelope(log))
-    return envelope
+    boxes = [motion_envelope(log) for log in logs]
+    signals = [np.stack([getattr(box, field.name) for box in boxes]) for field in fields(MotionEnvelope)]
+    return MotionEnvelope(*(np.stack([np.fmin.reduce(s[:, 0]), np.fmax.reduce(s[:, 1])]) for s in signals))

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from stewart_drake.errors import RunFailure, SafetyStop
-from stewart_drake.planning.bounds import Bounds
+from stewart_drake.logs.rows import RunRows
 
 Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
 robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
-broke midway. interrupted: the user, or the end of the process, ended it."""
+broke midway. interrupted: the user ended it."""
 
 MUCH_SATURATION = 0.01
 """Share of torques at the limit above which there is a warning."""
@@ -49,17 +49,12 @@ def told(status: str, reason: str | None, time: float | None = None) -> str:
 
 
 def judge(
-    bounds: Bounds,
-    figures: Mapping[str, Any],
-    trip: Mapping[str, Any] | None,
-    end_time: float,
-    ended_by: RunFailure | KeyboardInterrupt | None,
+    rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
 ) -> Outcome:
     """How a run ended.
 
     Args:
-        bounds: Of the scenario.
-        figures: See `tally.Tally.figures`.
+        rows: Of every step of the plant.
         trip: First trip of the safety layer, see `safety.first_trip`, or None.
         end_time: [s] simulated time reached.
         ended_by: What ended the run before its time, or None.
@@ -71,11 +66,11 @@ def judge(
         when = end_time if ended_by.time is None else ended_by.time
         text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))
         return Outcome("failed", ended_by.reason, text, when, ended_by.leg)
-    by = None if trip is None else trip["stopped"] or figures["events"]["held"]
+    by = None if trip is None else trip["stopped"] or rows.interventions()[1]
     if trip is not None and by is not None:
         text = str(ended_by) if held else f"{by['monitor']}: {trip['last'].replace('_', ' ')} when the time was up"
         return Outcome("stopped", by["monitor"], text, by["time"], by["leg"])
-    left = {name: event for name, event in figures["events"]["left"].items() if event is not None}
+    bounds, left = rows.scenario.bounds, rows.left()
     if left:
         name = min(left, key=lambda name: float(left[name]["time"]))
         event = left[name]
@@ -84,25 +79,23 @@ def judge(
         what = "the loops opened by more than" if name == "loop_gap" else f"the error in {name} went beyond"
         text = f"{what} {bound} at t = {event['time']:.3f} s; the largest was {worst}"
         return Outcome("lost", f"{name}_bound", text, event["time"], event["leg"])
-    ratio = figures["motion_ratio"]
+    ratio = rows.motion_ratio
     if bounds.motion_ratio is not None and ratio is not None and not ratio >= bounds.motion_ratio:
         text = f"the platform moved by {ratio:.1%} of its reference's motion; bound {bounds.motion_ratio:.0%}"
         return Outcome("lost", "not_followed", text, end_time)
-    ratio = figures["error_ratio"]
+    ratio = rows.error_ratio
     if bounds.error_ratio is not None and ratio is not None and not ratio <= bounds.error_ratio:
-        text = f"{_error_over_motion(figures)}; bound {bounds.error_ratio:.3g}"
-        return Outcome("lost", "not_followed", text, end_time)
+        return Outcome("lost", "not_followed", f"{_error_over_motion(rows)}; bound {bounds.error_ratio:.3g}", end_time)
     return Outcome("completed")
 
 
-def _error_over_motion(figures: Mapping[str, Any]) -> str:
-    begin, end = figures["events"]["worst_window"]
-    return f"from {begin:.4g} to {end:.4g} s the RMS error was {figures['error_ratio']:.3g} times the motion"
+def _error_over_motion(rows: RunRows) -> str:
+    assert rows.worst_window is not None
+    _, begin, end = rows.worst_window
+    return f"from {begin:.4g} to {end:.4g} s the RMS error was {rows.error_ratio:.3g} times the motion"
 
 
-def find_warnings(
-    status: Status, figures: Mapping[str, Any], trip: Mapping[str, Any] | None
-) -> tuple[dict[str, Any], ...]:
+def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
     """What a reader of a run should know beside its outcome.
 
     Returns:
@@ -113,18 +106,22 @@ def find_warnings(
     found: list[dict[str, Any]] = []
 
     def warn(name: str, time: float, number: float, text: str) -> None:
-        found.append({"name": name, "time": time, "number": number, "text": text})
+        found.append({"name": name, "time": float(time), "number": number, "text": text})
 
-    events, share = figures["events"], figures["saturated_fraction"]
     if trip is not None and trip["last"] == "none":
-        warn("safety_intervention", trip["time"], events["interventions"], f"{trip['monitor']}, {trip['worst']}")
-    if share is not None and share > MUCH_SATURATION:
-        warn("saturation", events["saturated_at"], share, f"{share:.1%} of the torques are at their limit")
-    gap, rmse = figures["loop_gap_max_m"], figures["rmse_norm_mm"]
-    if gap is not None and rmse is not None and gap > LARGE_GAP * 1e-3 * rmse:
-        ratio = gap / (1e-3 * rmse) if rmse > 0.0 else math.inf
-        warn("loop_gap", events["gap_at"], ratio, f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position")
-    ratio = figures["error_ratio"]
-    if status == "completed" and ratio is not None and not ratio <= POORLY_FOLLOWED:
-        warn("poorly_followed", events["worst_window"][0], ratio, _error_over_motion(figures))
+        warn("safety_intervention", trip["time"], rows.interventions()[0], f"{trip['monitor']}, {trip['worst']}")
+    if not rows.steps:
+        return tuple(found)
+    share = int(rows.at_limit.sum()) / (6 * rows.ticks)
+    if share > MUCH_SATURATION:
+        when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
+        warn("saturation", when, share, f"{share:.1%} of the torques are at their limit")
+    gap, rmse = rows.largest["loop_gap"], rows.late_rms_norms[1] if rows.late_ticks else math.nan
+    if gap > LARGE_GAP * rmse:
+        ratio = float(gap / rmse) if rmse > 0.0 else math.inf
+        when = rows.time[int(rows.sizes["loop_gap"].argmax())]
+        warn("loop_gap", when, ratio, f"a gap of {gap:.2g} m is {ratio:.1%} of the RMSE of the position")
+    error = rows.error_ratio
+    if status == "completed" and error is not None and not error <= POORLY_FOLLOWED and rows.worst_window:
+        warn("poorly_followed", rows.worst_window[1], error, _error_over_motion(rows))
     return tuple(found)

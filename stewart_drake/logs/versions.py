@@ -13,11 +13,8 @@ from stewart_drake.files.whole import PACKAGE
 def collect_versions() -> dict[str, str | None]:
     """Versions of Python, of this package and of what it computes with; the git revision where run from a checkout."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
-    for name in ("stewart-drake", "drake", "numpy", "scipy"):
-        versions[name] = package_version(name)
-    versions["git_revision"] = git_revision()
-    versions["source"] = source_digest()
-    return versions
+    versions |= {name: package_version(name) for name in ("stewart-drake", "drake", "numpy", "scipy")}
+    return {**versions, "git_revision": git_revision(), "source": source_digest()}
 
 
 def package_version(name: str) -> str | None:
@@ -30,10 +27,9 @@ def package_version(name: str) -> str | None:
 
 def source_digest() -> str:
     """Digest of this package's Python files: tells changed code from unchanged where there is no git."""
-    root = PACKAGE
     content = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        content.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        content.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
     return content.hexdigest()[:16]
 
 
@@ -42,14 +38,9 @@ def git_revision() -> str | None:
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        done = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=True,
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()

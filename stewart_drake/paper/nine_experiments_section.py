@@ -13,7 +13,7 @@ from stewart_drake.control.state_space import acceleration_map
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import integral_at, run_metrics, tracking_error
-from stewart_drake.logs.tally import INTEGRAL_TIME
+from stewart_drake.logs.rows import INTEGRAL_TIME
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.force_map import ForceMapKind
 from stewart_drake.paper.experiments import PAIRS, RATIOS, growth, largest_integral, outcome, pair_of, paper_scenario

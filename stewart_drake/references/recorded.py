@@ -2,38 +2,37 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import re
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.parquet_files import refuse_bomb
-from stewart_drake.files.whole import open_checked
+from stewart_drake.files.tables import read_numbers
 from stewart_drake.sampling import unwrapped
 from stewart_drake.section import Positive, Real, Section, Text
 
-COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
-"""[s, rad, rad, rad, m, m, m] of a recording, in any order; further columns are left alone."""
+QUANTITIES = (
+    ("time", "s"),
+    *((f"pose_{name}", "rad") for name in ("roll", "pitch", "yaw")),
+    *((f"pose_{name}", "m") for name in ("x", "y", "z")),
+)
+"""Columns of a recording with their units, in any order; further ones are left alone."""
 MAX_RECORDING_BYTES = 100_000_000
 MAX_RECORDING_ROWS = 1_000_000
-MAX_COLUMNS, MAX_HEADER_BYTES = 1000, 100_000
-"""Of a CSV file."""
 
 
 class RecordedReference(Section, key="reference"):
     """A cubic spline through the rows of a CSV or Parquet file; its first row is t = 0.
 
-    The file has a header with the columns `time` [s], `roll`, `pitch`, `yaw` [rad], `x`, `y`, `z` [m]; times ascend,
-    evenly spaced or not. Angles may wrap: jumps by a whole turn are taken out, and the first row is within half a turn.
-    The spline (not-a-knot) goes through every row, its acceleration through the noise of the rows as well, so filter a
-    recording first. A run starts with the recording's own velocity; after the last row the motion coasts to rest,
-    acceleration being continuous.
+    The file has the columns `time_s`, `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`, `pose_y_m`,
+    `pose_z_m` (`_ms`, `_deg`, `_mm` will do), as a saved log has; times ascend, evenly spaced or not. Angles may wrap:
+    jumps by a whole turn are taken out, and the first row is within half a turn. The spline (not-a-knot) goes through
+    every row, its acceleration through the noise of the rows as well, so filter a recording first. A run starts with
+    the recording's own velocity; after the last row the motion coasts to rest, acceleration being continuous.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -87,7 +86,7 @@ def load_recording(path: str | Path) -> np.ndarray:
     """Reads a recorded motion.
 
     Args:
-        path: .csv or .parquet file with the columns `COLUMNS`.
+        path: .csv or .parquet file with columns of `QUANTITIES`, see `files.tables`.
 
     Returns:
         (n, 7) [s, rad, rad, rad, m, m, m] time ascending, roll, pitch, yaw, X, Y, Z. Angles without jumps by whole
@@ -99,20 +98,12 @@ def load_recording(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     key = f"recorded motion {path}"
-    import pyarrow as pa
-
-    try:
-        if path.suffix.lower() not in (".csv", ".parquet"):
-            raise ConfigurationError(key, path.suffix, "a file that ends in .csv or .parquet")
-        with open_checked(path, key, MAX_RECORDING_BYTES) as stream:
-            columns = (_read_csv if path.suffix.lower() == ".csv" else _read_parquet)(stream, key)
-    except (OSError, ValueError, TypeError, KeyError, MemoryError, csv.Error, pa.ArrowException) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigurationError(key, text, "a table of numbers with a header") from None
-    data = np.stack(columns, axis=-1)
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise ConfigurationError(key, path.suffix, "a file that ends in .csv or .parquet")
+    data = read_numbers(path, key, QUANTITIES, MAX_RECORDING_BYTES, MAX_RECORDING_ROWS)
     if len(data) < 4:
         raise ConfigurationError(key, f"{len(data)} rows", "at least 4 rows")
-    for name, column in zip(COLUMNS, columns, strict=True):
+    for (name, _), column in zip(QUANTITIES, data.T, strict=True):
         if not np.isfinite(column).all():
             row = int(np.argmin(np.isfinite(column)))
             raise ConfigurationError(f"{key}: {name}", f"{column[row]} in row {row + 1}", "finite numbers")
@@ -125,49 +116,3 @@ def load_recording(path: str | Path) -> np.ndarray:
     wrapped = np.abs(turns).max(axis=0) <= 2.0 * math.pi * (1.0 + 1e-9)
     data[:, 1:4] = np.where(wrapped, unwrapped(turns), turns)
     return data
-
-
-def _read_csv(stream: BinaryIO, key: str) -> list[np.ndarray]:
-    """Values of `COLUMNS`, (n,) each."""
-    import pyarrow as pa
-    import pyarrow.csv as pc
-
-    head = stream.read(MAX_HEADER_BYTES).decode("utf-8-sig", "replace").lstrip("\r\n")
-    line = re.split("[\r\n]", head, maxsplit=1)[0]
-    if len(line) == len(head) and stream.read(1):
-        raise ConfigurationError(key, f"a first line of over {MAX_HEADER_BYTES} bytes", "a table with a header")
-    names = next(csv.reader([line]), [])
-    if not line:
-        raise ConfigurationError(key, "no header", "a table of numbers with a header")
-    if len(names) > MAX_COLUMNS:
-        raise ConfigurationError(key, f"{len(names)} columns", f"at most {MAX_COLUMNS}")
-    _refuse_missing(names, key)
-    stream.seek(0)
-    kinds = pc.ConvertOptions(include_columns=COLUMNS, column_types=dict.fromkeys(COLUMNS, pa.float64()))
-    batches: list[list[np.ndarray]] = []
-    rows = 0
-    for batch in pc.open_csv(stream, convert_options=kinds):
-        rows += batch.num_rows
-        if rows > MAX_RECORDING_ROWS:
-            raise ConfigurationError(key, f"at least {rows} rows", f"at most {MAX_RECORDING_ROWS} rows")
-        batches.append([column.to_numpy(zero_copy_only=False) for column in batch.columns])
-    return [np.concatenate(parts) for parts in zip(*batches, strict=True)] or [np.empty(0)] * len(COLUMNS)
-
-
-def _read_parquet(stream: BinaryIO, key: str) -> list[np.ndarray]:
-    """Values of `COLUMNS`, (n,) each."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    file = pq.ParquetFile(stream)
-    _refuse_missing(file.schema_arrow.names, key)
-    refuse_bomb(file, key, COLUMNS, MAX_RECORDING_ROWS)
-    table = file.read(columns=list(COLUMNS))
-    return [table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS]
-
-
-def _refuse_missing(names: list[str], key: str) -> None:
-    missing = [name for name in COLUMNS if names.count(name) != 1]
-    if missing:
-        found = f"{names.count(missing[0])} columns {missing[0]} among {', '.join(names)}"
-        raise ConfigurationError(key, found, f"one column each of {', '.join(COLUMNS)}")

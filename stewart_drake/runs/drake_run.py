@@ -57,17 +57,10 @@ class DrakeRun:
         time: float = self._context.get_time()
         return time
 
-    @property
-    def rows(self) -> int:
+    def signals(self) -> dict[str, np.ndarray]:
         """See `Engine`; a row is complete once the slowest sink has it: a failure can stop a publish halfway."""
-        return min(log.num_samples() for log in self._logs.values())
-
-    def take(self) -> dict[str, np.ndarray]:
-        """See `Engine`."""
-        signals = _signals(self._loop, self._logs, self.rows)
-        for log in self._logs.values():
-            log.Clear()
-        return signals
+        rows = min(log.num_samples() for log in self._logs.values())
+        return _signals(self._loop, self._logs, rows)
 
     def first_trip(self) -> dict[str, Any] | None:
         """See `Engine`."""

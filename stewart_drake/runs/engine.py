@@ -32,22 +32,14 @@ class Engine(Protocol):
         """The row at t = 0."""
 
     def advance(self, step: int) -> None:
-        """Goes on to a step of the plant, and its row.
-
-        Raises:
-            RunFailure: The run is over.
-        """
+        """Goes on to a step of the plant, and its row; raises RunFailure where the run is over."""
 
     @property
     def time(self) -> float:
         """[s] reached, as Drake has it, see `sampling.on_grid`."""
 
-    @property
-    def rows(self) -> int:
-        """How many there are to take."""
-
-    def take(self) -> dict[str, np.ndarray]:
-        """The rows since the last call, see `signals_of`."""
+    def signals(self) -> dict[str, np.ndarray]:
+        """All complete rows so far, see `signals_of`."""
 
     def first_trip(self) -> dict[str, Any] | None:
         """See `safety.first_trip`; None where there is no safety layer."""

@@ -28,8 +28,6 @@ def _place(field: str) -> slice:
 
 
 _POSE, _CRANKS = _place("pose"), _place("angles")
-_ROWS = 2048
-"""Rows that there is place for at first."""
 
 
 class FastRun:
@@ -64,8 +62,8 @@ class FastRun:
         ]
         self._state = self._running.signal("plant").view(CHAIN_STATE)
         self._torque, self._wrench = self._running.signal(self._loop.torque), self._running.signal("wrench")
-        self._table = np.empty((_ROWS, len(self._running.values)))
-        self._now, self._first, self._count = 0, 0, 0
+        self._rows = np.empty((int(scenario.duration / time_step + 1e-6) + 1, len(self._running.values)))
+        self._now, self._count = 0, 0
 
     def prepare(self) -> None:
         """See `Engine`."""
@@ -109,9 +107,7 @@ class FastRun:
             running.tick()
         else:
             running.between()
-        if self._count == len(self._table):
-            self._table = np.concatenate([self._table, np.empty_like(self._table)])
-        self._table[self._count] = running.values
+        self._rows[self._count] = running.values
         self._count += 1
 
     @property
@@ -119,14 +115,9 @@ class FastRun:
         """See `Engine`."""
         return self._now * self._step
 
-    @property
-    def rows(self) -> int:
+    def signals(self) -> dict[str, np.ndarray]:
         """See `Engine`."""
-        return self._count
-
-    def take(self) -> dict[str, np.ndarray]:
-        """See `Engine`."""
-        rows, steps = self._table[: self._count], np.arange(self._first, self._first + self._count)
+        rows = self._rows[: self._count]
         values = {}
         for name, signal in self._loop.logged.items():
             if isinstance(signal, str):
@@ -136,8 +127,7 @@ class FastRun:
         for name, place in (("pose", _POSE), ("crank_angle", _CRANKS)):
             values[name] = rows[:, place][:, :6].copy()
         values["pose_rate"], values["loop_gap"] = rows[:, _POSE][:, 6:].copy(), np.zeros((len(rows), 6))
-        self._first, self._count = self._first + self._count, 0
-        return signals_of(self._scenario, steps, values)
+        return signals_of(self._scenario, np.arange(len(rows)), values)
 
     def graph(self) -> None:
         """See `Engine`."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +24,10 @@ from stewart_drake.families import user_parts
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.user_errors import ControllerError
 from stewart_drake.files.whole import plain_json
-from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.log_rows import LogRows
+from stewart_drake.logs.log import MAX_ROWS, SimulationLog
+from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import find_warnings, judge
-from stewart_drake.logs.tally import Tally
+from stewart_drake.logs.rows import RunRows
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.planning.feasibility import refuse_turns
 from stewart_drake.runs.engine import Engine, engine_of, quiet
@@ -44,8 +42,6 @@ if TYPE_CHECKING:
 
 CHUNK = 0.05
 """[s] simulated time between two calls of `progress`."""
-ROWS_AT_ONCE = 1000
-"""Rows, one for each step of the plant, that gather before they are taken from the engine."""
 
 
 def run(
@@ -53,7 +49,6 @@ def run(
     progress: Callable[[float], None] | None = None,
     meshcat: Meshcat | None = None,
     check: bool = True,
-    rows: LogRows | None = None,
     engine: Engine | None = None,
 ) -> SimulationLog:
     """Simulates a scenario.
@@ -66,27 +61,24 @@ def run(
             which ends the run as Ctrl-C does.
         meshcat: Shows the run while it happens.
         check: Check the reference against `scenario.limits` first.
-        rows: Where the rows of the log go; None keeps them in memory.
         engine: What `engine_of` has made of the scenario, with its own `meshcat`; it is closed afterwards. None makes
             one.
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
-            that cannot be used; a user's controller that cannot; not enough memory for the rows.
-        RunFailure: The start pose cannot be assembled, only with `check` off; `rows` could not be written any more
-            (`disk_full`), what came before is where they go.
+            that cannot be used; a user's controller that cannot; too many rows for memory.
+        UnreachablePoseError: The start pose is out of reach, with `check` off.
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
-    rows = LogRows() if rows is None else rows
-    rows.check(scenario)
+    refuse_too_long(scenario)
     if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
     files = file_digests(scenario.to_dict())
     engine = engine_of(scenario, meshcat) if engine is None else engine
     try:
-        return _run_engine(engine, scenario, rows, files, progress)
+        return _run_engine(engine, scenario, files, progress)
     except BaseException as error:
         # A notebook keeps the traceback. Its frames hold views of Contexts that are gone, and pydrake would hand one of
         # those out for the next Context at the same address: a crash.
@@ -97,41 +89,23 @@ def run(
 
 
 def _run_engine(
-    engine: Engine,
-    scenario: Scenario,
-    rows: LogRows,
-    files: Mapping[str, str | None],
-    progress: Callable[[float], None] | None,
+    engine: Engine, scenario: Scenario, files: Mapping[str, str | None], progress: Callable[[float], None] | None
 ) -> SimulationLog:
     """Runs an engine from its start; see `run`."""
     guard, time_step = user_code(scenario), scenario.plant.time_step
     with drake_guard("preparing the simulator"), guard:
         engine.prepare()
-    header = SimulationLog(
-        scenario=scenario,
-        signals={},
-        state_names=engine.state_names,
-        status="interrupted",
-        reason="killed",
-        message="the process ended in the midst of the run",
-        versions=dict(_versions()),
-        files=files,
-    )
-    rows.begin(header)
-    recorder = _Recorder(engine, scenario, rows)
-
     total = int(scenario.duration / time_step + 1e-6)
-    stride = max(1, int(CHUNK / time_step))
+    chunk = max(1, int(CHUNK / time_step))
     ended_by: RunFailure | KeyboardInterrupt | None = None
     start = time.perf_counter()
     try:
         with drake_guard("simulation"), guard, quiet():
             engine.start()
-        for done in sorted({*range(stride, total, stride), total, *engine.stops}):
+        for done in sorted({*range(chunk, total, chunk), total, *engine.stops}):
             # What `progress` raises is not ours, so it stays outside of the guard.
             with drake_guard("simulation"), guard, quiet():
                 engine.advance(done)
-            recorder.drain(ROWS_AT_ONCE)
             if progress is not None:
                 progress(_nominal(engine.time, time_step))
     except (RunFailure, KeyboardInterrupt) as end:
@@ -141,28 +115,34 @@ def _run_engine(
     except np.linalg.LinAlgError as error:
         ended_by = RunFailure(f"{error}{raised_at(error)}", reason="singular_matrix")
     wall = time.perf_counter() - start
-    recorder.drain()
-    figures = recorder.tally.figures()
     trip = ended_by.trip if isinstance(ended_by, SafetyStop) else None
     if trip is None:
         trip = engine.first_trip()
     when = ended_by.time if isinstance(ended_by, RunFailure) else None
     end_time = _nominal(engine.time if when is None else when, time_step)
-    outcome = judge(scenario.bounds, figures, trip, end_time, ended_by)
-    log = replace(
-        header,
+    with quiet():
+        # Metrics and outcome are those of every step of the plant, whatever rows the log keeps.
+        rows = RunRows(scenario, engine.signals())
+        outcome = judge(rows, trip, end_time, ended_by)
+        warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
+    stride = steps_per("log_period", scenario.effective_log_period, time_step)
+    return SimulationLog(
+        scenario=scenario,
+        signals={name: values[::stride].copy() for name, values in rows.signals.items()},
+        state_names=engine.state_names,
         status=outcome.status,
         reason=outcome.reason,
         message=outcome.message,
         outcome_time=None if outcome.time is None else _nominal(outcome.time, time_step),
         end_time=end_time,
         leg=outcome.leg,
-        warnings=tuple(plain_json(each) for each in find_warnings(outcome.status, figures, trip)),
+        warnings=warnings,
         safety=trip,
         wall_time=wall,
-        figures=plain_json(figures),
+        versions=dict(_versions()),
+        files=files,
+        figures=figures_of(rows),
     )
-    return rows.end(log)
 
 
 @cache
@@ -171,32 +151,12 @@ def _versions() -> dict[str, str | None]:
     return collect_versions()
 
 
-class _Recorder:
-    """Takes an engine's rows: every one into the tally, those of the log period into the log.
-
-    Attributes:
-        tally: Figures so far.
-    """
-
-    def __init__(self, engine: Engine, scenario: Scenario, rows: LogRows) -> None:
-        self.tally = Tally(scenario)
-        self._engine, self._rows, self._time_step = engine, rows, scenario.plant.time_step
-        self._stride = steps_per("log_period", scenario.effective_log_period, self._time_step)
-
-    def drain(self, at_least: int = 0) -> None:
-        """Takes what rows there are, if they are so many. A Ctrl-C meanwhile comes after it."""
-        if self._engine.rows < at_least:
-            return
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-        try:
-            with quiet():
-                signals = self._engine.take()
-                self.tally.add(signals)
-                steps = np.rint(signals["time"] / self._time_step).astype(np.int64)
-                kept = steps % self._stride == 0
-                self._rows.add({name: values[kept] for name, values in signals.items()})
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+def refuse_too_long(scenario: Scenario) -> None:
+    """Refuses a run whose rows, one for each step of the plant, are too many for memory."""
+    step = scenario.plant.time_step
+    if scenario.duration > MAX_ROWS * step * (1.0 + 1e-9):
+        allowed = f"at most {MAX_ROWS * step:g} s at a plant.time_step of {step:g} s"
+        raise ConfigurationError("duration", scenario.duration, f"{allowed}: a row for each step is kept in memory")
 
 
 def check_scenario(scenario: Scenario) -> None:

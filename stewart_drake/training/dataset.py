@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,11 @@ import numpy as np
 
 from stewart_drake.control.density import DensityKind
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.parquet_files import SealedWriter, read_sealed
+from stewart_drake.files.tables import parquet_about, read_columns, to_parquet, with_about
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.section import Window, check_value
 
 _INPUTS = tuple(f"density_{i}" for i in range(12))
-_FORMAT_KEY = b"stewart_drake.dataset"
 _VERSION = 2
 MAX_BYTES = 500_000_000
 MAX_ROWS = 10_000_000
@@ -49,7 +47,7 @@ class Dataset:
         return content.hexdigest()
 
     def save(self, path: str | Path) -> None:
-        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; metadata and a checksum.
+        """Writes the samples as a Parquet file: time, run, density_0..11, omega_q, omega_r; and metadata.
 
         Raises:
             ConfigurationError: The folder is missing or not writable.
@@ -60,25 +58,22 @@ class Dataset:
         columns = {"time": self.time, "run": self.run}
         columns |= dict(zip(_INPUTS, self.inputs.T, strict=True))
         columns |= {"omega_q": self.outputs[:, 0], "omega_r": self.outputs[:, 1]}
-        table = pa.table(columns)
-        stream = io.BytesIO()
         about = {"version": _VERSION, **self.metadata}
-        with SealedWriter(stream, table.schema, _FORMAT_KEY, about) as writer:
-            writer.write(table)
-        write_atomically(Path(path), stream.getvalue())
+        write_atomically(Path(path), to_parquet(with_about(pa.table(columns), "dataset", about)))
 
 
 def load_dataset(path: str | Path) -> Dataset:
     """Reads a dataset.
 
     Raises:
-        ConfigurationError: Missing, unreadable or not as it was written, see `read_sealed`; another version, missing
+        ConfigurationError: Missing, unreadable or another file; another version, missing
             columns, numbers that are not finite, weights that are not positive, runs that are no whole numbers, a kind
             of density or a window that no network can have, no samples.
     """
     key = f"dataset {path}"
-    document, table = read_sealed(path, key, _FORMAT_KEY, MAX_BYTES, MAX_ROWS, "`collect`")
-    version = document.pop("version", None) if isinstance(document, dict) else None
+    document = parquet_about(path, key, "dataset", MAX_BYTES, "`collect`")
+    table = read_columns(path, key, lambda names: {name: (name, 1.0) for name in names}, MAX_BYTES, MAX_ROWS)
+    version = document.pop("version", None)
     if version != _VERSION:
         found = "another format" if version is None else f"version {version}"
         raise ConfigurationError(key, found, f"a dataset of version {_VERSION}, written by `collect`")

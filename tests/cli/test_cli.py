@@ -1,4 +1,3 @@
-import functools
 import json
 import re
 import shlex
@@ -26,10 +25,9 @@ QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
 
 
 WITHOUT_PICTURES = """
-import functools
 from stewart_drake.runs import outputs
 from stewart_drake.cli.app import main
-outputs.ResultsFolder.finish = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
+outputs._draw = lambda *_: ()
 main()
 """
 """Pictures take seconds; one test looks at them."""
@@ -39,8 +37,7 @@ main()
 def without_pictures(monkeypatch):
     from stewart_drake.runs import outputs
 
-    plain = functools.partialmethod(outputs.ResultsFolder.finish, pictures=False)
-    monkeypatch.setattr(outputs.ResultsFolder, "finish", plain)
+    monkeypatch.setattr(outputs, "_draw", lambda *_: ())
 
 
 # --- good input ---------------------------------------------------------------------------------------------------
@@ -162,7 +159,7 @@ BAD = [
     (f"run exact_fig7 --set 'safety={{}}' --set 'initial_offset={[1e300] * 6}'", ["initial_offset"]),
     (
         "run paper_fig7 --set plant.time_step=1e-6 --set controller.period=1e-6 --set duration=200",
-        ["log_period", "1e8 rows"],
+        ["duration", "at most 2 s at a plant.time_step of 1e-06 s"],
     ),
     (f"collect --out {'a' * 300}", ["--out", "too long"]),
     ("train --out folder", ["--out", "directory"]),
@@ -270,12 +267,18 @@ def test_output_that_cannot_be_written_is_no_traceback(start):
 
 @pytest.mark.usefixtures("without_pictures")
 def test_the_scenario_that_a_run_has_left_may_be_run_again_in_its_place(call):
-    assert call("run", "paper_fig7", "--set", "duration=0.02")[0] == 0
-    own = "runs/paper_fig7/scenario.yaml"
-    assert call("run", own)[0] == 0
-    assert call("run", own, "--set", "duration=0.01")[0] == 2
-    assert call("run", own, "--set", "duration=0.01", "--force")[0] == 0
+    out = ("--out", "out")
+    assert call("run", "paper_fig7", "--set", "duration=0.02", *out)[0] == 0
+    own = "out/scenario.yaml"
+    assert call("run", own, *out)[0] == 0
+    assert call("run", own, "--set", "duration=0.01", *out)[0] == 2
+    assert call("run", own, "--set", "duration=0.01", "--force", *out)[0] == 0
     assert load_scenario(own).duration == 0.01
+    # Without a place nothing is ever refused.
+    for name in ("paper_fig7", "paper_fig7-2"):
+        status, text, _ = call("run", own, "--set", "duration=0.02")
+        assert status == 0
+        assert f"runs/{name} " in text
 
 
 @pytest.mark.slow
@@ -388,18 +391,16 @@ def test_a_hangup_that_nohup_has_shut_out_changes_nothing(shell, tmp_path):
     assert load_log(tmp_path / "out").status == "completed"
 
 
-def test_ctrl_c_while_results_are_written_leaves_the_log_and_says_where(call, monkeypatch):
+def test_ctrl_c_while_pictures_are_drawn_leaves_the_numbers(call, monkeypatch):
     from stewart_drake.runs import outputs
 
-    def interrupt(*_args, **_options):
+    def interrupt(*_args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(outputs.ResultsFolder, "finish", interrupt)
+    monkeypatch.setattr(outputs, "_draw", interrupt)
     status, _, err = call("run", "paper_fig7", "--set", "duration=0.02", "--quiet", "--out", "out")
-    assert status == 130
-    kept = Path(".out.unfinished").absolute()
-    assert err == f"stewart-drake: interrupted while writing the results; the log is in {kept}\n"
-    assert len(load_log(kept).time) == 5
+    assert (status, err.strip()) == (130, "stewart-drake: interrupted")
+    assert len(load_log("out").time) == 5
 
 
 @pytest.mark.parametrize("quiet", [False, True])

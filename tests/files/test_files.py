@@ -1,96 +1,194 @@
+"""Files: what is read is regular, bounded and safe; what is written is there whole or not at all."""
+
+import json
 import os
-import stat
 from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import make_network
+from made_logs import made_log
 
+from stewart_drake.control.network import load_network
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import locked_folder, write_atomically
+from stewart_drake.files.named_files import anchored, code_named, file_digests
+from stewart_drake.files.tables import ENDINGS, column_name, numbers_to_csv, quantity_of, read_numbers
+from stewart_drake.files.whole import digest, locked_folder, write_atomically
+from stewart_drake.files.yaml_files import parse_yaml, shipped_folder, to_yaml
+from stewart_drake.logs.log import load_log
+from stewart_drake.references import RecordedReference
+from stewart_drake.scenario import load_scenario
+
+MOTION = "time_s,roll,pitch,yaw,x,y,z\n" + "".join(f"{0.1 * k:g},0,{0.01 * k:g},0,0,0,0.3\n" for k in range(30))
+KINDS = {
+    "own.yaml": (lambda: (shipped_folder("scenarios") / "heart.yaml").read_bytes(), load_scenario),
+    "own.json": (lambda: make_network().to_bytes(), load_network),
+    "own.parquet": (lambda: made_log(rows=5).to_parquet(), load_log),
+    "own.csv": (MOTION.encode, lambda path: RecordedReference(motion_file=str(path)).evaluate(0.0)),
+}
+"""Name of a file -> a good one, and what loads it."""
 
 
-def test_a_file_holds_exactly_what_was_written(tmp_path):
-    content = bytes(range(256)) + b"\r\n\n"
-    for path in (tmp_path / "new", tmp_path / "with space and .dots.json"):
-        write_atomically(path, content)
-        assert path.read_bytes() == content
-    write_atomically(tmp_path / "new", b"")
-    assert (tmp_path / "new").read_bytes() == b""
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "with space and .dots.json"]
+def refused(load, path):
+    """Whether a file is refused, by some lines; what else is raised fails the test."""
+    try:
+        load(path)
+    except ConfigurationError as error:
+        lines = str(error).split("\n")
+        assert len(lines) < 22
+        assert all(line.isprintable() and len(line) < 2000 for line in lines)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_damaged_file_is_loaded_or_refused_in_plain_words(tmp_path, name):
+    make, load = KINDS[name]
+    path, good, rng = tmp_path / name, make(), np.random.default_rng(1)
+    path.write_bytes(good)
+    assert not refused(load, path)
+    bad = 0
+    for number in range(40):
+        content = bytearray(good)
+        start, end = sorted(rng.integers(0, len(content) + 1, 2).tolist())
+        if number % 4 == 0:
+            for place in rng.integers(0, 8 * len(content), 3):
+                content[place // 8] ^= 1 << (place % 8)
+        elif number % 4 == 1:
+            del content[start:end]
+        else:
+            content[start:end] = [b"9" * 5000, b"[" * 5000, b"{a: " * 5000, b"1e999", b"\x00"][number % 5]
+        path.write_bytes(content)
+        bad += refused(load, path)
+    assert bad > 5
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_what_is_no_regular_file_or_too_large_is_refused(tmp_path, name):
+    path, load = tmp_path / name, KINDS[name][1]
+    for make in (
+        os.mkfifo,
+        lambda p: p.symlink_to("/dev/zero"),
+        Path.mkdir,
+        lambda p: p.symlink_to(p),
+        lambda p: (p.touch(), os.truncate(p, 2**40)),
+    ):
+        make(path)
+        assert refused(load, path)
+        assert digest(path) is None
+        path.rmdir() if path.is_dir() else path.unlink()
+    assert digest("a\0b") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: &a 1\nb: *a", r"line 2, column 4: an alias, \*a"),
+        ("a: &a {b: 1}\nc: {<<: *a}", "an alias"),
+        ("a: !!python/object:os.system x", "constructor for the tag"),
+        ("a: 1\na: 2", "duplicate key"),
+        ("a: [1", "line 1"),
+        ("[" * 5000, "RecursionError"),
+    ],
+)
+def test_yaml_has_no_aliases_and_no_tags(text, words):
+    with pytest.raises(ConfigurationError, match=words):
+        parse_yaml(text, "file")
+
+
+def test_plain_values_come_back_from_yaml():
+    data = {"a": [1, 2.5e-3, True, None, "1e-3", "yes", "x\u2028y: #"], "ü": {"b": []}}
+    assert parse_yaml(to_yaml(data), "file") == data
+
+
+def test_a_column_is_read_in_any_of_its_units_and_its_name_says_which(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("note, pose_roll_deg ,torque_0_mNm,x_mm,time\na,180,1500,2,3\n\nb,,0,nan,1e1\n")
+    quantities = (("time", "s"), ("pose_roll", "rad"), ("pose_x", "m"), ("torque_0", "N m"))
+    values = read_numbers(path, "table", quantities, 1000, 9)
+    np.testing.assert_allclose(values, [[3.0, np.pi, 0.002, 1.5], [10.0, np.nan, np.nan, 0.0]])
+    path.write_text(numbers_to_csv(quantities, values))
+    assert path.read_text().splitlines()[0] == "time_s,pose_roll_rad,pose_x_m,torque_0_Nm"
+    np.testing.assert_array_equal(read_numbers(path, "table", quantities, 1000, 9), values)
+    for rows, size, words in ((1, 1000, "at most 1 rows"), (9, 10, "at most 10 bytes")):
+        with pytest.raises(ConfigurationError, match=words):
+            read_numbers(path, "table", quantities, size, rows)
+    for unit in ENDINGS:
+        assert quantity_of(column_name("of_something", unit)) == ("of_something", 1.0)
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("step", ["chmod", "replace"])
-def test_whatever_stops_the_writing_the_old_file_stays_and_nothing_else(tmp_path, monkeypatch, failure, step):
-    path = tmp_path / "kept"
-    path.write_bytes(b"old")
+def test_whatever_stops_the_writing_the_old_file_stays_and_nothing_else(tmp_path, monkeypatch, failure):
+    path = tmp_path / "kept.json"
+    write_atomically(path, b"old\r\n")
 
     def fail(*_):
         raise failure
 
-    monkeypatch.setattr(Path, step, fail)
-    with pytest.raises(ConfigurationError if isinstance(failure, OSError) else KeyboardInterrupt) as caught:
+    for bad in (tmp_path / "no" / "folder", tmp_path):
+        with pytest.raises(ConfigurationError) as caught:
+            write_atomically(bad, b"x")
+        assert caught.value.key == str(bad)
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises((ConfigurationError, KeyboardInterrupt)) as caught:
         write_atomically(path, b"new")
-    if isinstance(failure, OSError):
-        assert caught.value.key == str(path)
-        assert "No space left" in str(caught.value)
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
+    assert "No space left" in str(caught.value) or isinstance(failure, KeyboardInterrupt)
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"old\r\n", [path])
 
 
-def test_a_reader_sees_the_old_file_until_the_new_one_is_whole(tmp_path, monkeypatch):
-    path, seen = tmp_path / "file", []
-    path.write_bytes(b"old")
-    replace = Path.replace
-
-    def watched(source, target):
-        seen.append((path.read_bytes(), source.read_bytes(), source.parent))
-        return replace(source, target)
-
-    monkeypatch.setattr(Path, "replace", watched)
-    write_atomically(path, b"new and longer")
-    assert seen == [(b"old", b"new and longer", tmp_path)]
-    assert path.read_bytes() == b"new and longer"
-
-
-def test_what_a_killed_process_has_left_half_written_is_cleared_by_the_next(tmp_path, monkeypatch):
-    (tmp_path / ".mine").write_bytes(b"not ours")
-    monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)  # as if the process had died
-    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(tmp_path / "file", b"x")
-    assert len(list(tmp_path.iterdir())) == 2
-    monkeypatch.undo()
-    with locked_folder(tmp_path):
-        assert {path.name for path in tmp_path.iterdir()} == {".mine", ".lock"}
+def test_a_folder_is_one_process_s_at_a_time_and_cleared_of_what_a_killed_one_left(tmp_path):
+    for name in (".mine", ".file.77.part"):
+        (tmp_path / name).write_bytes(b"half")
+    for _ in range(2):
+        with locked_folder(tmp_path):
+            with pytest.raises(ConfigurationError, match="no other process"), locked_folder(tmp_path):
+                pass
+            assert {path.name for path in tmp_path.iterdir()} == {".mine", ".lock"}
     assert [path.name for path in tmp_path.iterdir()] == [".mine"]
 
 
-def test_a_folder_is_one_process_s_at_a_time(tmp_path):
-    for _ in range(2):
-        with (
-            locked_folder(tmp_path),
-            pytest.raises(ConfigurationError, match="no other process"),
-            locked_folder(tmp_path),
-        ):
-            pass
+def test_relative_paths_are_taken_from_the_folder_however_deep_and_others_stay():
+    data = {
+        "tuner": {"weights_file": "net.json"},
+        "reference": {"parts": [{"motion": {"motion_file": "a/b.csv"}}, {"motion_file": "/c.csv"}]},
+        "distributions": {"robot": {"kind": "grid", "values": ["mine.yaml", "paper"]}},
+        "disturbances": ["mine.py:Mine", "package.module:Mine"],
+        "set": {"reference.motion_file": "d.csv", "name": "net.json", "safety.monitors[0]": "a/../m.py:M"},
+    }
+    assert anchored(data, Path("/base")) == {
+        "tuner": {"weights_file": "/base/net.json"},
+        "reference": {"parts": [{"motion": {"motion_file": "/base/a/b.csv"}}, {"motion_file": "/c.csv"}]},
+        "distributions": {"robot": {"kind": "grid", "values": ["/base/mine.yaml", "paper"]}},
+        "disturbances": ["/base/mine.py:Mine", "package.module:Mine"],
+        "set": {
+            "reference.motion_file": "/base/d.csv",
+            "name": "net.json",
+            "safety.monitors[0]": "/base/a/../m.py:M",
+        },
+    }
 
 
-def test_a_missing_folder_and_a_folder_in_the_way_are_named(tmp_path):
-    for path in (tmp_path / "no" / "folder", tmp_path):
-        with pytest.raises(ConfigurationError) as caught:
-            write_atomically(path, b"x")
-        assert caught.value.key == str(path)
-    assert list(tmp_path.iterdir()) == []
+def test_files_and_code_are_known_by_their_digests(tmp_path):
+    (tmp_path / "mine.py").write_text("one = 1\n")
+    (found,) = code_named({"distributions": {"a": [[f"{tmp_path}/mine.py:G"]]}, "name": "a:b", "c": 1})
+    assert (found.files[-1], found.digest) == (tmp_path / "mine.py", digest(tmp_path / "mine.py"))
+    assert not found.trusted
+    net, none = str(tmp_path / "net.json"), str(tmp_path / "none.csv")
+    digests = []
+    for content in ({"a": 1}, {"a": 2}):
+        Path(net).write_text(json.dumps(content))
+        digests.append(file_digests({"a": {"weights_file": net}, "b": [{"motion_file": none}]}))
+    assert [each[none] for each in digests] == [None, None]
+    assert digests[0][net] != digests[1][net]
 
 
-@pytest.mark.parametrize("umask", [0o022, 0o077])
-def test_a_file_has_the_rights_that_any_other_new_file_has(tmp_path, umask):
-    before = os.umask(umask)
-    try:
-        write_atomically(tmp_path / "ours", b"x")
-        (tmp_path / "other").write_bytes(b"x")
-        assert os.umask(umask) == umask  # left as it was
-    finally:
-        os.umask(before)
-    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "other")]
-    assert modes[0] == modes[1]
+def test_overrides_are_taken_from_the_current_folder_and_the_file_from_its_own(tmp_path, monkeypatch):
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text("one = 1\n")
+    path = tmp_path / "there" / "scenario.yaml"
+    path.write_text("controller: {kind: python, system: mine.py:Mine}\n")
+    monkeypatch.chdir(tmp_path / "here")
+    for overrides, folder in (((), "there"), (["controller.system=mine.py:Mine"], "here")):
+        loaded = load_scenario(path, overrides, trust_code=True)
+        assert loaded.controller.code.files[-1] == tmp_path / folder / "mine.py"

@@ -4,15 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from made_logs import made_log
 
 from stewart_drake.errors import NotFiniteError, SafetyStop
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import find_warnings, judge
-from stewart_drake.logs.tally import Tally
+from stewart_drake.logs.rows import RunRows
 from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
 from stewart_drake.scenario import Scenario, load_scenario
@@ -27,18 +25,14 @@ def trip(last, worst="safe_hold"):
     return {**TRIP, "last": last, "worst": worst, "stopped": None if last in ("none", "hold") else TAKEN}
 
 
-def tallied(parts=1, scenario=None, **signals):
-    """Figures of a log made by hand, taken in so many parts."""
-    log = made_log(scenario=scenario, **signals)
-    tally = Tally(log.scenario)
-    for rows in np.array_split(np.arange(len(log.time)), parts):
-        tally.add({name: values[rows] for name, values in log.signals.items()})
-    return log.scenario, tally.figures()
+def rows_of(**changes):
+    """Rows of a log made by hand."""
+    log = made_log(**changes)
+    return RunRows(log.scenario, log.signals)
 
 
 def verdict(trip=None, ended_by=None, **changes):
-    scenario, figures = tallied(**changes)
-    return judge(scenario.bounds, figures, trip, 10.0, ended_by)
+    return judge(rows_of(**changes), trip, 10.0, ended_by)
 
 
 def level(values):
@@ -116,22 +110,22 @@ def test_a_start_that_is_off_has_to_come_back():
     ],
 )
 def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warning(share, status, warned):
-    scenario, figures = tallied(**swinging(share))
-    assert figures["error_ratio"] == pytest.approx(abs(1.0 - share), rel=0.03)
-    assert figures["motion_ratio"] == pytest.approx(abs(share), rel=1e-9)
-    outcome = judge(scenario.bounds, figures, None, 10.0, None)
+    rows = rows_of(**swinging(share))
+    assert rows.error_ratio == pytest.approx(abs(1.0 - share), rel=0.03)
+    assert rows.motion_ratio == pytest.approx(abs(share), rel=1e-9)
+    outcome = judge(rows, None, 10.0, None)
     assert (outcome.status, outcome.reason) == (status, "not_followed" if status == "lost" else None)
-    warnings = {each["name"]: each for each in find_warnings(outcome.status, figures, None)}
+    warnings = {each["name"]: each for each in find_warnings(outcome.status, rows, None)}
     assert ("poorly_followed" in warnings) == warned
     if warned:
-        assert warnings["poorly_followed"]["number"] == figures["error_ratio"]
+        assert warnings["poorly_followed"]["number"] == rows.error_ratio
     off = {"bounds": {"error_ratio": None, "motion_ratio": None}}
     assert verdict(scenario=off, **swinging(share)).status == "completed"
 
 
 def test_a_platform_that_stands_still_is_lost_though_the_motion_is_over_before_errors_count():
     signals = swinging(0.0, until=2.5)
-    assert tallied(**signals)[1]["error_ratio"] == 0.0
+    assert rows_of(**signals).error_ratio == 0.0
     assert verdict(**signals).message == "the platform moved by 0.0% of its reference's motion; bound 25%"
 
 
@@ -179,7 +173,7 @@ def test_angles_count_as_lengths():
     signals = swinging(1.0)
     signals["pose"][:, 1] = 0.1 * np.sin(0.8 * np.pi * TIMES)
     turning = {name: np.roll(values - HOME, 2, axis=1) / 0.11 for name, values in swinging(0.4).items()}
-    angled, turned, moved = (tallied(**each)[1]["error_ratio"] for each in (signals, turning, swinging(0.4)))
+    angled, turned, moved = (rows_of(**each).error_ratio for each in (signals, turning, swinging(0.4)))
     assert angled == pytest.approx(1.1, rel=0.05)
     assert turned == pytest.approx(moved, rel=1e-9)
 
@@ -197,8 +191,8 @@ def test_what_the_safety_layer_does_is_no_error_of_the_controller():
     signals = swinging(1.0)
     signals["pose"][70:] = HOME
     held = level([0.0] * 70 + [2.0] * 31)
-    assert tallied(safety=held, **signals)[1]["error_ratio"] == 0.0
-    assert tallied(**signals)[1]["error_ratio"] > 1.0
+    assert rows_of(safety=held, **signals).error_ratio == 0.0
+    assert rows_of(**signals).error_ratio > 1.0
 
 
 def test_nan_poses_are_not_inside_of_any_bound():
@@ -227,7 +221,7 @@ def test_what_happens_after_the_safety_layer_took_over_is_not_the_controllers_lo
     pose[60:, 3] = 0.5
     held = level([0.0] * 50 + [2.0] * 51)
     assert verdict(trip=trip("ramp"), pose=pose, safety=held).status == "stopped"
-    assert tallied(pose=pose, safety=held)[1]["error_max_mm"] == 0.0
+    assert rows_of(pose=pose, safety=held).largest["position"] == 0.0
 
 
 def test_a_stop_that_held_is_stopped_and_one_that_could_not_hold_failed():
@@ -247,29 +241,15 @@ def test_what_broke_failed_and_what_was_interrupted_is_that_whatever_else():
     assert verdict(pose=far, ended_by=KeyboardInterrupt()).status == "interrupted"
 
 
-@pytest.mark.slow
-@given(st.integers(1, 60), st.integers(0, 10**6))
-@settings(max_examples=30)
-def test_figures_do_not_depend_on_the_parts_they_are_taken_in(parts, seed):
-    rng = np.random.default_rng(seed)
-    signals = {name: 0.05 * rng.normal(size=(101, 6)) for name in ("pose", "reference", "torque", "integral")}
-    signals |= {"loop_gap": np.abs(rng.normal(size=(101, 6))), "safety": level(rng.integers(0, 3, 101))}
-    whole, split = (tallied(n, **signals)[1] for n in (1, parts))
-    assert whole["events"] == split["events"]
-    for name in whole:
-        if name != "events" and whole[name] is not None:
-            np.testing.assert_allclose(split[name], whole[name], rtol=1e-12, atol=1e-15)
-
-
 def test_warnings_name_what_a_completed_run_hides():
     torque, gap, pose = np.zeros((101, 6)), np.zeros((101, 6)), np.zeros((101, 6))
     torque[10:20, 0], gap[33, 2], pose[:, 3] = 5.5, 2e-4, 1e-3
     rows = level([0.0] * 40 + [1.0] * 5 + [0.0] * 10 + [1.0] + [0.0] * 45)
-    scenario, figures = tallied(torque=torque, loop_gap=gap, pose=pose, safety=rows)
+    made = rows_of(torque=torque, loop_gap=gap, pose=pose, safety=rows)
     seen = {**trip("none", "hold"), "time": 4.0}
-    outcome = judge(scenario.bounds, figures, seen, 10.0, None)
+    outcome = judge(made, seen, 10.0, None)
     assert outcome.status == "completed"
-    found = {each["name"]: each for each in find_warnings(outcome.status, figures, seen)}
+    found = {each["name"]: each for each in find_warnings(outcome.status, made, seen)}
     assert set(found) == {"safety_intervention", "saturation", "loop_gap"}
     assert (found["safety_intervention"]["time"], found["safety_intervention"]["number"]) == (4.0, 2)
     assert found["saturation"]["time"] == pytest.approx(1.0)
@@ -277,9 +257,8 @@ def test_warnings_name_what_a_completed_run_hides():
     assert found["loop_gap"]["time"] == pytest.approx(3.3)
     assert found["loop_gap"]["number"] == pytest.approx(0.2)
     for last in ("hold", "ramp", "safe_hold", "end"):
-        assert "safety_intervention" not in {each["name"] for each in find_warnings("stopped", figures, trip(last))}
-    quiet = tallied(pose=pose)[1]
-    assert find_warnings("completed", quiet, None) == ()
+        assert "safety_intervention" not in {each["name"] for each in find_warnings("stopped", made, trip(last))}
+    assert find_warnings("completed", rows_of(pose=pose), None) == ()
 
 
 # --- runs ---------------------------------------------------------------------------------------------------------

@@ -9,10 +9,11 @@ from references.laws import check_derivatives, check_means, check_shapes, check_
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of, recorded
-from stewart_drake.references.recorded import COLUMNS, load_recording
+from stewart_drake.references.recorded import load_recording
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario
 
+COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()
 TIMES = np.linspace(0.0, 3.0, 151)
 
@@ -142,11 +143,11 @@ def changed(name, row, value):
 
 
 BAD = {
-    "missing column": (lambda: table().drop_columns(["yaw"]), "0 columns yaw among time, roll"),
-    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "0 columns z"),
-    "nan": (lambda: changed("x", 4, math.nan), "x: got 'nan in row 5'; allowed: finite numbers"),
-    "infinite": (lambda: changed("roll", 4, math.inf), "roll: got 'inf in row 5'"),
-    "empty cell": (lambda: changed("z", 0, None), "z: got 'nan in row 1'"),
+    "missing column": (lambda: table().drop_columns(["yaw"]), "column of pose_yaw: got 'none among time, roll"),
+    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "column of pose_z: got 'none among"),
+    "nan": (lambda: changed("x", 4, math.nan), "pose_x: got 'nan in row 5'; allowed: finite numbers"),
+    "infinite": (lambda: changed("roll", 4, math.inf), "pose_roll: got 'inf in row 5'"),
+    "empty cell": (lambda: changed("z", 0, None), "pose_z: got 'nan in row 1'"),
     "time stands": (lambda: changed("time", 3, 0.04), "time: got '0.04 after 0.04 in row 4'; allowed: ascending"),
     "time goes back": (lambda: changed("time", 150, 0.0), "'0 after 2.98 in row 151'"),
     "three rows": (lambda: table(TIMES[:3]), "got '3 rows'; allowed: at least 4 rows"),
@@ -171,9 +172,9 @@ def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, rows, suffi
     ("name", "content", "words"),
     [
         ("motion.csv", None, "No such file"),
-        ("motion.csv", b"", "a table of numbers"),
+        ("motion.csv", b"", "no columns"),
         ("motion.csv", b"\xff\xfe\x00", "allowed"),
-        ("motion.csv", b"time,roll\n1,2,3\n", "0 columns pitch"),
+        ("motion.csv", b"time,roll\n1,2,3\n", "column of pose_pitch: got 'none among"),
         ("motion.parquet", b"time,roll\n1,2\n", "a table of numbers"),
         ("motion.parquet", b"", "a table of numbers"),
         ("motion.txt", b"", "ends in .csv or .parquet"),
@@ -195,7 +196,7 @@ def test_a_folder_and_a_twofold_column_are_refused(tmp_path):
         load_recording(tmp_path / "folder.csv")
     twice = ",".join((*COLUMNS, "x")) + "\n" + "0,0,0,0,0,0,0,0\n" * 5
     (tmp_path / "twice.csv").write_text(twice)
-    with pytest.raises(ConfigurationError, match="2 columns x"):
+    with pytest.raises(ConfigurationError, match="column of pose_x: got 'x, x'"):
         load_recording(tmp_path / "twice.csv")
 
 

@@ -15,7 +15,6 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.registry import CONTROLLERS, SENSORS, TUNERS
-from stewart_drake.runs import fast_run, simulation
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.section import Positive
@@ -153,14 +152,6 @@ def test_a_log_is_written_read_and_replayed_and_runs_repeat_to_the_last_bit(tmp_
         np.testing.assert_array_equal(same[name], values, err_msg=name)
     write_replay(again, tmp_path / "replay.html", frames_per_second=20.0)
     assert (tmp_path / "replay.html").stat().st_size > 1e6
-
-
-def test_more_rows_than_there_was_place_for(monkeypatch):
-    monkeypatch.setattr(fast_run, "_ROWS", 7)
-    monkeypatch.setattr(simulation, "CHUNK", 0.03)
-    log = run(load_scenario("exact_breathing", (HELD, *FAST, "duration=0.1")), check=False)
-    np.testing.assert_allclose(log.time, 0.001 * np.arange(101), rtol=1e-14)
-    assert (np.diff(log["reference"][:, 5]) != 0.0).all()
 
 
 def test_ctrl_c_keeps_whole_rows():

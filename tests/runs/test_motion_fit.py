@@ -15,8 +15,7 @@ from stewart_drake.references import (
     SineReference,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.motion_fit import adjusted, fit_amplitude, fit_speed, motion_report
-from stewart_drake.scenario import Scenario
+from stewart_drake.runs.motion_fit import adjusted, fit_amplitude, fit_speed
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
@@ -62,19 +61,6 @@ def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, referen
         assert feasible(robot, adjusted(reference, slowdown=slower), slower * duration)
 
 
-@pytest.mark.slow
-def test_the_whole_motion_is_slowed_and_checked_to_its_end():
-    late = dataclasses.replace(BEATS, premature_beats=(4,))
-    worst = check_reference(WEAK, LIMITS, late, 2.1, GRAVITY).smallest["torque"]
-    _, slowdown = fit_speed(WEAK, LIMITS, late, 2.1, GRAVITY)
-    # Slowed, the worst of it comes after the motion as given would have ended.
-    assert slowdown * worst.time > 2.1
-    at_worst = slowdown * worst.time + np.linspace(-0.05, 0.05, 101)
-    slowed = adjusted(late, slowdown=slowdown)
-    margins = limit_margins(WEAK, LIMITS, *slowed.evaluate(at_worst), GRAVITY)["torque"]
-    assert abs(margins.min()) < 1e-3
-
-
 def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     fastest = 10.0 - check_reference(ROBOT, LIMITS, FAST, 1.0, GRAVITY).smallest["crank_speed"].margin
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
@@ -109,12 +95,6 @@ def test_a_motion_about_a_centre_out_of_reach_is_feasible_at_no_size():
     with pytest.raises(InfeasibleReferenceError) as caught:
         fit_amplitude(ROBOT, LIMITS, away, 1.0, GRAVITY)
     assert caught.value.limit == "reach"
-
-
-def test_the_report_of_a_scenario_covers_its_whole_run():
-    scenario = Scenario(duration=3.0, reference=FAST)
-    report = motion_report(scenario)
-    assert report.first_violation == check_reference(ROBOT, LIMITS, FAST, 3.0, GRAVITY).first_violation
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import contextlib
 import dataclasses
 import json
 import os
@@ -13,12 +12,11 @@ from made_logs import made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
-from stewart_drake.files.named_files import file_digests
-from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import collect_versions, git_revision, source_digest
 from stewart_drake.runs import outputs
-from stewart_drake.runs.outputs import prepare_folder, write_run
+from stewart_drake.runs.outputs import prepare_file, prepare_folder, write_run
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems.diagram import build_diagram
@@ -31,221 +29,145 @@ def names(folder):
     return {path.name for path in folder.iterdir()}
 
 
-@pytest.fixture(scope="module")
-def short_run():
-    return run(Scenario.from_dict({"name": "short", "duration": 0.2}))
+def write(log, out=None, **options):
+    return write_run(log, out, pictures=False, **options).folder
 
 
 @pytest.mark.slow
-def test_a_run_leaves_all_its_files(short_run, tmp_path):
-    folder = tmp_path / "deep" / "down"
-    metrics = write_run(short_run, folder, build_diagram(short_run.scenario).GetGraphvizString())
+def test_a_run_leaves_all_its_files(tmp_path):
+    log, folder = run(Scenario.from_dict({"name": "short", "duration": 0.2})), tmp_path / "deep" / "down"
+    results = write_run(log, folder, build_diagram(log.scenario).GetGraphvizString())
     graph = {"diagram.dot"} | ({"diagram.svg"} if shutil.which("dot") else set())
     assert names(folder) == ALWAYS | PICTURES | graph
-
-    assert metrics == json.loads((folder / "metrics.json").read_text()) == run_metrics(short_run)
-    assert load_scenario(folder / "scenario.yaml") == short_run.scenario
-    np.testing.assert_array_equal(load_log(folder)["plant_state"], short_run["plant_state"])
+    assert (results.folder, results.left_out, names(folder.parent)) == (folder, (), {"down"})
+    assert results.metrics == json.loads((folder / "metrics.json").read_text()) == run_metrics(log)
+    assert load_scenario(folder / "scenario.yaml") == log.scenario
+    np.testing.assert_array_equal(load_log(folder)["plant_state"], log["plant_state"])
     for name in ("states.png", "torques.png"):
         picture = matplotlib.image.imread(folder / name)
         assert min(picture.shape[:2]) > 500
         assert picture[..., :3].std() > 0.01
-    page = (folder / "replay.html").read_text()
-    assert page.lower().startswith("<!doctype html>")
-    assert "<script src=" not in page, "the page must open offline"
     assert (folder / "diagram.dot").read_text().startswith("digraph")
+    empty = dataclasses.replace(log, signals={name: values[:0] for name, values in log.items()}, figures=None)
+    assert write_run(empty, tmp_path / "empty").metrics["rmse_deg"] is None
+    assert names(tmp_path / "empty") == ALWAYS
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rows", [0, 1])
-def test_a_run_that_broke_at_once_keeps_what_it_has(short_run, tmp_path, rows):
-    signals = {name: values[:rows] for name, values in short_run.signals.items()}
-    outcome = {"status": "failed", "reason": "unreachable_pose", "message": "m", "leg": 0}
-    log = SimulationLog(short_run.scenario, signals, short_run.state_names, **outcome)
-    metrics = write_run(log, tmp_path)
-    assert names(tmp_path) >= ALWAYS
-    assert metrics["reason"] == "unreachable_pose"
-    assert metrics["rmse_deg"] is None
-    assert len(load_log(tmp_path).time) == rows
+def test_without_a_place_each_run_gets_the_next_number(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("made", "made-2", "made-3"):
+        assert write(made_log()) == Path("runs", name)
+    assert names(tmp_path / "runs") == {"made", "made-2", "made-3"}
 
 
-def test_results_of_the_same_scenario_are_replaced_as_a_whole(tmp_path):
+def test_a_place_of_the_same_scenario_is_replaced_and_what_is_the_users_own_stays(tmp_path):
     folder = tmp_path / "out"
-    write_run(made_log(), folder, "digraph {}", pictures=False)
-    for name in PICTURES:
+    write(made_log(), folder, graph="digraph {}")
+    for name in (*PICTURES, "my notes.txt"):
         (folder / name).write_text("of the run before")
-    write_run(made_log(wall_time=3.0), folder, pictures=False)
-    assert names(folder) == ALWAYS
+    write(made_log(wall_time=3.0), folder)
+    assert names(folder) == ALWAYS | {"my notes.txt"}
     assert load_log(folder).wall_time == 3.0
-    assert names(tmp_path) == {"out"}
-
-
-def test_results_of_another_scenario_are_replaced_only_when_asked_for(tmp_path):
-    folder, other = tmp_path / "out", made_log(scenario={"gravity": 0.0})
-    write_run(made_log(), folder, pictures=False)
+    other = made_log(scenario={"gravity": 0.0})
     with pytest.raises(ConfigurationError, match="the results of another scenario, or --force"):
-        write_run(other, folder, pictures=False)
+        write(other, folder)
     assert load_log(folder).scenario.gravity != 0.0
-    write_run(other, folder, pictures=False, force=True)
+    write(other, folder, force=True)
     assert load_log(folder).scenario.gravity == 0.0
+    assert names(folder) == ALWAYS | {"my notes.txt"}
+    assert names(tmp_path) == {"out"}
 
 
 def test_what_a_link_points_to_is_replaced_and_not_the_link(tmp_path):
     (tmp_path / "large disk").mkdir()
     (tmp_path / "out").symlink_to("large disk")
-    write_run(made_log(), tmp_path / "out", pictures=False)
+    for _ in range(2):
+        write(made_log(), tmp_path / "out")
     assert (tmp_path / "out").is_symlink()
     assert names(tmp_path / "large disk") == ALWAYS
 
 
-@pytest.mark.parametrize("before", [True, False])
-@pytest.mark.parametrize("name", ["my notes.txt", ".hidden", "scenario.yaml", "metrics.json"])
-def test_nothing_of_the_users_own_is_ever_lost(tmp_path, name, before):
-    folder = tmp_path / "out"
-    if before:
-        write_run(made_log(), folder, pictures=False)
-        name = name.replace("metrics", "other")
-    folder.mkdir(exist_ok=True)
-    (folder / name).write_text("# mine\n")
-    for force in (False, True):
-        with pytest.raises(ConfigurationError, match="would be lost"):
-            write_run(made_log(), folder, pictures=False, force=force)
-    assert (folder / name).read_text() == "# mine\n"
-    assert names(folder) == (ALWAYS if before else set()) | {name}
-    assert names(tmp_path) == {"out"}
-
-
-def test_the_current_folder_and_those_above_it_are_not_replaced(tmp_path, monkeypatch):
-    below = tmp_path / "below"
+def test_a_place_that_cannot_be_is_refused_and_nothing_there_is_touched(tmp_path, monkeypatch):
+    below, file = tmp_path / "below", tmp_path / "file"
     below.mkdir()
+    file.write_text("mine")
+    (below / "scenario.yaml").write_text("# mine\n")
     monkeypatch.chdir(below)
-    for place in (".", "..", below, tmp_path, "/"):
-        with pytest.raises(ConfigurationError, match="a folder of its own"):
-            write_run(made_log(), place, pictures=False)
-    assert names(tmp_path) == {"below"}
+    own = "a folder of its own"
+    cases = ((".", own), ("..", own), (tmp_path, own), ("/", own), (file, "this is a file"), (file / "x", "a file|dir"))
+    for place, words in cases:
+        for force in (False, True):
+            with pytest.raises(ConfigurationError, match=f"--out: got .*{words}"):
+                write(made_log(), place, force=force)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigurationError, match="or one with the results of a run"):
+        write(made_log(), below, force=True)
+    for prepare in (prepare_folder, lambda path: prepare_file(path / "x")):
+        with pytest.raises(ConfigurationError, match=r"this is a file|Not a directory"):
+            prepare(file)
+    with pytest.raises(ConfigurationError, match="a file, not a folder"):
+        prepare_file(below)
+    assert (names(tmp_path), names(below)) == ({"below", "file"}, {"scenario.yaml"})
 
 
-def test_a_folder_under_construction_is_locked_and_its_leftovers_are_cleared(tmp_path):
-    place, log = tmp_path / "out", made_log()
-    with outputs.ResultsFolder(place, log.scenario) as first:
-        (first.folder / "half a file").write_text("x")
-        with pytest.raises(ConfigurationError, match="a folder that no other process is writing"):
-            write_run(log, place, pictures=False)
-        assert not place.exists()
-        # As if the process had been killed: nobody tidies up.
-        copy = tmp_path / "copy"
-        shutil.copytree(first.folder, copy)
-    assert names(tmp_path) == {"copy"}
-    copy.rename(first.folder)
-    write_run(log, place, pictures=False)
-    assert names(tmp_path) == {"out"}
-    assert names(place) == ALWAYS
+@pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), MemoryError()])
+def test_what_stops_the_pictures_costs_no_numbers(tmp_path, monkeypatch, interrupt):
+    def stop(*_):
+        raise interrupt
+
+    monkeypatch.setattr(outputs, "_draw", stop)
+    with pytest.raises(type(interrupt)):
+        write_run(made_log(), tmp_path / "out")
+    assert (names(tmp_path / "out"), names(tmp_path)) == (ALWAYS, {"out"})
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize("step", ["mkdir", "rename", "unlink"])
-def test_a_kill_at_any_step_of_the_folder_loses_nothing_and_blocks_nothing(tmp_path, monkeypatch, before, step):
-    place = tmp_path / "out"
-    if before:
-        write_run(made_log(wall_time=7.0), place, pictures=False)
-    real, calls = getattr(Path, step), []
+def test_a_full_disk_leaves_no_half_result_and_a_place_that_is_taken_meanwhile_loses_none(tmp_path, monkeypatch):
+    def full(path, _):
+        raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
 
-    class Killed(BaseException):
-        pass
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs, "write_atomically", full)
+        with pytest.raises(ConfigurationError, match="No space left"):
+            write(made_log(), tmp_path / "out")
+    assert names(tmp_path) == set()
 
-    for kill_at in range(6):
-        calls.clear()
+    def taken(*_):
+        write(made_log(scenario={"gravity": 0.0}), tmp_path / "out")
+        return ()
 
-        def dies(path, *args, kill_at=kill_at, **keys):
-            if path.parent == tmp_path or path.name == ".stewart-drake":
-                calls.append(path)
-                if len(calls) == kill_at + 1:
-                    raise Killed
-            return real(path, *args, **keys)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(Path, step, dies)
-            # As after SIGKILL nobody tidies up.
-            patch.setattr(outputs.ResultsFolder, "__exit__", lambda self, *_: self._lock and self._lock.release())
-            with contextlib.suppress(Killed):
-                write_run(made_log(wall_time=8.0 + kill_at), place, pictures=False)
-        # The next run puts its own in their place, whatever it finds.
-        write_run(made_log(wall_time=100.0 + kill_at), place, pictures=False)
-        assert load_log(place).wall_time == 100.0 + kill_at
-        assert names(tmp_path) == {"out"}
-        assert names(place) == ALWAYS
-
-
-def test_what_the_user_puts_there_during_a_run_is_not_lost(tmp_path):
-    log = made_log()
-    with outputs.ResultsFolder(tmp_path / "out", log.scenario) as results:
-        log.save(results.folder / "log.parquet")
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "notes").write_text("mine")
-        with pytest.raises(ConfigurationError, match="notes would be lost"):
-            results.finish(log, pictures=False)
-    assert (tmp_path / "out" / "notes").read_text() == "mine"
-    assert len(load_log(tmp_path / ".out.unfinished").time) == 101
-
-
-def test_old_results_come_back_where_the_new_ones_did_not_arrive(tmp_path):
-    place = tmp_path / "out"
-    write_run(made_log(wall_time=7.0), place, pictures=False)
-    place.rename(tmp_path / ".out.before")
-    with outputs.ResultsFolder(place, made_log().scenario):
-        assert load_log(place).wall_time == 7.0
-
-
-@pytest.mark.parametrize("name", [".out.unfinished", ".out.before"])
-def test_a_users_folder_is_not_taken_for_one_under_construction(tmp_path, name):
-    mine = tmp_path / name
-    mine.mkdir()
-    (mine / "work").write_text("mine")
-    with pytest.raises(ConfigurationError, match=re.escape(f"{name} of your own")):
-        write_run(made_log(), tmp_path / "out", pictures=False)
-    assert (mine / "work").read_text() == "mine"
+    monkeypatch.setattr(outputs, "_draw", taken)
+    with pytest.raises(ConfigurationError, match=r"--force to replace them; the results are in .*part") as caught:
+        write_run(made_log(), tmp_path / "out")
+    (part,) = names(tmp_path) - {"out"}
+    assert part in str(caught.value)
+    assert load_log(tmp_path / part / "out").scenario.gravity != 0.0
 
 
 def test_a_controller_of_the_users_is_kept_with_its_results_which_can_be_run_again(tmp_path):
-    code, other = (tmp_path / place / "mine.py" for place in ("elsewhere", "other"))
-    logs, folder = [], tmp_path / "out"
-    for path in (code, other):
-        path.parent.mkdir()
-        path.write_text(f"one = '{path.parent.name}'\n")
-        with trusting_code():
-            log = made_log(scenario={"controller": {"kind": "python", "system": f"{path}:Mine"}})
-        logs.append(dataclasses.replace(log, files=file_digests(log.scenario.to_dict())))
-    for _ in range(2):
-        write_run(logs[0], folder, pictures=False)
+    code = tmp_path / "elsewhere" / "mine.py"
+    code.parent.mkdir()
+    code.write_text("one = 1\n")
+    with trusting_code():
+        log = made_log(scenario={"controller": {"kind": "python", "system": f"{code}:Mine"}})
+    folder = write(log, tmp_path / "out")
     assert names(folder) == ALWAYS | {"code"}
     assert str(load_scenario(folder / "scenario.yaml").controller.system) == f"{folder / 'code' / 'mine.py'}:Mine"
-    # Another file of the same name is another scenario.
-    with pytest.raises(ConfigurationError, match="--force"):
-        write_run(logs[1], folder, pictures=False)
-    assert (folder / "code" / "mine.py").read_text() == "one = 'elsewhere'\n"
-    (folder / "code" / "notes.py").write_text("mine")
-    with pytest.raises(ConfigurationError, match=r"code/notes\.py would be lost"):
-        write_run(logs[0], folder, pictures=False, force=True)
+    assert (folder / "code" / "mine.py").read_text() == "one = 1\n"
     code.unlink()
-    write_run(logs[0], tmp_path / "without", pictures=False)
-    assert names(tmp_path / "without") == ALWAYS
+    assert names(write(log, tmp_path / "without")) == ALWAYS
 
 
 def test_numbers_that_are_not_finite_are_null_with_a_reason(tmp_path):
     pose = np.zeros((101, 6))
     pose[80:, 2], pose[90:, 4] = np.inf, np.nan
-    write_run(made_log(pose=pose), tmp_path / "out", pictures=False)
+    write(made_log(pose=pose), tmp_path / "out")
 
     def refuse(text):
         raise AssertionError(f"{text} is no JSON")
 
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text(), parse_constant=refuse)
-    assert metrics["rmse_deg"][2] is None
-    assert metrics["not_finite"]["rmse_deg.2"] == "inf"
-    assert metrics["not_finite"]["peak_mm.1"] == "nan"
-    assert metrics["finite"] is False
-    assert metrics["rmse_deg"][0] == 0.0
+    assert (metrics["rmse_deg"][2], metrics["finite"], metrics["rmse_deg"][0]) == (None, False, 0.0)
+    assert (metrics["not_finite"]["rmse_deg.2"], metrics["not_finite"]["peak_mm.1"]) == ("inf", "nan")
 
 
 @pytest.mark.parametrize("script", ['echo "<svg>$(cat)</svg>"', "exit 1"])
@@ -254,52 +176,19 @@ def test_the_graph_is_rendered_where_graphviz_is_installed_and_works(tmp_path, m
     dot.write_text(f"#!/bin/sh\n{script}\n")
     dot.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    write_run(made_log(), tmp_path / "out", "digraph {}", pictures=False)
-    assert (tmp_path / "out" / "diagram.dot").read_text() == "digraph {}"
-    svg = tmp_path / "out" / "diagram.svg"
+    folder = write(made_log(), tmp_path / "out", graph="digraph {}")
+    assert (folder / "diagram.dot").read_text() == "digraph {}"
+    svg = folder / "diagram.svg"
     assert not svg.exists() if script == "exit 1" else svg.read_text() == "<svg>digraph {}</svg>\n"
 
 
-@pytest.mark.parametrize("file", ["metrics.json", "scenario.yaml"])
-def test_a_disk_that_fills_up_midway_leaves_the_log_and_no_half_result(tmp_path, monkeypatch, file):
-    real = outputs.write_atomically
-
-    def full(path, content):
-        if path.name == file:
-            raise ConfigurationError(str(path), "No space left on device", "a file in a writable folder")
-        real(path, content)
-
-    monkeypatch.setattr(outputs, "write_atomically", full)
-    with pytest.raises(ConfigurationError, match="No space left"):
-        write_run(made_log(), tmp_path / "out", pictures=False)
-    assert names(tmp_path) == {".out.unfinished"}
-    assert len(load_log(tmp_path / ".out.unfinished").time) == 101
-
-
-def test_a_folder_that_cannot_be_is_named_and_one_that_can_is_left_as_it_is(tmp_path):
-    file = tmp_path / "file"
-    file.write_text("mine")
-    for path, why in ((file, "this is a file"), (file / "below", "Not a directory|this is a file")):
-        for write in (prepare_folder, lambda path: write_run(made_log(), path, pictures=False)):
-            with pytest.raises(ConfigurationError, match=f"--out: got .*file.*({why})"):
-                write(path)
-    assert prepare_folder(str(tmp_path)) == tmp_path
-    assert names(tmp_path) == {"file"}
-    assert file.read_text() == "mine"
-
-
-def test_versions_name_what_computed():
-    versions = collect_versions()
-    assert versions["drake"].startswith("1.")
-    assert versions["numpy"] == np.__version__
-    assert versions["python"].startswith("3.")
-    assert versions["git_revision"] is None or re.fullmatch(r"[0-9a-f]{40}(-dirty)?", versions["git_revision"])
-    assert json.loads(json.dumps(versions)) == versions
-
-
-def test_the_digest_changes_with_the_code_and_only_with_it(monkeypatch, tmp_path):
+def test_versions_name_what_computed_and_the_digest_changes_with_the_code_alone(monkeypatch, tmp_path):
     from stewart_drake.logs import versions
 
+    found = collect_versions()
+    assert found["drake"].startswith("1.")
+    assert found["numpy"] == np.__version__
+    assert found["git_revision"] is None or re.fullmatch(r"[0-9a-f]{40}(-dirty)?", found["git_revision"])
     package = tmp_path / "package"
     package.mkdir()
     (package / "versions.py").write_text("a = 1\n")
@@ -310,12 +199,3 @@ def test_the_digest_changes_with_the_code_and_only_with_it(monkeypatch, tmp_path
     (package / "versions.py").write_text("a = 2\n")
     assert source_digest() != first
     assert git_revision() is None
-
-
-def test_a_full_disk_is_found_before_the_run(tmp_path, monkeypatch):
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(outputs.shutil, "disk_usage", lambda _: usage._replace(free=1_000_000))
-    with pytest.raises(ConfigurationError, match="50 MB free, not 1 MB"):
-        prepare_folder(tmp_path, outputs.SPACE)
-    # Results that exist are written as long as they fit.
-    assert prepare_folder(tmp_path) == tmp_path

@@ -1,0 +1,204 @@
+"""Tables of numbers in CSV and Parquet files, whose columns say their units: `time_s`, `pose_roll_rad`, `torque_0_Nm`.
+
+One dialect for all: logs, recorded motions, recordings for identification, poses for calibration. A column is read in
+any of its units, and without one in that of SI; `pose_` may be left out.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.whole import check_file
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ENDINGS: Mapping[str, Mapping[str, float]] = {
+    "s": {"s": 1.0, "ms": 1e-3},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "m": {"m": 1.0, "mm": 1e-3},
+    "N m": {"Nm": 1.0, "mNm": 1e-3},
+    "N": {"N": 1.0},
+    "rad/s": {"rad_per_s": 1.0, "deg_per_s": math.pi / 180.0},
+    "m/s": {"m_per_s": 1.0, "mm_per_s": 1e-3},
+    "rad/s^2": {"rad_per_s2": 1.0},
+    "m/s^2": {"m_per_s2": 1.0},
+    "rad s": {"rad_s": 1.0},
+    "m s": {"m_s": 1.0},
+    "1": {"": 1.0},
+    "": {"": 1.0},
+}
+"""Unit -> endings of a column's name, the first that of what is written, and what one of each is in the unit."""
+
+Chosen = Mapping[str, tuple[str, float]]
+"""What a column holds -> its name in the file, and the factor to the unit that is kept."""
+
+
+def column_name(quantity: str, unit: str) -> str:
+    """What the column of a quantity is called, such as `pose_roll_rad`."""
+    ending = next(iter(ENDINGS[unit]))
+    return f"{quantity}_{ending}" if ending else quantity
+
+
+def quantity_of(column: str) -> tuple[str, float]:
+    """The quantity of a column, its name without the unit, and what one of the unit is in SI."""
+    factors = {ending: factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
+    for ending in sorted(factors, key=len, reverse=True):
+        if column.endswith(f"_{ending}"):
+            return column.removesuffix(f"_{ending}"), factors[ending]
+    return column, 1.0
+
+
+def read_numbers(
+    path: str | Path, source: str, quantities: Sequence[tuple[str, str]], most_bytes: int, most_rows: int
+) -> np.ndarray:
+    """Chosen quantities of a table, in any order of its columns; further columns are left alone.
+
+    Args:
+        path: A .csv or .parquet file with a header.
+        source: What it is, with its path, for messages.
+        quantities: k of them with the units in which they are kept, such as ("pose_roll", "rad").
+        most_bytes: Of the file.
+        most_rows: Likewise.
+
+    Returns:
+        (n, k); a cell that is empty is NaN.
+
+    Raises:
+        ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no number.
+    """
+
+    def choose(names: list[str]) -> Chosen:
+        return {quantity: _column(names, quantity, unit, source) for quantity, unit in quantities}
+
+    return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
+
+
+def read_columns(
+    path: str | Path, source: str, choose: Callable[[list[str]], Chosen], most_bytes: int, most_rows: int
+) -> dict[str, np.ndarray]:
+    """Columns (n,) of a table, as `choose` picks them from the names; else as `read_numbers`."""
+    import pyarrow as pa
+    import pyarrow.csv as pc
+    import pyarrow.parquet as pq
+
+    check_file(path, source, most_bytes)
+    try:
+        if Path(path).suffix.lower() == ".parquet":
+            with pq.ParquetFile(path, page_checksum_verification=True) as file:
+                rows, chosen = file.metadata.num_rows, choose(file.schema_arrow.names)
+                _refuse_more(source, rows, most_rows)
+                table = file.read(columns=[name for name, _ in chosen.values()])
+        else:
+            with Path(path).open(encoding="utf-8-sig", newline="") as stream:
+                names = [name.strip() for name in next(csv.reader(stream), [])]
+            chosen = choose(names)
+            wanted = [name for name, _ in chosen.values()]
+            table = pc.read_csv(
+                path,
+                # One thread: only then does a message name the row.
+                pc.ReadOptions(use_threads=False, column_names=names, skip_rows=1, block_size=1 << 24),
+                convert_options=pc.ConvertOptions(
+                    include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
+                ),
+            )
+            _refuse_more(source, table.num_rows, most_rows)
+        # Of text, no number is made; of a Parquet file's decimals and whole numbers, float64.
+        kept = {name: table.column(name).cast(pa.float64()).to_numpy() for name, _ in chosen.values()}
+    except (OSError, ValueError, TypeError, KeyError, csv.Error, pa.ArrowException) as error:
+        text = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigurationError(source, text, "a table of numbers with a header") from None
+    return {quantity: kept[name] * factor for quantity, (name, factor) in chosen.items()}
+
+
+def _refuse_more(source: str, rows: int, most_rows: int) -> None:
+    if rows > most_rows:
+        raise ConfigurationError(source, f"{rows} rows", f"at most {most_rows} rows")
+
+
+def _column(names: list[str], quantity: str, unit: str, source: str) -> tuple[str, float]:
+    """The one column of a quantity, and what its unit is of the one that is kept."""
+    ways = {f"{quantity}_{ending}" if ending else quantity: factor for ending, factor in ENDINGS[unit].items()}
+    ways[quantity] = 1.0
+    ways |= {name.removeprefix("pose_"): factor for name, factor in ways.items()}
+    found = [name for name in names if name in ways]
+    if len(found) != 1:
+        have = ", ".join(found) or f"none among {', '.join(names)[:300] or 'no columns'}"
+        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}")
+    return found[0], ways[found[0]]
+
+
+def to_csv(table: pa.Table) -> bytes:
+    """A table as a CSV file, without its metadata."""
+    from pyarrow import csv as pc
+
+    header = io.StringIO()
+    csv.writer(header, lineterminator="\n").writerow(table.column_names)
+    stream = io.BytesIO(header.getvalue().encode())
+    stream.seek(0, io.SEEK_END)
+    pc.write_csv(table, stream, pc.WriteOptions(include_header=False))
+    return stream.getvalue()
+
+
+def numbers_to_csv(quantities: Sequence[tuple[str, str]], values: np.ndarray) -> str:
+    """Values (n, k) of quantities with their units as a CSV table that `read_numbers` reads."""
+    import pyarrow as pa
+
+    names = [column_name(*each) for each in quantities]
+    return to_csv(pa.table(list(np.asarray(values, dtype=float).T), names=names)).decode()
+
+
+def with_about(table: pa.Table, key: str, about: Mapping[str, Any]) -> pa.Table:
+    """A table with plain values about it, under `stewart_drake.KEY` of its metadata."""
+    return table.replace_schema_metadata({f"stewart_drake.{key}": json.dumps(about, allow_nan=False)})
+
+
+def to_parquet(table: pa.Table) -> bytes:
+    """A table as a Parquet file, whose pages have checksums."""
+    import pyarrow.parquet as pq
+
+    stream = io.BytesIO()
+    pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
+    return stream.getvalue()
+
+
+def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made_by: str) -> dict[str, Any]:
+    """What `with_about` said of a table in a Parquet file.
+
+    Raises:
+        ConfigurationError: No such file, or another one.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    check_file(path, source, most_bytes, f"a file from {made_by}")
+    try:
+        metadata = pq.read_metadata(path).metadata or {}
+        about = json.loads(metadata.get(f"stewart_drake.{key}".encode(), b"null"))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        text = " ".join(str(error).split())[:200]
+        raise ConfigurationError(source, text, f"a Parquet file from {made_by}") from None
+    if not isinstance(about, dict):
+        raise ConfigurationError(source, "another Parquet file", f"one from {made_by}")
+    return about
+
+
+def need_pandas(instead: str) -> None:
+    """Asks for pandas, and says what gives the same without it.
+
+    Raises:
+        ConfigurationError: It is not installed.
+    """
+    if importlib.util.find_spec("pandas") is None:
+        allowed = f"an installation with pandas: pip install pandas; {instead}"
+        raise ConfigurationError("to_pandas", "no pandas", allowed)
