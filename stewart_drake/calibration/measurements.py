@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.calibration.frames import Frame
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.tables import column_name, numbers_to_csv, read_numbers
 from stewart_drake.mechanics.kinematics import rotation_matrix
@@ -75,31 +75,24 @@ class Measurements:
             "millimetres go by _mm, degrees by _deg"
         )
         self._refuse(np.abs(table) > most * (1.0 + 1e-9), table, allowed)
-        for columns, what in ((slice(0, 12), "row"), (slice(0, 6), "pose")):
-            seen: dict[bytes, int] = {}
-            for row, values in enumerate(table[:, columns]):
-                first = seen.setdefault(values.tobytes(), row)
-                if first != row:
-                    allowed = "poses that were each measured: a tracker never gives the same numbers twice"
-                    raise ConfigurationError(
-                        self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed
-                    )
+        for columns, what in ((table, "row"), (self.pose, "pose")):
+            _, first, which = np.unique(columns, axis=0, return_index=True, return_inverse=True)
+            again = np.flatnonzero(first[which.ravel()] != np.arange(len(columns)))
+            if again.size:
+                got = f"the {what} of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
+                allowed = "poses that were each measured: a tracker never gives the same numbers twice"
+                raise ConfigurationError(self.source, got, allowed)
 
     def __len__(self) -> int:
         return len(self.pose)
 
     @cached_property
-    def rotation(self) -> np.ndarray:
-        """(n, 3, 3) [-] of the marker."""
-        return rotation_matrix(self.pose[:, :3])
+    def marker(self) -> Frame:
+        """Poses of the marker in the tracker's frame."""
+        return Frame(rotation_matrix(self.pose[:, :3]), self.pose[:, 3:])
 
-    @property
-    def position(self) -> np.ndarray:
-        """(n, 3) [m] of the marker."""
-        return self.pose[:, 3:]
-
-    def without(self, rows: int | Sequence[int]) -> Measurements:
-        """All but one row or some, counted from 0."""
+    def without(self, rows: list[int]) -> Measurements:
+        """All but some rows, counted from 0."""
         return Measurements(np.delete(self.pose, rows, 0), np.delete(self.angles, rows, 0), self.source)
 
     def to_csv(self) -> str:
