@@ -10,7 +10,7 @@ import numpy as np
 from stewart_drake.calibration.frames import Frame
 from stewart_drake.calibration.measurements import Measurements
 from stewart_drake.calibration.model import Model
-from stewart_drake.calibration.parameters import HOMING, OF_ROBOT, PER_LEG, scales
+from stewart_drake.calibration.parameters import HOMING, OF_LEG, OF_ROBOT, PER_LEG, scales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
@@ -140,6 +140,7 @@ def explained(fit: Callable[[Measurements], Start], measurements: Measurements, 
     if reason is not None and (start is None or (best * BETTER < misfit and best < np.inf)):
         raise reason
     assert start is not None
+    _refuse_far(start)
     _refuse_branch(start)
     return start
 
@@ -163,6 +164,16 @@ def _others(
         key, got = f"{source}: crank_angle_{leg}", "readings that fit with the other sign"
         error = ConfigurationError(key, got, "angles that grow as the guess's crank angle does")
         yield Measurements(measurements.pose, angles, source), error
+
+
+def _refuse_far(start: Start) -> None:
+    """Refuses poses that only a robot fits which is nothing like the guess."""
+    size = np.abs(start.told @ start.step)[:OF_ROBOT]
+    at = int(size.argmax())
+    if size[at] > FAR:
+        own = OF_LEG[at % PER_LEG]
+        got = f"poses that tell a {own} of leg {at // PER_LEG} {abs(start.change[at]):.3g} {own.unit} off the guess's"
+        raise ConfigurationError(start.measurements.source, got, "readings of this robot; are two encoders swapped?")
 
 
 def _refuse_branch(start: Start) -> None:

@@ -96,6 +96,12 @@ def test_an_inverted_encoder_is_named(refused, good):
     assert "crank_angle_3: got 'readings that fit with the other sign'" in refused(COLUMNS, table)
 
 
+def test_swapped_encoders_are_not_taken_for_another_robot(refused, good):
+    table = table_of(good)
+    table[:, [7, 10]] = table[:, [10, 7]]
+    assert "off the guess's'; allowed: readings of this robot; are two encoders swapped?" in refused(COLUMNS, table)
+
+
 @pytest.mark.parametrize(
     ("column", "by"), [(5, 2e-3), (8, 0.02), (3, 1e3), (5, 1e5), (4, -5.0), (0, 2.9), (6, 12.0), (8, -3.0)]
 )
