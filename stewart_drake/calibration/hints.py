@@ -172,7 +172,7 @@ def _refuse_far(start: Start) -> None:
     at = int(size.argmax())
     if size[at] > FAR:
         own = OF_LEG[at % PER_LEG]
-        got = f"poses that tell a {own} of leg {at // PER_LEG} {abs(start.change[at]):.3g} {own.unit} off the guess's"
+        got = f"poses that tell a {own} of leg {at // PER_LEG} {abs(start.change[at]):.3g} {own.unit} off the guess"
         raise ConfigurationError(start.measurements.source, got, "readings of this robot; are two encoders swapped?")
 
 

@@ -77,9 +77,7 @@ def test_bad_input_ends_in_one_line(call, tmp_path, arguments, said):
 
 @pytest.mark.slow
 def test_a_designed_motion_is_run_and_its_log_identified(call, tmp_path):
-    status, out, err = call(
-        "excite", "--robot", "paper", "--duration", 6, "--out", "excite.yaml", "--set", "compiled=false"
-    )
+    status, out, err = call("excite", "--robot", "paper", "--duration", 6, "--out", "excite.yaml")
     assert (status, err) == (0, "")
     assert "condition number" in out
     assert load_scenario(tmp_path / "excite.yaml").duration == 6.0
