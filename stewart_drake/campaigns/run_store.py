@@ -81,8 +81,8 @@ class RunStore:
                 LocalProcesses(self.workers) if min(self.workers, len(missing)) > 1 else SerialExecutor(),
             )
             tell(1.0)
-            logs |= {path: load_log(path) for path in missing}
-            return [replace(logs[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
+            whole = {path: load_log(path) if log is None else log for path, log in logs.items()}
+            return [replace(whole[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
 
 
 def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:

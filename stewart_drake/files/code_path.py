@@ -125,9 +125,6 @@ class CodePath(os.PathLike[str]):
 
         Args:
             key: Where it stands, for messages.
-
-        Raises:
-            ConfigurationError: It is not trusted, has changed since it was read, cannot be imported or lacks the name.
         """
         if self.given is not None:
             return self.given
@@ -141,11 +138,7 @@ class CodePath(os.PathLike[str]):
         return found
 
     def read(self, key: str) -> bytes:
-        """Content of its file.
-
-        Raises:
-            ConfigurationError: It cannot be read, or has changed since it was named.
-        """
+        """Content of its file."""
         content = read_checked(self._place, f"code file {self._place}", MAX_BYTES)
         if hashlib.sha256(content).hexdigest() != self.digest:
             raise self.refusal(key)

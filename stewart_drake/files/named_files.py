@@ -17,11 +17,9 @@ ROBOT_KEYS = ("robot", "model_robot")
 
 
 def anchored(data: Any, folder: Path) -> Any:
-    """A copy of plain values in which paths of weights, motions, robots and code are absolute.
+    """A copy of plain values in which paths of weights, motions, robots and code are absolute, from `folder`.
 
-    Args:
-        data: From a YAML file or a command line.
-        folder: Where that file lies, which paths are relative to; for a command line the current folder.
+    That is where the file lies that they come from; for a command line the current folder.
     """
 
     def absolute(key: str, text: str) -> str:
@@ -34,9 +32,7 @@ def anchored(data: Any, folder: Path) -> Any:
 def file_digests(data: Any, code: Iterable[CodePath] | None = None) -> dict[str, str | None]:
     """Path of each file that is named in plain values -> sha256 of its content, None where it cannot be read.
 
-    Args:
-        data: Plain values.
-        code: That is named in them, as it was; None for as it is.
+    `code` is what is named in them, as it was; None for as it is.
     """
     own = {str(each.files[-1]): each.digest for each in (code_named(data) if code is None else code)}
     return own | {path: digest(path) for path in sorted({text for key, text in _texts(data) if _is_file(key, text)})}

@@ -72,10 +72,8 @@ def read_numbers(
         most_rows: Likewise.
 
     Returns:
-        (n, k); a cell that is empty is NaN.
-
-    Raises:
-        ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no number.
+        (n, k); a cell that is empty is NaN. A column that is missing or there twice, and a cell that is no number, are
+        refused.
     """
 
     def choose(names: list[str]) -> Chosen:
@@ -173,11 +171,7 @@ def to_parquet(table: pa.Table) -> bytes:
 
 
 def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made_by: str) -> dict[str, Any]:
-    """What `with_about` said of a table in a Parquet file.
-
-    Raises:
-        ConfigurationError: No such file, or another one.
-    """
+    """What `with_about` said of a table in a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -194,11 +188,7 @@ def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made
 
 
 def need_pandas(instead: str) -> None:
-    """Asks for pandas, and says what gives the same without it.
-
-    Raises:
-        ConfigurationError: It is not installed.
-    """
+    """Asks for pandas, and says what gives the same without it."""
     if importlib.util.find_spec("pandas") is None:
         allowed = f"an installation with pandas: pip install pandas; {instead}"
         raise ConfigurationError("to_pandas", "no pandas", allowed)

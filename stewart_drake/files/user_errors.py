@@ -38,9 +38,6 @@ class UserCode(AbstractContextManager[None]):
 
     Args:
         own: Names of the user's modules, or of the packages that they are in; none where no code is the user's.
-
-    Raises:
-        ControllerError: In place of what was raised.
     """
 
     def __init__(self, *own: str) -> None:

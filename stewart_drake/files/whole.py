@@ -34,9 +34,6 @@ def check_file(path: str | Path, what: str, largest: int, allowed: str = "a read
         what: What it is, with its path, for messages.
         largest: [byte].
         allowed: What a readable file is called in messages.
-
-    Raises:
-        ConfigurationError: Missing; a folder, pipe or device; too large.
     """
     try:
         status = Path(path).stat()
@@ -65,11 +62,7 @@ def digest(path: str | Path) -> str | None:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Writes a file beside its place and renames it: a reader sees the old content or the new one.
-
-    Raises:
-        ConfigurationError: The folder is missing or not writable; nothing is left behind.
-    """
+    """Writes a file beside its place and renames it: a reader sees the old content or the new one."""
     part = path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
     try:
         try:
@@ -90,9 +83,6 @@ def locked_folder(folder: Path, key: str = "--out") -> Iterator[None]:
     """Keeps other processes that ask for it out of a folder; the system lifts the lock when this process ends.
 
     Files that a killed process has left half written in it are removed.
-
-    Raises:
-        ConfigurationError: Another process has it, or its disk has no locks.
     """
     from filelock import FileLock, Timeout
 

@@ -27,15 +27,7 @@ def shipped_folder(kind: str) -> Path:
 
 
 def find_file(kind: str, name: str | Path) -> Path:
-    """The file that `name` means: a path, or the stem of a file of the package.
-
-    Args:
-        kind: `scenario`, `sweep` or `comparison`.
-        name: What the user gave.
-
-    Raises:
-        ConfigurationError: Neither.
-    """
+    """The file that `name` means, a path or the stem of a file of the package; `kind` such as `scenario`."""
     path, folder, what = Path(name), shipped_folder(f"{kind}s"), f"{kind} file"
     try:
         # What is a pipe or a device says so itself once it is to be read.
@@ -51,16 +43,7 @@ def find_file(kind: str, name: str | Path) -> Path:
 
 
 def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
-    """Keys and values of a file; `name` is its stem where it has none.
-
-    Args:
-        kind: As in `find_file`, for messages.
-        path: The file.
-        longest_name: A name is cut to this.
-
-    Raises:
-        ConfigurationError: Unreadable, too large, malformed, or no mapping.
-    """
+    """Keys and values of a file; `name` is its stem where it has none, cut to `longest_name`."""
     what = f"{kind} file {path}"
     try:
         text = read_checked(path, what, MAX_BYTES).decode()
@@ -76,11 +59,7 @@ def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
 
 
 def parse_yaml(text: str, key: str) -> Any:
-    """Plain values from a YAML text.
-
-    Raises:
-        ConfigurationError: `key` is not well-formed YAML, or has tags or aliases.
-    """
+    """Plain values from a YAML text."""
     # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = _PlainComposer

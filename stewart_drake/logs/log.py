@@ -42,14 +42,7 @@ _LARGEST = 10**10
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """What a signal is.
-
-    Attributes:
-        components: Last part of each column's name; empty for a scalar.
-        units: One per component.
-        frame: In which frame, or about what.
-        text: One line of explanation.
-    """
+    """What a signal is: components (none for a scalar), the unit of each, in which frame or about what, and a text."""
 
     components: tuple[str, ...]
     units: tuple[str, ...]
@@ -72,11 +65,7 @@ SIGNALS: Mapping[str, SignalSpec] = {
     "reference": _axes("rad", "m", "reference pose"),
     "reference_rate": _axes("rad/s", "m/s", "rate of the reference"),
     "reference_acceleration": _axes("rad/s^2", "m/s^2", "acceleration of the reference"),
-    "error": _axes(
-        "rad",
-        "m",
-        "pose minus reference at the latest tick; with an observer, when its command acts",
-    ),
+    "error": _axes("rad", "m", "pose minus reference at the latest tick; with an observer, when its command acts"),
     "integral": _axes("rad s", "m s", "integral state z after the latest tick"),
     "torque": _legs("N m", "about the motor axis", "torque commanded by the controller"),
     "torque_applied": _legs("N m", "about the motor axis", "torque at the motors, delayed and within their limit"),
@@ -109,13 +98,9 @@ SIGNALS: Mapping[str, SignalSpec] = {
     ),
     "plant_state": SignalSpec((), (), "", "positions and velocities of the MultibodyPlant"),
 }
-"""Every signal of a log; those of `OPTIONAL` only where the scenario has them. `plant_state` has one column per entry
-of the plant's state, named by Drake."""
-
-OPTIONAL = ("block_weights", "setting", "measured_pose", "measured_pose_rate", "innovation", "disturbance", "safety")
-"""block_weights stands in place of `weights`, setting where a tuner of settings is, the measured pose beside the true
-one where there are encoders, an observer or a sensor that fails, innovation where there is an observer, the disturbance
-where there is one, safety where that layer is on."""
+"""Every signal of a log, where the scenario has it: block_weights stand in place of `weights`, setting where a tuner of
+settings is, the measured pose beside the true one where there are encoders, an observer or a sensor that fails,
+innovation with an observer. `plant_state` has one column per entry of the plant's state, named by Drake."""
 
 
 def _state_column(name: str) -> tuple[str, str, str]:
@@ -179,11 +164,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Signal `name`.
-
-        Raises:
-            KeyError: Names the signals that exist.
-        """
+        """Signal `name`."""
         try:
             return self.signals[name]
         except KeyError:
@@ -242,11 +223,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return "\n".join(lines)
 
     def to_pandas(self) -> Any:
-        """The signals as a pandas.DataFrame, a column per component.
-
-        Raises:
-            ConfigurationError: pandas is not installed.
-        """
+        """The signals as a pandas.DataFrame, a column per component."""
         need_pandas("table() gives the same as an Arrow table")
         return self.table().to_pandas()
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 ValueKind = Literal["number", "whole", "flag", "text", "json"]
 Over = Literal["steps", "ticks", "late_steps", "late_ticks"]
+_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
+_TURNED, _MOVED = "roll, pitch, yaw error", "position error"
 _TYPES: dict[ValueKind, tuple[type, ...]] = {
     "number": (float, int), "whole": (int,), "flag": (bool,), "text": (str,), "json": (dict, list)
 }  # fmt: skip
@@ -79,11 +81,7 @@ class Metric:
     kind: ValueKind = "number"
 
     def value(self, rows: RunRows) -> Any:
-        """The metric of a run in plain values, None where there is nothing to compute it from.
-
-        Raises:
-            MetricError: `of` raises, or returns something else than `kind` and `parts` say.
-        """
+        """The metric of a run in plain values, None where there is nothing to compute it from."""
         if not getattr(rows, self.over):
             return None
         try:
@@ -122,71 +120,62 @@ class Metric:
         return "  ".join("-" if each is None else format(each, self.form) for each in values) + unit
 
 
-_ANGLES, _LENGTHS = ("roll", "pitch", "yaw"), ("x", "y", "z")
-
-
-def _each(form: str, axes: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(form.format(axis) for axis in axes)
+def _axes(form: str) -> tuple[str, ...]:
+    """Columns of three numbers, by axis."""
+    return tuple(form.format(axis) for axis in (_LENGTHS if "mm" in form else _ANGLES))
 
 
 def _of_weights(function: Callable[[np.ndarray], float]) -> Callable[[RunRows], float | None]:
     """A function of the two weights (n, 2) at the ticks; None where a run has none."""
-    return lambda rows: float(function(rows["weights"][rows.tick])) if "weights" in rows.signals else None
+    return lambda t: float(function(t["weights"][t.tick])) if "weights" in t.signals else None
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _pair(
-    name: str,
-    text: str,
-    of: Callable[[RunRows], Any],
-    over: Over = "late_ticks",
-    what: Sequence[str] = ("roll, pitch, yaw error", "position error"),
-    labels: Sequence[str] = ("", ""),
-    each: bool = False,
-) -> list[Metric]:
-    """Two metrics, NAME_deg and NAME_mm, of what `of` gives in rad and in m: (2,), or (6,) with `each` axis a column.
-
-    `text` has a place for `what` the two are of.
-    """
-    made = []
-    for place, (unit, factor, axes) in enumerate((("deg", 180.0 / np.pi, _ANGLES), ("mm", 1e3, _LENGTHS))):
-
-        def value(rows: RunRows, place: int = place, factor: float = factor) -> float | list[float]:
-            sizes = factor * np.reshape(of(rows), (2, -1))[place]
-            return sizes.tolist() if each else float(sizes[0])
-
-        parts = _each(f"{name}_{{}}_{unit}", axes) if each else ()
-        made.append(Metric(f"{name}_{unit}", unit, text.format(what[place]), value, over, parts, labels[place]))
-    return made
-
-
-def _finite(rows: RunRows) -> bool:
-    return all(bool(np.isfinite(values).all()) for values in rows.signals.values())
-
-
 METRICS: list[Metric] = [
-    *_pair(
-        "rmse", "root mean square error", lambda t: t.late_rms, each=True,
-        labels=("RMSE roll pitch yaw, second half", "RMSE X Y Z, second half"),
+    Metric(
+        "rmse_deg", "deg", "root mean square error", lambda t: np.degrees(t.late_rms[:3]),
+        parts=_axes("rmse_{}_deg"), label="RMSE roll pitch yaw, second half",
     ),
-    *_pair(
-        "peak", "largest error", lambda t: np.abs(t.error[t.late]).max(axis=0), "late_steps", each=True,
-        labels=("peak roll pitch yaw, second half", "peak X Y Z, second half"),
+    Metric(
+        "rmse_mm", "mm", "root mean square error", lambda t: 1e3 * t.late_rms[3:],
+        parts=_axes("rmse_{}_mm"), label="RMSE X Y Z, second half",
     ),
-    *_pair("rmse_norm", "RMS length of the {}", lambda t: t.late_rms_norms),
-    *_pair("worst_half_rmse_norm", "RMS length of the {}, the larger of both halves", lambda t: t.worst_half_rms),
+    Metric(
+        "peak_deg", "deg", "largest error", lambda t: np.degrees(t.late_peaks[:3]), "late_steps",
+        _axes("peak_{}_deg"), "peak roll pitch yaw, second half",
+    ),
+    Metric(
+        "peak_mm", "mm", "largest error", lambda t: 1e3 * t.late_peaks[3:], "late_steps",
+        _axes("peak_{}_mm"), "peak X Y Z, second half",
+    ),
+    Metric("rmse_norm_deg", "deg", f"RMS length of the {_TURNED}", lambda t: np.degrees(t.late_rms_norms[0])),
+    Metric("rmse_norm_mm", "mm", f"RMS length of the {_MOVED}", lambda t: 1e3 * t.late_rms_norms[1]),
+    Metric(
+        "worst_half_rmse_norm_deg", "deg", f"RMS length of the {_TURNED}, the larger of both halves",
+        lambda t: np.degrees(t.worst_half_rms[0]),
+    ),
+    Metric(
+        "worst_half_rmse_norm_mm", "mm", f"RMS length of the {_MOVED}, the larger of both halves",
+        lambda t: 1e3 * t.worst_half_rms[1],
+    ),
     Metric(
         "pose_rmse_mm", "mm", "RMS of both errors together, rotations times the characteristic length",
-        lambda t: float(1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0])),
+        lambda t: 1e3 * np.hypot(*t.late_rms_norms * [t.scenario.robot.characteristic_length, 1.0]),
     ),
-    *_pair("peak_norm", "largest length of the {}", lambda t: t.late_norms, "late_steps"),
-    *_pair(
-        "error_max", "largest {} from the reference while the controller was in charge, whole run",
-        lambda t: (t.largest["rotation"], t.largest["position"]), "steps", ("angle", "distance"),
-        ("largest angle from the reference", "largest distance from it"),
+    Metric(
+        "peak_norm_deg", "deg", f"largest length of the {_TURNED}", lambda t: np.degrees(t.late_norms[0]), "late_steps"
+    ),
+    Metric("peak_norm_mm", "mm", f"largest length of the {_MOVED}", lambda t: 1e3 * t.late_norms[1], "late_steps"),
+    Metric(
+        "error_max_deg", "deg", "largest angle from the reference while the controller was in charge, whole run",
+        lambda t: float(np.degrees(t.largest["rotation"])), "steps", label="largest angle from the reference",
+    ),
+    Metric(
+        "error_max_mm", "mm", "largest distance from the reference while the controller was in charge, whole run",
+        lambda t: 1e3 * t.largest["position"], "steps", label="largest distance from it",
     ),
     Metric(
         "motion_ratio", "1", "size of the platform's motion over that of its reference, null where that is small",
@@ -231,9 +220,12 @@ METRICS: list[Metric] = [
     ),
     Metric(
         "integral_at_5s", "rad s, m s", "integral state at 5 s", lambda t: t.integral, "ticks",
-        parts=_each("integral_{}_at_5s", _ANGLES + _LENGTHS), label="integral states at 5 s", form=".2g",
+        tuple(f"integral_{axis}_at_5s" for axis in (*_ANGLES, *_LENGTHS)), "integral states at 5 s", ".2g",
     ),
-    Metric("finite", "", "every number of the log is finite", _finite, "steps", kind="flag"),
+    Metric(
+        "finite", "", "every number of the log is finite",
+        lambda t: all(bool(np.isfinite(values).all()) for values in t.signals.values()), "steps", kind="flag",
+    ),
 ]  # fmt: skip
 """Of every run, from all control ticks, and peaks from every step of the plant, whatever rows the log keeps."""
 
@@ -277,11 +269,7 @@ def _check_names(metric: Metric, others: Sequence[Metric]) -> None:
 
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
-    """The metrics of runs of these scenarios: those of every run, and their own.
-
-    Raises:
-        ConfigurationError: One of their own cannot be loaded, or its name means something already.
-    """
+    """The metrics of runs of these scenarios: those of every run, and their own."""
     found = list(METRICS)
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in found:
@@ -301,11 +289,7 @@ class UserMetric(UserMade, key="metrics"):
             raise ConfigurationError("arguments", self.arguments, "nothing, for a metric")
 
     def load(self) -> Metric:
-        """The metric.
-
-        Raises:
-            ConfigurationError: It cannot be loaded, or is no `Metric`.
-        """
+        """The metric."""
         found = self.code.load(self.code_key)
         if not isinstance(found, Metric):
             allowed = f"the path of a Metric(name, unit, text, function), not of a {type(found).__name__}"
@@ -329,11 +313,9 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
     known = metrics_of(*scenarios)
     for metric in known:
         value = metrics[metric.name]
-        row |= (
-            dict(zip(metric.parts, value or [None] * len(metric.parts), strict=True))
-            if metric.parts
-            else {metric.name: value}
-        )
+        parts = metric.parts or (metric.name,)
+        values = value or [None] * len(parts) if metric.parts else [value]
+        row |= dict(zip(parts, values, strict=True))
     named = {f"{metric.name}.{index}": part for metric in known for index, part in enumerate(metric.parts)}
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}
 

@@ -45,6 +45,7 @@ class RunRows:
         tick: (n,) whether the controller ticked.
         late: (n,) whether in the second half of the planned duration.
         late_tick: (n,) both.
+        steps, ticks, late_steps, late_ticks: How many rows there are of each.
         in_charge: (n,) whether the controller was, and not the safety layer.
         error: (n, 6) [rad, m].
     """
@@ -56,6 +57,8 @@ class RunRows:
         self.tick, self._number = step % stride == 0, step // stride
         self.late = self.time >= 0.5 * scenario.duration - 1e-9
         self.late_tick = self.late & self.tick
+        self.steps, self.ticks = len(self.time), int(self.tick.sum())
+        self.late_steps, self.late_ticks = int(self.late.sum()), int(self.late_tick.sum())
         self._level = signals["safety"][:, 0] if "safety" in signals else np.zeros(len(self.time))
         self.in_charge = self._level < RAMP
         self.error = signals["pose"] - signals["reference"] if len(self.time) else np.empty((0, 6))
@@ -63,26 +66,6 @@ class RunRows:
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal."""
         return self.signals[name]
-
-    @property
-    def steps(self) -> int:
-        """How many rows; one for each step of the plant."""
-        return len(self.time)
-
-    @property
-    def ticks(self) -> int:
-        """Rows at a tick."""
-        return int(self.tick.sum())
-
-    @property
-    def late_steps(self) -> int:
-        """Rows of the second half."""
-        return int(self.late.sum())
-
-    @property
-    def late_ticks(self) -> int:
-        """Ticks of the second half."""
-        return int(self.late_tick.sum())
 
     @property
     def late_rms(self) -> np.ndarray:
@@ -101,6 +84,11 @@ class RunRows:
         counts = np.array([max(1, self.ticks - self.late_ticks), self.late_ticks])
         means: np.ndarray = np.reshape(lengths, (2, 2, 3)).sum(axis=2) / counts[:, None]
         return np.sqrt(means).max(axis=0)
+
+    @property
+    def late_peaks(self) -> np.ndarray:
+        """(6,) [rad, m] largest error of the second half."""
+        return np.abs(self.error[self.late]).max(axis=0)
 
     @property
     def late_norms(self) -> np.ndarray:

@@ -12,8 +12,7 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.primitives import VectorLog
 
 from stewart_drake.errors import RunFailure, StewartDrakeError, drake_guard
-from stewart_drake.runs.engine import quiet, signals_of
-from stewart_drake.safety import first_trip
+from stewart_drake.runs.engine import Engine, quiet, signals_of
 from stewart_drake.sampling import on_grid
 from stewart_drake.scenario import Scenario
 from stewart_drake.systems.diagram import ClosedLoop
@@ -22,12 +21,12 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
 
-class DrakeRun:
+class DrakeRun(Engine):
     """The loop of a scenario on its way; see `engine.Engine`."""
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None) -> None:
         # Peaks and bounds are looked at in every step of the plant, whatever the log keeps.
-        self._scenario, self._loop = scenario, ClosedLoop(scenario, meshcat, scenario.plant.time_step)
+        self.scenario, self._loop = scenario, ClosedLoop(scenario, meshcat, scenario.plant.time_step)
         self._step = on_grid(scenario.plant.time_step)
         self.state_names = self._loop.plant.state_names
         self._breaks = _breaks(scenario, int(scenario.duration / scenario.plant.time_step + 1e-6))
@@ -37,7 +36,7 @@ class DrakeRun:
         """See `Engine`."""
         _compile(self._loop)
         simulator = Simulator(self._loop, self._loop.create_start_context())
-        integrate_in_substeps(simulator, self._scenario.plant.time_step)
+        integrate_in_substeps(simulator, self.scenario.plant.time_step)
         self._simulator, self._context = simulator, simulator.get_mutable_context()
         self._logs = {name: sink.FindMutableLog(self._context) for name, sink in self._loop.sinks.items()}
 
@@ -62,13 +61,9 @@ class DrakeRun:
         rows = min(log.num_samples() for log in self._logs.values())
         return _signals(self._loop, self._logs, rows)
 
-    def first_trip(self) -> dict[str, Any] | None:
+    def safety_state(self) -> Any:
         """See `Engine`."""
-        options = self._scenario.safety
-        if options is None:
-            return None
-        state = self._loop.systems["safety"].state(self._context)
-        return first_trip(state, self._scenario.controller.period, options.monitor_names)
+        return self._loop.systems["safety"].state(self._context)
 
     def graph(self) -> str | None:
         """See `Engine`."""

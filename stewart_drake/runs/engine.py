@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stewart_drake.logs.log import SIGNALS
+from stewart_drake.safety import first_trip
 from stewart_drake.sampling import times_of
 from stewart_drake.scenario import Scenario
 
@@ -14,49 +16,61 @@ if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """A scenario on its way, a row of signals for each step of the plant, both ends included.
 
     Attributes:
+        scenario: As run.
         state_names: Names of the columns of `plant_state`; none where there is no such signal.
         stops: Steps at which it must pause.
     """
 
-    state_names: tuple[str, ...]
-    stops: tuple[int, ...]
+    scenario: Scenario
+    state_names: tuple[str, ...] = ()
+    stops: tuple[int, ...] = ()
 
+    @abstractmethod
     def prepare(self) -> None:
         """What is no part of a run's cost, such as compiling; then the state at the start."""
 
+    @abstractmethod
     def start(self) -> None:
         """The row at t = 0."""
 
+    @abstractmethod
     def advance(self, step: int) -> None:
         """Goes on to a step of the plant, and its row; raises RunFailure where the run is over."""
 
     @property
+    @abstractmethod
     def time(self) -> float:
         """[s] reached, as Drake has it, see `sampling.on_grid`."""
 
+    @abstractmethod
     def signals(self) -> dict[str, np.ndarray]:
         """All complete rows so far, see `signals_of`."""
 
+    @abstractmethod
+    def safety_state(self) -> Any:
+        """Of the safety layer, where there is one."""
+
     def first_trip(self) -> dict[str, Any] | None:
         """See `safety.first_trip`; None where there is no safety layer."""
+        options = self.scenario.safety
+        if options is None:
+            return None
+        return first_trip(self.safety_state(), self.scenario.controller.period, options.monitor_names)
 
     def graph(self) -> str | None:
         """Graphviz text of the Diagram; None where there is none."""
+        return None
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - nothing to do where nothing is held
         """Lets go of it all."""
 
 
 def engine_of(scenario: Scenario, meshcat: Meshcat | None) -> Engine:
-    """The engine that a scenario asks for, see `PlantOptions.engine`.
-
-    Raises:
-        ConfigurationError: Something that it cannot have; a weights file or a user's controller that cannot be used.
-    """
+    """The engine that a scenario asks for, see `PlantOptions.engine`."""
     # The closed form needs no Drake, which takes seconds to import.
     if scenario.plant.engine == "reduced":
         from stewart_drake.runs.fast_run import FastRun

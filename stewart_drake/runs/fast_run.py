@@ -12,8 +12,7 @@ from stewart_drake.part import Part
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
 from stewart_drake.running import Running
-from stewart_drake.runs.engine import quiet, signals_of
-from stewart_drake.safety import first_trip
+from stewart_drake.runs.engine import Engine, quiet, signals_of
 from stewart_drake.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.scenario import Scenario
 
@@ -30,23 +29,17 @@ def _place(field: str) -> slice:
 _POSE, _CRANKS = _place("pose"), _place("angles")
 
 
-class FastRun:
+class FastRun(Engine):
     """The loop of a scenario on its way, see `engine.Engine`.
 
     At a step of the plant sensors read the state of that instant; at a tick the parts answer within it, in order; the
     row is complete; late parts tick; the plant steps.
-
-    Raises:
-        ConfigurationError: A controller that is a LeafSystem; a live view; as `loop_of`.
     """
-
-    state_names: tuple[str, ...] = ()
-    stops: tuple[int, ...] = ()
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         if meshcat is not None:
             raise ConfigurationError("plant.engine", "reduced", "drake, for a live view")
-        self._scenario, self._loop = scenario, loop_of(scenario, split=True)
+        self.scenario, self._loop = scenario, loop_of(scenario, split=True)
         parts = [part for part in self._loop.parts if isinstance(part, Part)]
         if len(parts) < len(self._loop.parts):
             raise ConfigurationError("plant.engine", "reduced", "drake, with a controller that is a LeafSystem")
@@ -67,17 +60,17 @@ class FastRun:
 
     def prepare(self) -> None:
         """See `Engine`."""
-        if self._scenario.controller.code is None:
+        if self.scenario.controller.code is None:
             # numba compiles in the first call of a function; what is wrong with that shows in the run itself.
             with suppress(StewartDrakeError), quiet():
-                first = FastRun(self._scenario)
+                first = FastRun(self.scenario)
                 first._begin()
                 first.start()
                 first.advance(1)
         self._begin()
 
     def _begin(self) -> None:
-        self._state[:] = self._chain.initial(*self._scenario.start())
+        self._state[:] = self._chain.initial(*self.scenario.start())
 
     def start(self) -> None:
         """See `Engine`."""
@@ -127,17 +120,8 @@ class FastRun:
         for name, place in (("pose", _POSE), ("crank_angle", _CRANKS)):
             values[name] = rows[:, place][:, :6].copy()
         values["pose_rate"], values["loop_gap"] = rows[:, _POSE][:, 6:].copy(), np.zeros((len(rows), 6))
-        return signals_of(self._scenario, np.arange(len(rows)), values)
+        return signals_of(self.scenario, np.arange(len(rows)), values)
 
-    def graph(self) -> None:
+    def safety_state(self) -> Any:
         """See `Engine`."""
-
-    def first_trip(self) -> dict[str, Any] | None:
-        """See `Engine`."""
-        options = self._scenario.safety
-        if options is None:
-            return None
-        return first_trip(self._running.state("safety"), self._scenario.controller.period, options.monitor_names)
-
-    def close(self) -> None:
-        """See `Engine`."""
+        return self._running.state("safety")

@@ -20,11 +20,7 @@ _NUDGES = 100
 
 
 def motion_report(scenario: Scenario) -> FeasibilityReport:
-    """`check_reference` of a scenario's whole run.
-
-    Raises:
-        ConfigurationError: The reference grows beyond all numbers, or its recording cannot be used.
-    """
+    """`check_reference` of a scenario's whole run."""
     # Where numbers overflow a limit is broken, or the check names the signal; warnings would only add noise.
     with np.errstate(all="ignore"):
         try:
@@ -51,23 +47,10 @@ def fit_amplitude(
     gravity: float,
     samples_per_second: float = 500.0,
 ) -> tuple[Reference, float]:
-    """The motion made smaller about its centre (`references.center_of`) until it is feasible.
+    """The motion made smaller about its centre (`references.center_of`) until it is feasible, and its size [-].
 
-    Args:
-        robot: Geometry, masses, effort limit.
-        limits: What to keep to.
-        reference: The motion.
-        duration: [s] > 0.
-        gravity: [m/s^2] along -z of B.
-        samples_per_second: As in `check_reference`.
-
-    Returns:
-        The feasible motion, and its size as a part of the given one's [-], to a relative 1e-4; the motion itself and 1
-        if it is feasible. As `largest_scale` finds it, so that each smaller size tried is feasible too.
-
-    Raises:
-        InfeasibleReferenceError: Not even the centre alone is feasible.
-        ConfigurationError: As in `check_reference`.
+    To a relative 1e-4, as `largest_scale` finds it, so that each smaller size tried is feasible too; the motion itself
+    and 1 if it is feasible. Arguments as in `check_reference`.
     """
     checked = (duration, gravity, samples_per_second)
     if check_reference(robot, limits, reference, *checked).feasible:
@@ -91,15 +74,9 @@ def fit_speed(
     same pose. Where standing still is feasible, every k above the smallest feasible one is therefore feasible too, and
     bisection finds it. Limits of the poses alone do not depend on k.
 
-    Args: As in `fit_amplitude`; the duration is that of the motion as given.
-
     Returns:
         The motion that is feasible over slowdown * duration, and its slowdown >= 1 [-], to a relative 1e-4; the motion
         itself and 1 if it is feasible.
-
-    Raises:
-        InfeasibleReferenceError: Not even infinitely slow is the motion feasible.
-        ConfigurationError: As in `check_reference`.
     """
 
     def report(slowdown: float, rate: float = samples_per_second) -> FeasibilityReport:

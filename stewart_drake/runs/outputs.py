@@ -49,11 +49,7 @@ class Results:
 
 
 def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
-    """Makes a folder, and sure that it can be written to; `named` is what the user called it, for messages.
-
-    Raises:
-        ConfigurationError: The path is a file, or the folder cannot be made or written to.
-    """
+    """Makes a folder, and sure that it can be written to; `named` is what the user called it, for messages."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -67,11 +63,7 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 
 
 def prepare_file(path: Path) -> None:
-    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made.
-
-    Raises:
-        ConfigurationError: As `prepare_folder`; the path is a folder, or its name too long.
-    """
+    """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
     try:
         if path.is_dir():
             raise ConfigurationError("--out", str(path), "a file, not a folder")
@@ -90,10 +82,6 @@ def results_place(scenario: Scenario, out: str | Path | None = None, force: bool
         scenario: Whose results.
         out: What the user says; what a link points to is meant.
         force: Replace the results of another scenario.
-
-    Raises:
-        ConfigurationError: It is a file or the current folder; it holds other things than results, or, without
-            `force`, the results of another scenario.
     """
     if out is None:
         names = itertools.chain([scenario.name], (f"{scenario.name}-{number}" for number in itertools.count(2)))
@@ -172,19 +160,20 @@ def write_run(
 
 def _put(part: Path, scenario: Scenario, out: str | Path | None, force: bool) -> Path:
     """Renames a folder to its place."""
+    before = part.with_name("before.part")
     try:
         # The run may have taken hours: other results may be there now.
         place = results_place(scenario, out, force)
-        before = part.with_name("before.part")
         if place.exists():
             place.rename(before)
         part.rename(place)
-        if before.exists():
-            for path in before.iterdir():
-                if path.name not in _FILES:
-                    path.rename(place / path.name)
+        for path in before.iterdir() if before.exists() else ():
+            if path.name not in _FILES:
+                path.rename(place / path.name)
         shutil.rmtree(part.parent)
     except (ConfigurationError, OSError) as error:
+        if out is None and part.exists() and place.exists():
+            return _put(part, scenario, out, force)  # another run has just taken that number
         why = error.allowed if isinstance(error, ConfigurationError) else f"a place to rename to ({error.strerror})"
         raise ConfigurationError("--out", str(out or scenario.name), f"{why}; the results are in {part}") from None
     return place

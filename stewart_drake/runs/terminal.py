@@ -127,14 +127,7 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
 def print_columns(
     title: str, header: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[int] | None = None
 ) -> None:
-    """A table with a header on standard output.
-
-    Args:
-        title: One line.
-        header: Names of the columns; none is shown where all are empty.
-        rows: As many texts each.
-        numbers: Columns that stand to the right; None for all but the first.
-    """
+    """A table on standard output, without empty headers; columns `numbers` stand right, None for all but the first."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -149,13 +149,10 @@ def _metrics_as_they_were():
 
 @pytest.mark.usefixtures("_metrics_as_they_were")
 def test_a_metric_from_outside_is_in_every_table(tmp_path):
-    def way(done, signals):
-        """[m] so far, and where it ended."""
-        before, last = done or (0.0, signals["pose"][:1, 3:])
-        path = np.concatenate([last, signals["pose"][:, 3:]])
-        return before + float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), path[-1:]
+    def way(rows):
+        return 1e3 * np.linalg.norm(np.diff(rows["pose"][:, 3:], axis=0), axis=1).sum()
 
-    mine = Metric("way_mm", "mm", "way of the platform", lambda t: 1e3 * t.gathered["way_mm"][0], "steps", gather=way)
+    mine = Metric("way_mm", "mm", "way of the platform", way, "steps")
     add_metric(mine)
     add_metric(mine)  # as a cell of a notebook does
     result = run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
@@ -177,10 +174,6 @@ def test_a_metric_from_outside_is_in_every_table(tmp_path):
         run_sweep(sweep(runs=1), tmp_path, SerialExecutor())
 
 
-def broken_gather(*_):
-    raise ZeroDivisionError("mine")
-
-
 @pytest.mark.usefixtures("_metrics_as_they_were", "code_as_it_is")
 def test_a_metric_with_another_body_or_one_that_raises_or_that_workers_lack_is_told(tmp_path, monkeypatch):
     add_metric(Metric("own", "1", "a number", lambda _: 1.0))
@@ -189,14 +182,10 @@ def test_a_metric_with_another_body_or_one_that_raises_or_that_workers_lack_is_t
     add_metric(Metric("own", "1", "a number", lambda _: 2.0))
     with pytest.raises(ConfigurationError, match="another version"):
         run_sweep(sweep(runs=1), tmp_path / "a", SerialExecutor())
-    for metric in (
-        Metric("own", "1", "a number", lambda _: 1 / 0, "steps"),
-        Metric("own", "1", "a number", lambda _: 1.0, gather=broken_gather),
-    ):
-        add_metric(metric)
-        (row,) = run_sweep(sweep(runs=1), tmp_path / metric.over, SerialExecutor()).rows
-        assert (row["status"], row["reason"]) == ("raised", "metric_raised")
-        assert re.fullmatch(r"metric own: ZeroDivisionError: .* \(test_sweep\.py, line \d+\)", row["message"])
+    add_metric(Metric("own", "1", "a number", lambda _: 1 / 0, "steps"))
+    (row,) = run_sweep(sweep(runs=1), tmp_path / "b", SerialExecutor()).rows
+    assert (row["status"], row["reason"]) == ("raised", "metric_raised")
+    assert re.fullmatch(r"metric own: ZeroDivisionError: .* \(test_sweep\.py, line \d+\)", row["message"])
     monkeypatch.setattr(engine, "METRICS", metric_table.METRICS[:-1])
     with pytest.raises(StewartDrakeError, match="a worker does not have the metric own"):
         engine.warm_up("as it is", [metric.name for metric in metric_table.METRICS])

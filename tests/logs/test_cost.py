@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stewart_drake.control.objective import CostScales, cost
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 
 SCALES = CostScales(rotation=0.5, position=0.02, torque_change=0.1)
@@ -26,16 +25,11 @@ def test_the_cost_is_the_length_of_the_scaled_parts_in_numpy_and_torch_alike(rot
     np.testing.assert_allclose(as_torch.numpy(), found)
 
 
-def test_of_a_run_the_change_of_torque_counts_for_a_millisecond():
+def test_the_change_of_torque_counts_for_a_millisecond_and_a_run_that_was_not_completed_costs_the_most():
     figures = {"rmse_norm_deg": 0.0, "rmse_norm_mm": 0.0, "torque_change_rms": 0.5}
     assert run_cost(figures, "completed", 0.001, SCALES) == pytest.approx(5.0)
     assert run_cost(figures, "completed", 0.005, SCALES) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("status", ["lost", "stopped", "failed", "rejected", "raised", "crashed"])
-def test_a_run_that_was_not_completed_costs_the_most(status):
-    figures = {"rmse_norm_deg": 0.1, "rmse_norm_mm": 0.1, "torque_change_rms": 0.1}
-    assert run_cost(figures, status, 0.001, SCALES) == FAILED
+    assert run_cost(figures, "lost", 0.001, SCALES) == FAILED
     assert run_cost({**figures, "rmse_norm_mm": 1e9}, "completed", 0.001, SCALES) == FAILED
     assert run_cost({**figures, "rmse_norm_mm": None}, "completed", 0.001, SCALES) == FAILED
     assert run_cost(figures, "completed", 0.001, SCALES) < FAILED
@@ -46,8 +40,3 @@ def test_the_mean_grows_as_each_cost_does(costs, factor):
     assert min(costs) * (1 - 1e-9) <= mean_cost(costs) <= max(costs) * (1 + 1e-9)
     more = [costs[0] + factor, *costs[1:]]
     assert mean_cost(more) == pytest.approx(mean_cost(costs) + factor / len(costs))
-
-
-def test_a_scale_of_nothing_is_refused():
-    with pytest.raises(ConfigurationError, match=r"^cost\.position: got 0"):
-        CostScales(position=0.0)

@@ -10,7 +10,6 @@ from stewart_drake.planning.limits import PLACES, Limits, limit_bounds, limit_ma
 from stewart_drake.references import (
     AdjustedReference,
     HeartbeatReference,
-    HoldReference,
     MinimumJerkReference,
     SineReference,
 )
@@ -66,13 +65,6 @@ def test_a_motion_bound_by_crank_speed_is_slowed_by_the_ratio_of_the_speeds():
     assert fit_speed(ROBOT, LIMITS, FAST, 1.0, GRAVITY)[1] == pytest.approx(fastest / 10.0, rel=5e-4)
 
 
-def test_a_feasible_motion_stays_as_it_is():
-    for fit in (fit_amplitude, fit_speed):
-        fitted, factor = fit(ROBOT, LIMITS, HoldReference(), 1.0, GRAVITY)
-        assert fitted == HoldReference()
-        assert factor == 1.0
-
-
 @pytest.mark.slow
 def test_what_is_adjusted_already_is_adjusted_further():
     start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
@@ -88,13 +80,6 @@ def test_a_motion_out_of_reach_is_feasible_at_no_speed():
         fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
     given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
     assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)
-
-
-def test_a_motion_about_a_centre_out_of_reach_is_feasible_at_no_size():
-    away = SineReference(center=(0.0, 0.0, 0.0, 0.0, 0.0, 0.6))
-    with pytest.raises(InfeasibleReferenceError) as caught:
-        fit_amplitude(ROBOT, LIMITS, away, 1.0, GRAVITY)
-    assert caught.value.limit == "reach"
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,9 @@ def test_without_a_place_each_run_gets_the_next_number(tmp_path, monkeypatch):
     for name in ("made", "made-2", "made-3"):
         assert write(made_log()) == Path("runs", name)
     assert names(tmp_path / "runs") == {"made", "made-2", "made-3"}
+    monkeypatch.setattr(outputs, "_draw", lambda *_: (str(write(made_log())),))
+    results = write_run(made_log())
+    assert (results.left_out, results.folder) == (("runs/made-4",), Path("runs", "made-5"))
 
 
 def test_a_place_of_the_same_scenario_is_replaced_and_what_is_the_users_own_stays(tmp_path):

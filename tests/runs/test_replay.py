@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RollPitchYaw
 from strategies import ROBOT
 
 from stewart_drake.errors import ConfigurationError, DrakeCheckError
@@ -26,9 +25,9 @@ from stewart_drake.scenario import Scenario
 needs_egl = pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
 
 
-def make_log(rows=101, period=0.005, rod_joint="universal", **outcome):
+def make_log(rows=101, period=0.005, **outcome):
     """A log of the paper's reference, followed 2 mm too low."""
-    scenario = Scenario.from_dict({"name": "made up", "duration": 10.0, "plant": {"rod_joint": rod_joint}})
+    scenario = Scenario.from_dict({"name": "made up", "duration": 10.0})
     time = period * np.arange(rows)
     reference, rate, _ = scenario.reference.evaluate(time)
     pose = reference - np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.002])
@@ -62,30 +61,13 @@ def written(log, folder, **options):
     return (folder / "replay.html").read_text()
 
 
-def listening_sockets():
-    """Sockets on which this process waits for connections."""
-    inodes = set()
-    for table in ("/proc/self/net/tcp", "/proc/self/net/tcp6"):
-        rows = [line.split() for line in Path(table).read_text().splitlines()[1:]]
-        inodes |= {f"socket:[{row[9]}]" for row in rows if row[3] == "0A"}
-    mine = set()
-    for entry in Path("/proc/self/fd").iterdir():
-        try:
-            mine.add(str(entry.readlink()))
-        except OSError:
-            continue
-    return inodes & mine
-
-
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     return written(make_log(), tmp_path_factory.mktemp("replay"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rod_joint", ["universal", "ball"])
-def test_platform_and_reference_move_as_logged(rod_joint, tmp_path):
-    log = make_log(rod_joint=rod_joint)
+def test_platform_and_reference_move_as_logged(tmp_path):
+    log = make_log()
     rate, found = tracks(written(log, tmp_path))
     assert rate == 30.0
     assert all(np.array_equal(frames, np.arange(16)) for frames, _ in found.values())
@@ -99,24 +81,6 @@ def test_platform_and_reference_move_as_logged(rod_joint, tmp_path):
             # Meshcat writes x, y, z, w; both signs are the same rotation.
             dot = np.dot(quaternion, [wanted.x(), wanted.y(), wanted.z(), wanted.w()])
             assert abs(dot) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_cranks_and_rods_stay_joined_in_every_frame(tmp_path):
-    log = make_log()
-    _, found = tracks(written(log, tmp_path))
-
-    def poses(body):
-        (path,) = {path for path, _ in found if path.endswith(body)}
-        for (x, y, z, w), position in zip(found[path, ".quaternion"][1], found[path, ".position"][1], strict=True):
-            yield RigidTransform(Quaternion(w, x, y, z), position)
-
-    for leg in range(6):
-        parts = zip(poses(f"crank_{leg}"), poses(f"rod_{leg}"), poses("platform"), strict=True)
-        for X_WC, X_WR, X_WP in parts:  # noqa: N806 - monogram notation
-            np.testing.assert_allclose(X_WC @ [ROBOT.crank_length, 0.0, 0.0], X_WR.translation(), atol=1e-9)
-            np.testing.assert_allclose(
-                X_WR @ [0.0, 0.0, ROBOT.rod_length], X_WP @ ROBOT.platform_joints[leg], atol=1e-6
-            )
 
 
 @given(
@@ -152,6 +116,8 @@ def test_long_recordings_get_fewer_frames_not_a_shorter_time_and_rows_that_are_n
 def test_page_names_the_run_and_needs_nothing_from_outside(page):
     assert "<title>made up</title>" in page
     assert "<b>made up</b>: completed at 0.5 s<br>green disc: reference</div>" in page
+    hidden = {each["path"] for each in commands(page) if each.get("property") == "visible" and not each["value"]}
+    assert {"/Grid", "/Axes"} <= {path.removesuffix("/<object>") for path in hidden}
     external = []
 
     class Finder(HTMLParser):
@@ -167,21 +133,8 @@ def test_page_names_the_run_and_needs_nothing_from_outside(page):
     assert all(target.startswith('"data:') for target in re.findall(r"fetch\(([^)]{0,10})", script))
 
 
-def test_failed_run_says_why_with_its_markup_disarmed(tmp_path):
-    log = make_log(rows=3, status="failed", reason="crank_dead_centre", message="|e_l . e_N| <script> & more", leg=5)
-    assert "</b>: failed at 0.01 s<br>|e_l . e_N| &lt;script&gt; &amp; more<br>" in written(log, tmp_path)
-
-
-def test_camera_sees_the_robot_and_not_the_grid(page):
-    said = commands(page)
-    hidden = {command["path"] for command in said if command.get("property") == "visible" and not command["value"]}
-    assert {"/Grid", "/Axes"} <= {path.removesuffix("/<object>") for path in hidden}
-    assert any(command["type"] == "set_target" for command in said)
-
-
 @pytest.mark.slow
-def test_a_page_leaves_no_port_and_says_nothing_and_a_failure_leaves_the_earlier_page(tmp_path, monkeypatch, capfd):
-    before = listening_sockets()
+def test_a_page_is_made_without_a_word_and_a_failure_leaves_the_earlier_page(tmp_path, monkeypatch, capfd):
     earlier = written(make_log(rows=1), tmp_path)
     assert all(frames.tolist() == [0] for frames, _ in tracks(earlier)[1].values())
     assert capfd.readouterr() == ("", "")
@@ -194,7 +147,9 @@ def test_a_page_leaves_no_port_and_says_nothing_and_a_failure_leaves_the_earlier
         written(make_log(rows=5), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["replay.html"]
     assert (tmp_path / "replay.html").read_text() == earlier
-    assert listening_sockets() == before
+    monkeypatch.undo()
+    failed = make_log(rows=3, status="failed", reason="crank_dead_centre", message="|e_l . e_N| <script> & more", leg=5)
+    assert "</b>: failed at 0.01 s<br>|e_l . e_N| &lt;script&gt; &amp; more<br>" in written(failed, tmp_path)
 
 
 def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
@@ -211,29 +166,15 @@ def test_what_cannot_be_shown_is_refused_and_writes_nothing(tmp_path):
 
 @pytest.mark.slow
 @needs_egl
-@pytest.mark.parametrize("size", [1.0, 2.0])
-def test_still_shows_the_whole_robot_on_white(size, tmp_path):
-    lengths = [
-        field.name for field in dataclasses.fields(ROBOT) if field.name.split("_")[-1] in {"radius", "height", "length"}
-    ]
-    robot = ROBOT.replace(**{name: size * getattr(ROBOT, name) for name in lengths})
-    images = []
-    for passes in (1, 2):
-        render_png(robot, robot.home_pose, tmp_path / "robot.png", width=240, height=180, passes=passes)
-        images.append(imread(tmp_path / "robot.png"))
-    image = images[0]
-    assert np.abs(image - images[1]).mean() < 0.03
+def test_a_still_shows_the_whole_robot_on_white(tmp_path):
+    render_png(ROBOT, ROBOT.home_pose, tmp_path / "robot.png", width=240, height=180, passes=1)
+    image = imread(tmp_path / "robot.png")
     assert image.shape == (180, 240, 4)
-    edges = (
-        image[:2].reshape(-1, 4),
-        image[-2:].reshape(-1, 4),
-        image[:, :2].reshape(-1, 4),
-        image[:, -2:].reshape(-1, 4),
-    )
+    edges = [part.reshape(-1, 4) for part in (image[:2], image[-2:], image[:, :2], image[:, -2:])]
     assert np.mean(np.concatenate(edges).min(axis=-1) < 0.9) < 0.02
-    red, green, blue, _ = np.moveaxis(image, -1, 0)
-    assert 0.01 < np.mean((blue > red + 0.2) & (blue > green)) < 0.2, "the platform's disc"
-    assert 0.002 < np.mean((red > blue + 0.2) & (red > green + 0.1)) < 0.1, "the cranks"
+    red, _, blue, _ = np.moveaxis(image, -1, 0)
+    assert 0.01 < np.mean(blue > red + 0.2) < 0.2, "the platform's disc"
+    assert 0.002 < np.mean(red > blue + 0.2) < 0.1, "the cranks"
 
 
 def test_picture_of_the_readme_is_small_and_shows_the_whole_robot():
