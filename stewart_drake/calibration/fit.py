@@ -17,7 +17,7 @@ import scipy.optimize
 from scipy.special import stdtrit
 
 from stewart_drake.calibration.frames import STILL, Frame
-from stewart_drake.calibration.hints import LEAST, Start, explained, refuse_units, stray_rows
+from stewart_drake.calibration.hints import LEAST, Start, explained, stray_rows
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.model import CLOSED, Model
 from stewart_drake.calibration.parameters import (
@@ -78,7 +78,6 @@ def calibrate(
             raise ConfigurationError(key, strange[0], f"some of {', '.join(allowed)}")
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = MeasurementNoise() if noise is None else noise
-    refuse_units(robot, measurements)
     strays = stray_rows(robot, measurements)
     start = explained(lambda each: nearby(robot, each, noise, known_frames, hold), measurements, strays)
     return fitted(start, noise, known_frames, hold)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -25,6 +26,16 @@ by a motor that is turned over."""
 _FEW = 0.2
 """Of the rows: so many at most can be strays."""
 _ROWS = 3
+_DEGREE = math.pi / 180.0
+_UNITS = tuple(
+    (key, columns, factor**sign, ("{0} for {1}", "{1} for {0}")[sign < 0].format(*units))
+    for key, columns, factor, units in (
+        ("pose_x, y, z", slice(3, 6), 1e-3, ("millimetres", "metres")),
+        ("pose_roll, pitch, yaw", slice(0, 3), _DEGREE, ("degrees", "radians")),
+        ("crank_angle", slice(6, 12), _DEGREE, ("degrees", "radians")),
+    )
+    for sign in (1, -1)
+)
 LEAST = 4
 """Poses of the guess from which both frames follow."""
 _APART, _OTHERS = 10.0, 50
@@ -83,33 +94,6 @@ def stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
     return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]
 
 
-def refuse_units(guess: RobotParameters, measurements: Measurements) -> None:
-    """Refuses motions so much larger or smaller than believed that a unit must be wrong."""
-    believed, good = Model(guess).assembled(measurements.angles)
-    seen = measurements.marker.rows(good)
-    if len(seen.shift) < LEAST:
-        return
-    (turned, moved), (turned_too, moved_too) = (
-        [float(np.median(np.linalg.norm(each, axis=-1))) for each in frames.steps()] for frames in (seen, believed)
-    )
-    tiny = 1e-9
-    turns, moves = (turned + tiny) / (turned_too + tiny), (moved + tiny) / (moved_too + tiny)
-    degrees, kilo = 57.3, 1000.0
-    if max(turns, moves) < 3.0 / degrees and min(turns, moves) > 1.0 / (3.0 * degrees):
-        key, what = "crank_angle", "degrees for radians"
-    elif min(turns, moves) > degrees / 6.0 and max(turns, moves) < 6.0 * degrees:
-        key, what = "crank_angle", "radians for degrees"
-    elif not 4.0 / kilo < moves < kilo / 4.0:
-        key, what = "pose_x, y, z", "millimetres for metres" if moves > 1.0 else "metres for millimetres"
-    elif turned_too > 0.01 and not 3.0 / degrees < turns < degrees / 3.0:
-        key, what = "pose_roll, pitch, yaw", "degrees for radians" if turns > 1.0 else "radians for degrees"
-    else:
-        return
-    got = f"poses {moved:.3g} m and {turned:.3g} rad apart where the guess moves by {moved_too:.3g} m and "
-    got += f"{turned_too:.3g} rad"
-    raise ConfigurationError(f"{measurements.source}: {key}", got, f"motions of that size; perhaps {what}?")
-
-
 def explained(fit: Callable[[Measurements], Start], measurements: Measurements, strays: list[int]) -> Start:
     """The fit of measurements, unless others, that are right if something is wrong, fit much better.
 
@@ -121,34 +105,39 @@ def explained(fit: Callable[[Measurements], Start], measurements: Measurements, 
     Raises:
         ConfigurationError: What is wrong; else what `fit` raises for the measurements.
     """
-    start, reason, misfit, best = None, None, np.inf, np.inf
+    start, reason, best = None, None, np.inf
     try:
         start = fit(measurements)
-        misfit = start.score
     except ConfigurationError as error:
         reason = error
-    if misfit > MISFIT:
-        for other, why in _others(measurements, start, strays):
-            try:
-                score = fit(other).score
-            except ConfigurationError:
-                continue
-            if score < best:
-                best, reason = score, why
-            if best <= min(MISFIT, misfit / BETTER):
+    if start is not None:
+        if start.score <= MISFIT:
+            return _on_its_branches(start)
+        best = start.misfit / BETTER if start.score < np.inf else max(MISFIT, start.misfit / BETTER)
+    for table, *why in _others(measurements, start, strays):
+        try:
+            score = fit(Measurements(table[:, :6], table[:, 6:], measurements.source)).score
+        except ConfigurationError:
+            continue
+        if score < best:
+            best, reason = score, ConfigurationError(*why)
+            if score <= MISFIT:
                 break
-    if reason is not None and (start is None or (best * BETTER < misfit and best < np.inf)):
+    if reason is not None:
         raise reason
     assert start is not None
-    _refuse_far(start)
-    _refuse_branch(start)
-    return start
+    if start.score == np.inf:
+        at = int(np.abs(start.told @ start.step)[:OF_ROBOT].argmax())
+        own, off = OF_LEG[at % PER_LEG], abs(start.change[at])
+        got = f"poses that tell a {own} of leg {at // PER_LEG} {off:.3g} {own.unit} off the guess"
+        raise ConfigurationError(measurements.source, got, "readings of this robot; are two encoders swapped?")
+    return _on_its_branches(start)
 
 
 def _others(
     measurements: Measurements, start: Start | None, strays: list[int]
-) -> Iterator[tuple[Measurements, ConfigurationError]]:
-    """Measurements that would be right if something were wrong, and what to say of it."""
+) -> Iterator[tuple[np.ndarray, str, str, str]]:
+    """Poses and readings (n, 12) that would be right if something were wrong, and what to say of it."""
     source, suspects = measurements.source, []
     if 0 < len(strays) <= _FEW * len(measurements):
         suspects.append(strays)
@@ -156,28 +145,23 @@ def _others(
         at = start.model.measured(start.change, measurements.marker)
         closures = start.model.closures(start.change, at, measurements.angles)
         suspects += [[row] for row in np.argsort(-np.abs(closures).max(axis=-1))[:_ROWS].tolist()]
+    table = np.concatenate([measurements.pose, measurements.angles], axis=-1)
+    for key, columns, factor, what in _UNITS:
+        scaled = table.copy()
+        scaled[:, columns] *= factor
+        got = f"numbers that fit if they are multiplied by {factor:.4g}"
+        yield (scaled, f"{source}: {key}", got, f"the unit that the column's name says; perhaps {what}?")
     for rows in suspects:
         got, allowed = "a pose that does not fit the others, which fit without it", "pose and readings at rest"
-        yield measurements.without(rows), ConfigurationError(f"{source}: row {rows[0] + 1}", got, allowed)
+        yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
     for leg in range(LEGS):
-        angles = measurements.angles * np.where(np.arange(LEGS) == leg, -1.0, 1.0)
+        inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
         key, got = f"{source}: crank_angle_{leg}", "readings that fit with the other sign"
-        error = ConfigurationError(key, got, "angles that grow as the guess's crank angle does")
-        yield Measurements(measurements.pose, angles, source), error
+        yield inverted, key, got, "angles that grow as the guess's crank angle does"
 
 
-def _refuse_far(start: Start) -> None:
-    """Refuses poses that only a robot fits which is nothing like the guess."""
-    size = np.abs(start.told @ start.step)[:OF_ROBOT]
-    at = int(size.argmax())
-    if size[at] > FAR:
-        own = OF_LEG[at % PER_LEG]
-        got = f"poses that tell a {own} of leg {at // PER_LEG} {abs(start.change[at]):.3g} {own.unit} off the guess"
-        raise ConfigurationError(start.measurements.source, got, "readings of this robot; are two encoders swapped?")
-
-
-def _refuse_branch(start: Start) -> None:
-    """Refuses a leg that stands on the other branch than the guess's in each row."""
+def _on_its_branches(start: Start) -> Start:
+    """A start; refuses a leg that stands on the other branch than the guess's in each row."""
     model, source = start.model, start.measurements.source
     at = model.measured(start.change, start.measurements.marker)
     slope = model.leg_slope(start.change, at, start.measurements.angles)
@@ -189,3 +173,4 @@ def _refuse_branch(start: Start) -> None:
         branch = int(model.guess.branches[leg])
         allowed = f"{-branch}: there the readings of {source} stand"
         raise ConfigurationError(f"robot.legs.{leg}.branch", branch, allowed)
+    return start

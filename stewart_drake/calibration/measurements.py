@@ -91,10 +91,6 @@ class Measurements:
         """Poses of the marker in the tracker's frame."""
         return Frame(rotation_matrix(self.pose[:, :3]), self.pose[:, 3:])
 
-    def without(self, rows: list[int]) -> Measurements:
-        """All but some rows, counted from 0."""
-        return Measurements(np.delete(self.pose, rows, 0), np.delete(self.angles, rows, 0), self.source)
-
     def to_csv(self) -> str:
         """A table that `load_measurements` reads."""
         return numbers_to_csv(QUANTITIES, np.concatenate([self.pose, self.angles], axis=-1))
