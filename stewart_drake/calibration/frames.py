@@ -35,9 +35,9 @@ class Frame(NamedTuple):
         return np.concatenate([turn, self.shift - other.shift], axis=-1)
 
     def steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Turns [rad] and shifts [m] (n - 1, 3) from each of n motions to the next."""
-        turns = logarithm(self.turn[1:] @ np.swapaxes(self.turn[:-1], -1, -2))
-        return turns, np.diff(self.shift, axis=0)
+        """Turns [rad] and shifts [m] (n, 3) to each of n motions from the one before it, in a ring."""
+        back = np.swapaxes(np.roll(self.turn, 1, axis=0), -1, -2)
+        return logarithm(self.turn @ back), self.shift - np.roll(self.shift, 1, axis=0)
 
     def rows(self, chosen: np.ndarray) -> Frame:
         """Some of n motions."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stewart_drake.calibration.frames import Frame
 from stewart_drake.calibration.measurements import Measurements
 from stewart_drake.calibration.model import Model
 from stewart_drake.calibration.parameters import HOMING, OF_LEG, OF_ROBOT, PER_LEG, scales
@@ -38,8 +37,8 @@ _UNITS = tuple(
 )
 LEAST = 4
 """Poses of the guess from which both frames follow."""
-_APART, _OTHERS = 10.0, 50
-"""How many times further than rows usually are one is off for a stray, and the most rows that it is compared with."""
+_APART = 10.0
+"""How many times further than rows usually are one is off for a stray."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,23 +73,20 @@ class Start:
 
 
 def stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
-    """Rows that are turned or shifted from the others as the guess is not, and at which it is none; the worst first.
+    """Rows that are turned or shifted from their neighbours as the guess is not, or where it is none; the worst first.
 
-    Turns between two poses do not depend on any frame, and their distance hardly does.
+    How far one pose is turned from another does not depend on any frame, and their distance hardly does.
     """
     believed, good = Model(guess).assembled(measurements.angles)
-    seen = measurements.marker.rows(good)
+    sizes = [
+        [np.linalg.norm(each, axis=-1) for each in frames.steps()]
+        for frames in (measurements.marker.rows(good), believed)
+    ]
+    off = np.abs(np.subtract(*sizes))
     far = np.where(good, 0.0, np.inf)
-    if len(seen.shift) >= LEAST:
-        others = np.unique(np.linspace(0, len(seen.shift) - 1, _OTHERS).astype(int))
-
-        def apart(frames: Frame) -> np.ndarray:
-            traces = np.einsum("nij,mij->nm", frames.turn, frames.turn[others])
-            distances = np.linalg.norm(frames.shift[:, None] - frames.shift[others], axis=-1)
-            return np.stack([np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)), distances])
-
-        off = np.median(np.abs(apart(seen) - apart(believed)), axis=-1)
-        far[good] = (off / (np.median(off, axis=-1, keepdims=True) + 1e-12)).max(axis=0)
+    if good.any():
+        most = (off / (np.median(off, axis=-1, keepdims=True) + 1e-12)).max(axis=0)
+        far[good] = np.minimum(most, np.roll(most, -1))
     return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]
 
 

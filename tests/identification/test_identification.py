@@ -163,26 +163,12 @@ def test_intervals_hold_the_truth(robot, payload):
     assert np.median([max(trial.coulomb, trial.viscous) for trial in trials]) < 0.05
 
 
-def test_errors_shrink_with_the_noise():
-    truth = truth_of(ROBOT)
-    widths = []
-    for noise in (0.008, 0.002):
-        found = estimate(ROBOT, samples_of(ROBOT, recording(ROBOT, truth, noise=noise, seed=1)))
-        free = found.half_width > 0.0
-        off = np.abs(found.values - told(ROBOT, found, truth))
-        assert (off[free] < 2.5 * found.half_width[free]).all()
-        widths.append(np.where(free, found.half_width, np.nan))
-    assert 2.0 < np.nanmedian(widths[0] / widths[1]) < 6.0
-
-
 @given(points=st.lists(vectors(4), min_size=1, max_size=6))
 def test_masses_of_any_distribution_have_a_pseudo_inertia_that_is_positive(points):
-    values = of_robot(ROBOT)
-    values[:10] = 0.0
+    values = 0.0 * of_robot(ROBOT)
     for point in points:
         values = with_payload(values, abs(point[3]), point[:3])
-    scale = max(1.0, values[0])
-    assert np.linalg.eigvalsh(pseudo_inertia(ROBOT, values)).min() > -1e-9 * scale * 100.0
+    assert np.linalg.eigvalsh(pseudo_inertia(ROBOT, values)).min() > -1e-7 * max(1.0, values[0])
 
 
 @settings(max_examples=10)
