@@ -90,11 +90,7 @@ def nearby(
     known: Collection[FrameName] = (),
     held: Collection[Name] = (),
 ) -> Start:
-    """The first of the two least-squares problems: the smallest closures.
-
-    Raises:
-        ConfigurationError: Too few poses; a guess that can be assembled at next to none of the readings.
-    """
+    """The first of the two least-squares problems: the smallest closures."""
     free = free_directions(guess, known, held)
     least = free.shape[1] // 6 + 1
     if len(measurements) < least:
@@ -122,11 +118,7 @@ def nearby(
 
 
 def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], held: Collection[Name]) -> Calibration:
-    """The second of the two least-squares problems: the smallest errors of the tracker.
-
-    Raises:
-        ConfigurationError: Poses at which the calibrated legs cannot be assembled.
-    """
+    """The second of the two least-squares problems: the smallest errors of the tracker."""
     model, measurements, guess = start.model, start.measurements, start.model.guess
     marker, angles, size = measurements.marker, measurements.angles, scales(guess)
     ways = size[:, None] * start.told
@@ -177,11 +169,7 @@ def fitted(start: Start, noise: MeasurementNoise, known: Collection[FrameName], 
 
 
 def located(guess: RobotParameters, measurements: Measurements, known: Collection[FrameName]) -> Model:
-    """The guess with the frames at which its own poses at the readings come nearest to the measured ones.
-
-    Raises:
-        ConfigurationError: The guess can be assembled at next to none of the readings.
-    """
+    """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
     believed, good = Model(guess).assembled(measurements.angles)
     seen = measurements.marker.rows(good)
     if len(seen.shift) < LEAST:

@@ -43,15 +43,9 @@ _APART = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Parameters in the neighbourhood of the answer.
+    """Parameters near the answer: a step (k,) [-] from a model along told directions (`SIZE`, k), in `scales`.
 
-    Attributes:
-        model: Guess and frames from which changes are counted.
-        measurements: What was fitted.
-        told: (`SIZE`, k) directions, in `scales`, that are estimated.
-        untold: (`SIZE`, j) directions that the poses cannot tell: the guess stands in them.
-        step: (k,) [-] along the told directions.
-        misfit: [-] size of the closures that are left over that of their noise.
+    In untold directions (`SIZE`, j) the guess stands; `misfit` is the size of the closures left over their noise.
     """
 
     model: Model
@@ -78,11 +72,8 @@ def stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
     How far one pose is turned from another does not depend on any frame, and their distance hardly does.
     """
     believed, good = Model(guess).assembled(measurements.angles)
-    sizes = [
-        [np.linalg.norm(each, axis=-1) for each in frames.steps()]
-        for frames in (measurements.marker.rows(good), believed)
-    ]
-    off = np.abs(np.subtract(*sizes))
+    seen, steps = (np.linalg.norm(each.steps(), axis=-1) for each in (measurements.marker.rows(good), believed))
+    off = np.abs(seen - steps)
     far = np.where(good, 0.0, np.inf)
     if good.any():
         most = (off / (np.median(off, axis=-1, keepdims=True) + 1e-12)).max(axis=0)
@@ -91,15 +82,9 @@ def stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
 
 
 def explained(fit: Callable[[Measurements], Start], measurements: Measurements, strays: list[int]) -> Start:
-    """The fit of measurements, unless others, that are right if something is wrong, fit much better.
+    """The fit of measurements; refuses them if others, that are right if something is wrong, fit much better.
 
-    Args:
-        fit: Fits any measurements.
-        measurements: As they are.
-        strays: Rows that are suspect, the worst first.
-
-    Raises:
-        ConfigurationError: What is wrong; else what `fit` raises for the measurements.
+    Suspect are some rows, the worst first, and what else people get wrong.
     """
     start, reason, best = None, None, np.inf
     try:

@@ -43,17 +43,7 @@ class MeasurementNoise(Section, key="noise"):
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """n poses and readings, checked.
-
-    Attributes:
-        pose: (n, 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of the marker in the tracker's frame.
-        angles: (n, 6) [rad] encoder readings of legs 0 to 5.
-        source: What they are called in messages, such as the file's name.
-
-    Raises:
-        ConfigurationError: Wrong shapes; a value that is not finite, or no tracker's; angles beyond two turns, pitch
-            beyond a quarter of one; rows that say the same.
-    """
+    """Poses (n, 6) [rad, m] of the marker in the tracker's frame, and encoder readings (n, 6) [rad] there; checked."""
 
     pose: np.ndarray
     angles: np.ndarray
@@ -103,17 +93,9 @@ class Measurements:
 
 
 def load_measurements(path: str | Path) -> Measurements:
-    """Reads measured poses.
+    """Measured poses of a table with `COLUMNS`, in any order and unit; further columns are left alone.
 
-    Args:
-        path: A table, see `files.tables`, with `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`,
-            `pose_y_m`, `pose_z_m` of the marker in the tracker's frame, and the readings `crank_angle_0_rad` to
-            `crank_angle_5_rad`, in any order (`_deg`, `_mm` will do). R = Rz(yaw) Ry(pitch) Rx(roll). Further columns
-            are left alone.
-
-    Raises:
-        ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no finite
-            number; as for `Measurements`.
+    The pose is that of the marker in the tracker's frame, R = Rz(yaw) Ry(pitch) Rx(roll).
     """
     source = f"poses file {path}"
     values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)

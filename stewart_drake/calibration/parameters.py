@@ -113,11 +113,7 @@ def scales(guess: RobotParameters) -> np.ndarray:
 
 
 def free_directions(guess: RobotParameters, known: Collection[FrameName], held: Collection[Name]) -> np.ndarray:
-    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
-
-    Raises:
-        ConfigurationError: Nothing is left to change.
-    """
+    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
     from scipy.linalg import null_space
 
     if set(NAMES) <= set(held):

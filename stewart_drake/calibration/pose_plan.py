@@ -112,11 +112,7 @@ def plan_poses(
 def candidate_poses(
     robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator, margin: float = MARGIN
 ) -> np.ndarray:
-    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them.
-
-    Raises:
-        ConfigurationError: Home breaks a limit, or the limits leave hardly a way from it.
-    """
+    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
     home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     found = np.empty((0, 6))
     for _ in range(_DRAWS):

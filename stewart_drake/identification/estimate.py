@@ -42,31 +42,21 @@ differ from the guess's. A log of the same robot leaves some hundredths; units a
 
 
 class Untold(NamedTuple):
-    """A parameter that keeps the guess's value.
+    """A parameter that keeps the guess's value: its place, and the change of all per unit of it that no torque notices.
 
-    Attributes:
-        at: Its place in `PARAMETERS`.
-        deviation: [-] standard deviation, in `scales`, of the direction; infinite if no motion tells it.
-        direction: (`SIZE`,) change of all parameters per unit of this one that no torque notices.
-        share: (`SIZE`,) [-] the same in `scales`.
+    The deviation [-] is that of the direction, in `scales`; infinite if no motion tells it.
     """
 
     at: int
     deviation: float
     direction: np.ndarray
-    share: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What the least squares leave.
+    """Values (`SIZE`,) that the least squares leave, free along ways (`SIZE`, k), with their covariance (k, k) there.
 
-    Attributes:
-        values: (`SIZE`,) parameters.
-        ways: (`SIZE`, k) directions in which they were free, in units of the parameters.
-        covariance: (k, k) of the estimate along them.
-        information: (k, k) of the weighed rows along them, as if each were for itself.
-        untold: What the motion does not tell.
+    The information (k, k) is that of the weighed rows, as if each were for itself.
     """
 
     values: np.ndarray
@@ -91,11 +81,7 @@ class Estimate:
 def estimate(
     guess: RobotParameters, samples: Samples, held: Collection[Kind] = (), asked: Collection[Kind] = ASKED
 ) -> Estimate:
-    """Fits the parameters of a robot to samples, but for kinds that are held; others are asked for.
-
-    Raises:
-        ConfigurationError: Nothing is free; what is asked is not told; the torques do not belong to the motion.
-    """
+    """Fits the parameters of a robot to samples, but for kinds that are held; what is asked must be told."""
     size, values = scales(guess), of_robot(guess)
     untold: list[Untold] = []
     noise = np.eye(LEGS) * np.mean(samples.torque**2)
@@ -176,8 +162,7 @@ def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: n
         direction = free @ directions[-1]
         at = int((np.abs(direction) * _KEEP_FIRST).argmax())
         deviation = np.inf if sigma[-1] <= _BLIND * sigma[0] else 1.0 / sigma[-1]
-        share = direction / direction[at]
-        found.append(Untold(at, float(deviation), share * size / size[at], share))
+        found.append(Untold(at, float(deviation), direction / direction[at] * size / size[at]))
 
 
 def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:

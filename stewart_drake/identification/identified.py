@@ -33,13 +33,9 @@ _SHOWN = 0.02
 
 
 class Prediction(NamedTuple):
-    """How well torques of a recording are predicted, as parts of their RMS [-].
+    """Errors of a recording's predicted torques over their RMS [-]: by the guess without friction, by what was found.
 
-    Attributes:
-        source: Whose torques.
-        guess: By the guess, without friction.
-        found: By what was found, where no crank sticks.
-        everywhere: By what was found, everywhere.
+    The first two where no crank sticks, the last everywhere.
     """
 
     source: str
@@ -137,12 +133,13 @@ class Identification:
 
     def untold(self) -> Iterator[str]:
         """A sentence for each parameter that the motion does not tell: how badly, and what goes with it."""
+        size = scales(self.guess)
         for each in self.estimate.untold:
             own = PARAMETERS[each.at]
             others = ", ".join(
                 f"{other} by {each.direction[at]:+.3g} {other.unit}".strip()
                 for at, other in enumerate(PARAMETERS)
-                if at != each.at and abs(each.share[at]) > _SHOWN
+                if at != each.at and abs(each.direction[at]) * size[each.at] > _SHOWN * size[at]
             )
             badly = "by no motion" if np.isinf(each.deviation) else f"off by {each.deviation:.2g} times its size"
             yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"

@@ -74,11 +74,7 @@ def of_robot(robot: RobotParameters) -> np.ndarray:
 
 
 def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
-    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot.
-
-    Raises:
-        ConfigurationError: They are not those of bodies.
-    """
+    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot."""
     mass = float(values[MASS])
     centre = values[MOMENT] / mass
     central = inertia_matrix(values) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
@@ -141,14 +137,7 @@ def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.nd
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
 
     No torque tells a heavier robot from stronger motors: unless the platform's mass is held, the geometric mean of the
-    torque constants is.
-
-    Args:
-        held: Kinds that keep their value.
-        kept: Places of single parameters that do.
-
-    Raises:
-        ConfigurationError: Nothing is left to change.
+    torque constants is. Kinds that are held, and single parameters that are kept by their place, do not change.
     """
     from scipy.linalg import null_space
 

@@ -43,18 +43,9 @@ _HOMOTOPY = 4
 class Samples:
     """n instants with six equations each.
 
-    Attributes:
-        time: (n,) [s].
-        torque: (n, 6) [N m] filtered.
-        bodies: (n, 6, 14) [N m] per unit of the bodies' parameters.
-        known: (n, 6) [N m] that no parameter changes.
-        sign: (n, 6) [-] of the cranks' rates, filtered.
-        rates: (n, 6) [rad/s] of the cranks.
-        used: (n, 6) bool, rows that have a say.
-        pieces: Slices of the recordings.
-        step: [s] between instants.
-        repeats: How many instants there are in half a period of the filter.
-        source: Of the recordings.
+    Torques [N m] filtered; `bodies` (n, 6, 14) per unit of the bodies' parameters; `known` what no parameter changes;
+    `sign` of the cranks' `rates` [rad/s], filtered; `used` rows that have a say; `pieces` of the recordings; `step` [s]
+    between instants, of which `repeats` lie in half a period of the filter.
     """
 
     time: np.ndarray

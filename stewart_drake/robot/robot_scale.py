@@ -21,16 +21,13 @@ class OfRobot:
     """In `Annotated`, beside a field whose default is for the paper's robot: what it is for another one.
 
     `Scenario` puts it in where the key is absent, so that files and messages have the number itself.
-
-    Attributes:
-        value: From the field's default and the robot, the default for that robot.
-        null: Whether a null in the file asks for it, rather than the key's absence.
-        slower: Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`.
     """
 
     value: Callable[[Any, RobotParameters], Any]
     null: bool = False
+    """Whether a null in the file asks for it, rather than the key's absence."""
     slower: float = 0.0
+    """Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`."""
 
     def at(self, default: Any, robot: RobotParameters, latency: float) -> Any:
         """The default for a robot whose commands act within a latency [s]."""
@@ -70,12 +67,8 @@ def fill(
 ) -> Any:
     """The keys of a section with those defaults that this robot has otherwise than the paper's; or `data` itself.
 
-    Args:
-        section: Its class; None leaves `data` as it is.
-        data: What a file has; or a section made in Python, in which a value that is the class's default is absent.
-        robot: Whose defaults are put in.
-        families: Keys at which sections of a family stand in it, alone or in a list.
-        latency: [s] within which its commands act.
+    In a section made in Python a value that is the class's default counts as absent. `families` are keys at which
+    sections of a family stand in it, alone or in a list; commands act within `latency` [s].
     """
     if section is None or not isinstance(data, (Mapping, Section)):
         return data
