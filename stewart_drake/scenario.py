@@ -173,6 +173,26 @@ class Scenario(Section):
             set_component(data, full, key, value)
         return Scenario.from_dict(data)
 
+    def __repr__(self) -> str:
+        """What it is about, in ten lines; `to_yaml` has every key."""
+
+        def kinds(parts: Iterable[Any]) -> str:
+            return ", ".join(str(part.kind) for part in parts) or "none"
+
+        safety = "none" if self.safety is None else f"{len(self.safety.monitor_names) - 1} monitors"
+        return (
+            f"Scenario {self.name}: {self.duration:g} s, gravity {self.gravity:g} m/s^2\n"
+            f"  reference: {kinds([self.reference])}\n"
+            f"  controller: {self.controller.kind}, a tick every {self.controller.period:g} s\n"
+            f"  tuner: {self.tuner.kind}\n"
+            f"  sensors: {self.sensors.kind}; estimator: {self.estimator.kind}\n"
+            f"  commands: {self.command_delay} ticks late\n"
+            f"  disturbances: {kinds(self.disturbances)}\n"
+            f"  safety: {safety}\n"
+            f"  plant: {self.plant.engine}, steps of {self.plant.time_step:g} s\n"
+            f"  robot: {repr(self.robot).splitlines()[2].strip()}"
+        )
+
     def in_full(self) -> dict[str, Any]:
         """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""
         robots = {name: each for name in ("robot", "model_robot") if (each := getattr(self, name)) is not None}

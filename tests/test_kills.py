@@ -51,9 +51,44 @@ if __name__ == "__main__":
     from stewart_drake.cli.app import main
     main()
 """
+# A report of two small sections, which run, draw and keep a file.
+FEW_SECTIONS = f"""
+import sys
+from types import ModuleType
+from matplotlib.figure import Figure
+from stewart_drake.paper.report import Section
+from stewart_drake.paper import reproduce
+
+def module(key):
+    def make(study):
+        changes = [{{"duration": 0.2, "initial_offset": [0.0] * 5 + [i * 1e-3]}} for i in range(4)]
+        logs = study.store.run_all([study.base.replace(change) for change in changes])
+        numbers = {{"end": [float(log["pose"][-1, 0]) for log in logs]}}
+        figure = Figure()
+        figure.subplots().plot(logs[0].time, logs[0]["pose"])
+        file = study.save_figure(figure, key)
+        (study.folder / f"{{key}}.txt").write_text(str(numbers))
+        return Section(key, key, "claim", "verdict", f"![a line](figures/{{file}})", numbers,
+                       [f"figures/{{file}}", f"{{key}}.txt"])
+
+    found = ModuleType(key)
+    found.make = make
+    return found
+
+reproduce.SECTIONS = ("tiny_a", "tiny_b")
+reproduce.check_base = lambda base: None
+for key in reproduce.SECTIONS:
+    sys.modules[f"{{reproduce.__package__}}.{{key}}_section"] = module(key)
+{MAIN}
+"""
 CAMPAIGNS = {
     "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
+    "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
     "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
+    "reproduce": (
+        FEW_SECTIONS,
+        ["reproduce", "--quick", "--set", "limits.clearance=null", "--set", "tuner.kind=fixed"],
+    ),
 }
 
 

@@ -591,3 +591,14 @@ def test_a_change_leaves_what_it_was_given_as_it_was():
     changes = {"controller": {"kind": "pid", "kp": 4.0}, "controller.kp": 9.0}
     assert Scenario().replace(changes).controller.kp == 9.0
     assert changes["controller"] == {"kind": "pid", "kp": 4.0}
+
+
+def test_a_scenario_and_its_robot_show_themselves_in_ten_lines():
+    lines = repr(load_scenario("exact_heart", ["safety={}"])).splitlines()
+    assert len(lines) == 10
+    assert max(map(len, lines)) < 200
+    assert lines[0] == "Scenario exact_heart: 10 s, gravity 9.81 m/s^2"
+    assert "rods 0.404 m" in lines[-1]
+    robot = repr(Scenario(robot="reachy_mini").robot).splitlines()
+    assert len(robot) == 5
+    assert "of their own" in robot[0]

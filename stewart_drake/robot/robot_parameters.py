@@ -230,6 +230,24 @@ class RobotParameters(Section, key="robot"):
         """[m] of the circle about z of P that holds all platform joints."""
         return float(np.hypot(self.platform_joints[:, 0], self.platform_joints[:, 1]).max())
 
+    def __repr__(self) -> str:
+        """What it is like, in five lines; `to_dict` has every number."""
+
+        def spread(values: np.ndarray) -> str:
+            ends = dict.fromkeys(f"{value:.4g}" for value in (values.min(), values.max()))
+            return " to ".join(ends)
+
+        shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.platform_joints))
+        lengths = f"cranks {spread(self.crank_lengths)} m, rods {spread(self.rod_lengths)} m"
+        masses = f"platform {self.platform_mass:.4g} kg, rod {self.rod_mass:.4g} kg, crank {self.crank_mass:.4g} kg"
+        return (
+            f"RobotParameters, six legs {'alike' if self.legs is None else 'with numbers of their own'}\n"
+            f"  shafts {spread(shafts)} m and platform joints {spread(joints)} m from the middle\n"
+            f"  {lengths}, home at {self.home_height:.4g} m\n"
+            f"  {masses}\n"
+            f"  motors {spread(self.effort_limits)} N m"
+        )
+
     def each_leg(self) -> list[dict[str, Any]]:
         """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
         of = {
