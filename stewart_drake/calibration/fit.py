@@ -16,7 +16,7 @@ import numpy as np
 import scipy.optimize
 from scipy.special import stdtrit
 
-from stewart_drake.calibration.frames import STILL, Frame
+from stewart_drake.calibration.frames import STILL, Frame, derivative
 from stewart_drake.calibration.hints import LEAST, Start, explained, stray_rows
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.calibration.model import CLOSED, Model
@@ -110,7 +110,7 @@ def nearby(
         return model.closures(change, model.measured(change, marker), angles).ravel() / unit
 
     def by_step(step: np.ndarray) -> np.ndarray:
-        return (model.closure_slope(ways @ step, marker, angles) @ ways).reshape(-1, ways.shape[1]) / unit
+        return derivative(lambda more: closure(step + more), len(step))
 
     step = _minimum(closure, by_step, np.zeros(ways.shape[1]), _NEARBY)
     left = closure(step)

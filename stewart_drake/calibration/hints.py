@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stewart_drake.calibration.frames import derivative
 from stewart_drake.calibration.measurements import Measurements
 from stewart_drake.calibration.model import Model
-from stewart_drake.calibration.parameters import HOMING, OF_LEG, OF_ROBOT, PER_LEG, scales
+from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG, scales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
@@ -145,10 +146,9 @@ def _on_its_branches(start: Start) -> Start:
     """A start; refuses a leg that stands on the other branch than the guess's in each row."""
     model, source = start.model, start.measurements.source
     at = model.measured(start.change, start.measurements.marker)
-    slope = model.leg_slope(start.change, at, start.measurements.angles)
+    by_angle = derivative(lambda step: model.closures(start.change, at, start.measurements.angles + step[0]), 1)
     # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
-    by_angle = -np.stack([slope[:, leg, leg * PER_LEG + HOMING] for leg in range(LEGS)], axis=-1)
-    wrong = (np.sign(by_angle) == -model.guess.branches).all(axis=0)
+    wrong = (np.sign(by_angle[..., 0]) == -model.guess.branches).all(axis=0)
     if wrong.any():
         leg = int(wrong.argmax())
         branch = int(model.guess.branches[leg])

@@ -18,7 +18,6 @@ from stewart_drake.calibration.parameters import HOMING, OF_ROBOT, PER_LEG, SIZE
 from stewart_drake.mechanics.kinematics import newton, roll_pitch_yaw, rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LEGS
 
 if TYPE_CHECKING:
     from stewart_drake.calibration.measurements import MeasurementNoise
@@ -83,36 +82,21 @@ class Model:
         rod = rod - own.crank_length[:, None] * crank
         return np.sqrt(np.sum(rod * rod, axis=-1)) - own.rod_length
 
-    def closure_slope(self, change: np.ndarray, seen: Frame, angles: np.ndarray) -> np.ndarray:
-        """Derivatives (n, 6, `SIZE`) of the closures of measured poses."""
-        by_frames = derivative(
-            lambda step: self.closures(change, self.measured(change + _of_frames(step), seen), angles), 12
-        )
-        return np.concatenate([self.leg_slope(change, self.measured(change, seen), angles), by_frames], axis=-1)
-
-    def leg_slope(self, change: np.ndarray, at: Frame, angles: np.ndarray) -> np.ndarray:
-        """Derivatives (n, 6, `OF_ROBOT`) of closures by the parameters of all legs: of each by its own alone."""
-
-        def stepped(step: np.ndarray) -> np.ndarray:
-            return self.closures(change + np.append(np.tile(step, LEGS), np.zeros(12)), at, angles)
-
-        slope = np.zeros((len(angles), LEGS, LEGS, PER_LEG))
-        slope[:, range(LEGS), range(LEGS)] = derivative(stepped, PER_LEG)
-        return slope.reshape(len(angles), LEGS, OF_ROBOT)
-
     def tracker_error(self, change: np.ndarray, at: Frame, seen: Frame) -> np.ndarray:
         """Measured minus predicted poses of the marker (n, 6) [rad, m]."""
         return seen.minus(self.seen(change, at))
 
     def tracker_slope(self, change: np.ndarray, at: Frame, angles: np.ndarray, seen: Frame | None = None) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the tracker's error at predicted poses; None: where it errs by nothing."""
-        seen = self.seen(change, at) if seen is None else seen
-        by_frames = derivative(lambda step: self.tracker_error(change + _of_frames(step), at, seen), 12)
-        by_pose = derivative(lambda step: self.tracker_error(change, at.moved(step[:3], step[3:]), seen), 6)
-        closing = derivative(lambda step: self.closures(change, at.moved(step[:3], step[3:]), angles), 6)
+        marker = self.seen(change, at) if seen is None else seen
+
+        def both(change: np.ndarray, at: Frame) -> np.ndarray:
+            return np.concatenate([self.tracker_error(change, at, marker), self.closures(change, at, angles)], axis=-1)
+
+        by_change = derivative(lambda step: both(change + step, at), SIZE)
+        by_pose = derivative(lambda step: both(change, at.moved(step[:3], step[3:])), 6)
         # The pose moves so that all legs stay closed.
-        by_legs = -by_pose @ np.linalg.solve(closing, self.leg_slope(change, at, angles))
-        return np.concatenate([by_legs, by_frames], axis=-1)
+        return by_change[:, :6] - by_pose[:, :6] @ np.linalg.solve(by_pose[:, 6:], by_change[:, 6:])
 
     def whitening(self, change: np.ndarray, at: Frame, angles: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
         """Inverse roots (n, 6, 6) of the covariance of the tracker's error, the encoders' share included."""
@@ -120,7 +104,3 @@ class Model:
         own = np.diag([noise.rotation**2] * 3 + [noise.position**2] * 3)
         covariance = own + noise.encoder**2 * by_reading @ np.swapaxes(by_reading, -1, -2)
         return np.linalg.inv(np.linalg.cholesky(covariance))
-
-
-def _of_frames(step: np.ndarray) -> np.ndarray:
-    return np.append(np.zeros(OF_ROBOT), step)
