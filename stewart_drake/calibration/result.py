@@ -102,18 +102,9 @@ class Calibration:
         return sizes(self.before), sizes(self.after)
 
     def __repr__(self) -> str:
-        """What was calibrated, how well it fits, and what is not told, in five lines."""
-        before, after = (_millis(*sizes) for sizes in self.error_sizes())
-        widest = 1e3 * self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
-        own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
-        widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
-        return (
-            f"Calibration of {self.measurements.source}: {len(self.measurements)} poses tell {self.told} numbers\n"
-            f"  pose error (RMS): {before} -> {after}\n"
-            f"  errors are {self.noise_ratio:.3g} times the stated noise\n"
-            f"  widest 95 % intervals, +-: {widths}\n"
-            f"  not told: {'; '.join(self.untold) or 'nothing'}"
-        )
+        """What was calibrated, how well it fits, and what is not told, in some lines."""
+        lines = [f"  {name}: {text}" for name, text in summary(self)]
+        return "\n".join([f"Calibration of {self.measurements.source}", *lines])
 
 
 def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
@@ -174,6 +165,9 @@ def residual_table(found: Calibration) -> str:
 def summary(found: Calibration) -> list[tuple[str, str]]:
     """What was found, as rows of two texts."""
     before, after = (_millis(*sizes) for sizes in found.error_sizes())
+    widest = 1e3 * found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
+    own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
+    widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
     ratio = f"{found.noise_ratio:.3g} times the stated noise"
     if found.noise_ratio > NOISY:
         ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
@@ -182,6 +176,7 @@ def summary(found: Calibration) -> list[tuple[str, str]]:
         ("pose error before (RMS)", before),
         ("pose error after (RMS)", after),
         ("errors that are left", ratio),
+        ("widest 95 % intervals, ±", widths),
     ]
     for frame, name, where, points in (
         ("base", "shaft_position", "where B is", "the shafts"),

@@ -145,18 +145,9 @@ class Identification:
             yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
     def __repr__(self) -> str:
-        """What was identified and how well it predicts, in a few lines."""
-        (mass, place), (coulomb, viscous) = self.payload, (_few(self.coulomb), _few(self.viscous))
-        torques = (f"{100 * p.guess:.3g} % -> {100 * p.found:.3g} % off" for p in self.predictions)
-        return "\n".join(
-            [
-                f"Identification of {self.samples.source}: {len(self.estimate.covariance)} numbers",
-                *(f"  torques of {p.source}: {off}" for p, off in zip(self.predictions, torques, strict=True)),
-                f"  platform {mass:+.4g} +- {self.half_width[0]:.2g} kg at {_few(1e3 * place)} mm",
-                f"  coulomb {coulomb} N m, viscous {viscous} N m s/rad",
-                f"  not told: {'; '.join(self.untold()) or 'nothing'}",
-            ]
-        )
+        """What was identified and how well it predicts, in some lines."""
+        lines = [f"  {name}: {text}" for name, text in summary(self)]
+        return "\n".join([f"Identification of {self.samples.source}", *lines])
 
 
 def robot_file(found: Identification) -> str:
@@ -203,6 +194,7 @@ def summary(found: Identification) -> list[tuple[str, str]]:
         *torques,
         ("platform beyond the guess", f"{mass:+.4g} ± {found.half_width[0]:.2g} kg{at}"),
         ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
+        ("coulomb, viscous friction", f"{_few(found.coulomb)} N m, {_few(found.viscous)} N m s/rad"),
         ("torque constants", _constants(found)),
         *(("not told, the guess's stays", line) for line in found.untold()),
     ]
