@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.section import Real, Section, plain
@@ -25,7 +26,14 @@ Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
 
-Branch = Literal[-1, 1]
+def _sign(given: Any) -> Any:
+    if type(given) is not int:
+        # Python takes True and 1.0 for 1.
+        raise PydanticCustomError("literal_error", "a sign")
+    return given
+
+
+Branch = Annotated[Literal[-1, 1], BeforeValidator(_sign)]
 
 
 class LegParameters(Section, key="robot.legs"):
