@@ -8,12 +8,11 @@ import math
 from pathlib import Path
 
 import numpy as np
+from simulated_calibration import aligned, deviating, measured
 
+from stewart_drake.calibration.frames import Frame, exponential
 from stewart_drake.calibration.measurements import MeasurementNoise
-from stewart_drake.calibration.model import Frame
-from stewart_drake.calibration.parameters import exponential
 from stewart_drake.calibration.pose_plan import plan_poses
-from stewart_drake.calibration.simulate import aligned, deviating, measured
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario

@@ -8,11 +8,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from simulated_calibration import coverage, gains, run_trial
 
-from stewart_drake.calibration.calibration_study import coverage, gains, run_trial
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.parameters import FRAMES, OF_LEG, PER_LEG
+from stewart_drake.calibration.parameters import FRAMES, PER_LEG
 from stewart_drake.calibration.pose_plan import candidate_poses, plan_poses
+from stewart_drake.calibration.result import IN_THOUSANDTHS
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario
@@ -74,7 +75,7 @@ def rows():
 def main():
     """Runs the study."""
     table, widths = zip(*rows(), strict=True)
-    names = [f"{own.name} {own.axis}".strip().replace("_", " ") + f" [m{own.unit}]" for own in OF_LEG]
+    names = IN_THOUSANDTHS
     columns = [f"`{name}`, {kind}, {'known' if known else 'estimated'}" for name, kind, known in SETTINGS]
     widths_table = [
         f"| {name} | {' | '.join(f'{1e3 * width[at]:.3f}' for width in widths)} |" for at, name in enumerate(names)

@@ -9,7 +9,7 @@ from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.robot import RobotParameters
 
 ROBOT = RobotParameters()
-TANGENTIAL = RobotParameters.symmetric(crank_plane_angle=-math.pi / 2.0)
+TANGENTIAL = RobotParameters(crank_plane_angle=-math.pi / 2.0)
 ALTERNATING = RobotParameters(legs=[{"branch": 1 if leg % 2 == 0 else -1} for leg in range(6)])
 
 

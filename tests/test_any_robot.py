@@ -153,14 +153,6 @@ def test_a_shipped_robot_holds_sways_and_is_replayed(name, tmp_path, call):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "friction"), [("reachy_mini", 0.058), ("servo_hexapod", 0.05)])
-def test_a_robot_whose_motors_stick_sways_without_a_false_alarm(name, friction):
-    log = run(load_scenario("sway", [f"robot={name}", f"plant.motor_friction={friction}", "duration=1.6"]))
-    assert (log.status, log.message) == ("completed", None)
-    assert log.signals["safety"][:, 0].max() == 0.0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
     comparison = load_comparison("tracking", True, name)

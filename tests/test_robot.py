@@ -1,25 +1,28 @@
+"""A robot as data: its legs, its checks, and where it comes from: names, files, tables."""
+
 import dataclasses
 import math
 import xml.etree.ElementTree as ET
 
+import jsonschema
 import numpy as np
-import pydantic
 import pytest
 from conftest import field_of
-from strategies import ROBOTS, TANGENTIAL, UNEQUAL
+from strategies import ROBOTS, UNEQUAL
 
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import conditioning, inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
 from stewart_drake.planning.limits import Limits, limit_margins
 from stewart_drake.planning.measures import measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters
+from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 
 ROBOT = RobotParameters()
 
@@ -35,12 +38,9 @@ def test_joints_lie_on_their_circles_in_three_pairs_of_coaxial_shafts_even_legs_
         np.testing.assert_allclose(np.cross(between, motor_axis), 0.0, atol=1e-16)
 
 
-def test_home_is_the_stated_pose():
+def test_home_is_the_stated_pose_and_cranks_have_their_inertia_about_the_motors():
     np.testing.assert_array_equal(ROBOT.home_pose, [0, 0, 0, 0, 0, 0.3])
     np.testing.assert_allclose(np.degrees(inverse_kinematics(ROBOT, ROBOT.home_pose)), 23.546289, atol=5e-7)
-
-
-def test_crank_inertia_about_the_motor_axis_by_the_parallel_axis_theorem():
     assert ROBOT.crank_axis_inertias == pytest.approx(5.8e-5 + 0.04 * 0.055**2, rel=1e-15)
 
 
@@ -51,19 +51,6 @@ def test_robots_are_values():
         ROBOT.rod_mass = 1.0
     with pytest.raises(ValueError, match="read-only"):
         ROBOT.home_pose[0] = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        ROBOT.platform_joints[0, 0] = 1.0
-
-
-# --- legs of their own -----------------------------------------------------------------------------------------------
-
-
-def test_cranks_in_tangential_planes_are_a_mirrored_robot_of_three_alike_pairs():
-    for leg in range(6):
-        across = TANGENTIAL.crank_zero_directions[leg] @ TANGENTIAL.crank_zero_directions[leg - leg % 2]
-        assert across == pytest.approx(1.0 if leg % 2 == 0 else -1.0)
-        pair = [np.cos(TANGENTIAL.pair_angles[leg]), np.sin(TANGENTIAL.pair_angles[leg]), 0.0]
-        assert TANGENTIAL.crank_zero_directions[leg] @ pair == pytest.approx(0.0, abs=1e-15)
 
 
 def test_a_leg_takes_from_the_symmetric_robot_what_it_has_not_of_its_own():
@@ -117,7 +104,6 @@ NO_LEG = [{}] * 5
         ({"shaft_height": -1.0}, "home_height"),
         ({"legs": NO_LEG}, "legs"),
         ({"legs": [{"rod": 1.0}, *NO_LEG]}, "legs.0.rod"),
-        ({"legs": [*NO_LEG, {"rod_length": -1.0}]}, "legs.5.rod_length"),
         ({"legs": [{"crank_zero_direction": (1.0, 1.0, 0.0)}, *NO_LEG]}, "legs.0.crank_zero_direction"),
         ({"legs": [{"crank_zero_direction": (0.0, 0.0, 1.0)}, *NO_LEG]}, "legs.0.crank_quarter_direction"),
         ({"legs": [{"crank_angle_range": (1.0, -1.0)}, *NO_LEG]}, "legs.0.crank_angle_range"),
@@ -132,25 +118,61 @@ def test_robots_that_cannot_be_built_are_refused_by_the_name_of_each_part(change
     assert [field_of(each) for each in (caught.value, *caught.value.others)] == [f"robot.{k}" for k in key.split()]
 
 
-def test_what_is_refused_is_shown_in_plain_numbers():
-    with pytest.raises(ConfigurationError, match=r"crank_angle_range: got \(1\.0, 1\.1\); allowed"):
-        RobotParameters(legs=[{"crank_angle_range": [1.0, 1.1]}, *NO_LEG])
-    with pytest.raises(ConfigurationError, match=r"robot\.legs"):
-        RobotParameters.symmetric(legs=[{}] * 6)
+# --- files -----------------------------------------------------------------------------------------------------------
+
+NAMES = ["paper", "reachy_mini", "servo_hexapod"]
 
 
-def test_robots_are_written_to_a_file_and_read_from_it():
-    adapter = pydantic.TypeAdapter(RobotParameters)
+def test_three_robots_are_shipped_and_say_what_they_are():
+    assert robot_names() == NAMES
+    assert all(robot_about(name) for name in NAMES)
+    assert load_robot("paper") == RobotParameters()
+    assert all(conditioning(load_robot(name), load_robot(name).home_pose) > 0.1 for name in NAMES)
+
+
+def test_the_shipped_robots_stand_at_home_as_their_makers_and_remarks_have_them():
+    reachy, hexapod = load_robot("reachy_mini"), load_robot("servo_hexapod")
+    home = inverse_kinematics(reachy, reachy.home_pose)
+    np.testing.assert_allclose(home, 0.6265 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), atol=1e-4)
+    np.testing.assert_allclose(reachy.crank_axis_inertias, 0.0018 + 1.29627e-6 + 0.00366675 * 0.0237505**2, rtol=1e-8)
+    assert (hexapod.shaft_half_angle, hexapod.platform_half_angle) == (math.radians(28.0), math.radians(52.0))
+    np.testing.assert_allclose(inverse_kinematics(hexapod, hexapod.home_pose), 0.0, atol=2e-3)
+
+
+def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
+    (tmp_path / "mine.yaml").write_text("about: mine\nrod_length: 0.41\n")
+    (tmp_path / "run.yaml").write_text("robot: mine.yaml\nmodel_robot: reachy_mini\n")
+    scenario = load_scenario(tmp_path / "run.yaml")
+    assert scenario.robot == RobotParameters(rod_length=0.41)
+    assert scenario.model_robot == load_robot("reachy_mini") == Scenario(robot="reachy_mini").robot
+    changed = load_scenario(tmp_path / "run.yaml", ["robot.crank_length=0.1", "model_robot=servo_hexapod"])
+    assert changed.robot == RobotParameters(rod_length=0.41, crank_length=0.1)
+    assert changed.model_robot == load_robot("servo_hexapod")
+    check = jsonschema.Draft202012Validator(scenario_schema())
+    assert check.is_valid({"robot": "reachy_mini", "model_robot": {"rod_length": 0.41}})
+    assert not check.is_valid({"robot": 3})
     for robot in ROBOTS.values():
-        assert adapter.validate_json(adapter.dump_json(robot)) == robot
+        save_robot(robot, tmp_path / "robot.yaml", "one")
+        assert load_robot(tmp_path / "robot.yaml") == robot
         assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
-    with pytest.raises(pydantic.ValidationError, match="finite"):
-        adapter.validate_python({"rod_mass": math.inf})
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [("rod_length: -1", "robot.rod_length"), ("rod: 1", "robot.rod"), ("[1]", "robot file"), (None, "robot")],
+)
+def test_a_file_of_no_robot_is_refused_by_name(tmp_path, text, key):
+    path = tmp_path / "mine.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario(robot=str(path))
+    assert field_of(caught.value).startswith(key)
 
 
 # --- tables, and what was meant --------------------------------------------------------------------------------------
 
-HEXAPOD = RobotParameters.symmetric(
+HEXAPOD = RobotParameters(
     shaft_circle_radius=0.08, shaft_height=0.02, shaft_half_angle=math.radians(28.0), crank_plane_angle=-math.pi / 2.0,
     platform_joint_radius=0.065, platform_half_angle=math.radians(52.0), crank_length=0.025, rod_length=0.14,
     home_height=0.151, characteristic_length=0.065,
@@ -158,10 +180,7 @@ HEXAPOD = RobotParameters.symmetric(
 POINTS = np.hstack([HEXAPOD.shaft_positions, HEXAPOD.platform_joints])
 LEG = {"crank_length": 0.025, "rod_length": 0.14, "cranks": "towards"}
 TOWARDS = LEG | {"rod_length": 0.11, "crank_length": 0.015}
-NAMES = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
-
-
-HEADER = ", ".join(NAMES)
+HEADER = "shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z"
 
 
 def table(path, rows, header=HEADER):
@@ -183,7 +202,7 @@ def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
 
 
 def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
-    header = ", ".join([*NAMES, "crank_x", "crank_y", "crank_z", "rod_length", "branch", "low", "high"])
+    header = f"{HEADER}, crank_x, crank_y, crank_z, rod_length, branch, low, high"
     rods = 0.14 + 0.001 * np.arange(6)
     rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions, rods, [-1] * 6, [-1.0] * 6, [1.0] * 6])
     made = RobotParameters.from_table(table(tmp_path / "own.csv", rows, header), crank_length=0.025)
@@ -204,13 +223,13 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     ("text", "wanted"),
     [
         ("a, b\n1, 2", r"header: got 'without shaft_x, .*joint_z'"),
-        (f"{', '.join(NAMES)}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
-        (f"{', '.join(NAMES)}\n1, 2\n", r"leg 0: got '2 numbers'; allowed: 6, one a column"),
-        (f"{', '.join(NAMES)}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: got 'five'; allowed: a number"),
-        (f"{', '.join(NAMES)}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: got '1 rows'; allowed: 6 rows, one a leg"),
+        (f"{HEADER}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
+        (f"{HEADER}\n1, 2\n", r"leg 0: got '2 numbers'; allowed: 6, one a column"),
+        (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: got 'five'; allowed: a number"),
+        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: got '1 rows'; allowed: 6 rows, one a leg"),
         ("", r"header: got 'without shaft_x"),
         (
-            f"leg, {', '.join(NAMES)}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
+            f"leg, {HEADER}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
             r"leg: got '3, 1'; .*first row is leg 0",
         ),
     ],

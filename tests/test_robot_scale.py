@@ -67,11 +67,8 @@ def test_another_robot_in_place_of_the_first_takes_its_own_defaults_along():
     changed = scenario.replace({"robot": HEXAPOD, "limits.crank_speed": 3.0})
     assert changed.limits == Limits(clearance=0.005 * (0.065 / 0.11), crank_speed=3.0)
     assert changed.controller.weight_length == 0.065
-
-
-def test_what_the_controller_believes_in_sizes_the_controller():
-    heavier = PAPER.replace(platform_mass=2.0)
-    scenario = Scenario(robot=PAPER, model_robot=heavier, **ALL)
+    # What the controller believes in sizes the controller.
+    scenario = Scenario(robot=PAPER, model_robot=PAPER.replace(platform_mass=2.0), **ALL)
     assert scenario.tuner.q_pose > 4.0e5
     assert scenario.limits == Limits()
 

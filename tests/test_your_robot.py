@@ -16,13 +16,9 @@ BLOCKS = dict(re.findall(r"```(csv|yaml)\n(.*?)```", PAGE, re.DOTALL))
 COMMANDS = [line for block in re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
 
 
-def test_the_pages_points_are_those_of_its_picture():
-    assert BLOCKS["csv"] == (DOCS / "your_robot.csv").read_text()
-    assert (DOCS / "images" / "robots" / "your_robot.png").is_file()
-
-
 @pytest.mark.slow
 def test_the_page_takes_a_reader_from_points_to_a_controlled_robot(call, tmp_path):
+    assert BLOCKS["csv"] == (DOCS / "your_robot.csv").read_text()
     (tmp_path / "points.csv").write_text(BLOCKS["csv"])
     done = set()
     for command in COMMANDS:
@@ -54,9 +50,7 @@ def test_what_a_robot_has_of_the_papers_is_said(call, tmp_path):
     assert "platform_mass" not in said
 
 
-@pytest.mark.parametrize(
-    "wrong", ["rod_length=long", "rod_length=null", "home_height=[1]", "platform_center_of_mass=3", "rod_mass=light"]
-)
+@pytest.mark.parametrize("wrong", ["rod_length=null", "home_height=[1]", "platform_center_of_mass=3", "rod_mass=light"])
 def test_a_length_that_is_no_number_is_refused_in_a_line(call, tmp_path, wrong):
     (tmp_path / "points.csv").write_text(BLOCKS["csv"])
     lengths = ["--unit", "mm", "--cranks", "towards", "--set", "crank_length=30", "--set", "rod_length=180"]

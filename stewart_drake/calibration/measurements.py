@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.calibration.frames import Frame
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.tables import column_name, numbers_to_csv, read_numbers
 from stewart_drake.mechanics.kinematics import rotation_matrix
@@ -43,17 +43,7 @@ class MeasurementNoise(Section, key="noise"):
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """n poses and readings, checked.
-
-    Attributes:
-        pose: (n, 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of the marker in the tracker's frame.
-        angles: (n, 6) [rad] encoder readings of legs 0 to 5.
-        source: What they are called in messages, such as the file's name.
-
-    Raises:
-        ConfigurationError: Wrong shapes; a value that is not finite, or no tracker's; angles beyond two turns, pitch
-            beyond a quarter of one; rows that say the same.
-    """
+    """Poses (n, 6) [rad, m] of the marker in the tracker's frame, and encoder readings (n, 6) [rad] there; checked."""
 
     pose: np.ndarray
     angles: np.ndarray
@@ -75,32 +65,21 @@ class Measurements:
             "millimetres go by _mm, degrees by _deg"
         )
         self._refuse(np.abs(table) > most * (1.0 + 1e-9), table, allowed)
-        for columns, what in ((slice(0, 12), "row"), (slice(0, 6), "pose")):
-            seen: dict[bytes, int] = {}
-            for row, values in enumerate(table[:, columns]):
-                first = seen.setdefault(values.tobytes(), row)
-                if first != row:
-                    allowed = "poses that were each measured: a tracker never gives the same numbers twice"
-                    raise ConfigurationError(
-                        self.source, f"the {what} of row {first + 1} again in row {row + 1}", allowed
-                    )
+        for columns, what in ((table, "row"), (self.pose, "pose")):
+            _, first, which = np.unique(columns, axis=0, return_index=True, return_inverse=True)
+            again = np.flatnonzero(first[which.ravel()] != np.arange(len(columns)))
+            if again.size:
+                got = f"the {what} of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
+                allowed = "poses that were each measured: a tracker never gives the same numbers twice"
+                raise ConfigurationError(self.source, got, allowed)
 
     def __len__(self) -> int:
         return len(self.pose)
 
     @cached_property
-    def rotation(self) -> np.ndarray:
-        """(n, 3, 3) [-] of the marker."""
-        return rotation_matrix(self.pose[:, :3])
-
-    @property
-    def position(self) -> np.ndarray:
-        """(n, 3) [m] of the marker."""
-        return self.pose[:, 3:]
-
-    def without(self, rows: int | Sequence[int]) -> Measurements:
-        """All but one row or some, counted from 0."""
-        return Measurements(np.delete(self.pose, rows, 0), np.delete(self.angles, rows, 0), self.source)
+    def marker(self) -> Frame:
+        """Poses of the marker in the tracker's frame."""
+        return Frame(rotation_matrix(self.pose[:, :3]), self.pose[:, 3:])
 
     def to_csv(self) -> str:
         """A table that `load_measurements` reads."""
@@ -114,17 +93,9 @@ class Measurements:
 
 
 def load_measurements(path: str | Path) -> Measurements:
-    """Reads measured poses.
+    """Measured poses of a table with `COLUMNS`, in any order and unit; further columns are left alone.
 
-    Args:
-        path: A table, see `files.tables`, with `pose_roll_rad`, `pose_pitch_rad`, `pose_yaw_rad`, `pose_x_m`,
-            `pose_y_m`, `pose_z_m` of the marker in the tracker's frame, and the readings `crank_angle_0_rad` to
-            `crank_angle_5_rad`, in any order (`_deg`, `_mm` will do). R = Rz(yaw) Ry(pitch) Rx(roll). Further columns
-            are left alone.
-
-    Raises:
-        ConfigurationError: Not readable or too large, a column missing or there twice, a cell that is no finite
-            number; as for `Measurements`.
+    The pose is that of the marker in the tracker's frame, R = Rz(yaw) Ry(pitch) Rx(roll).
     """
     source = f"poses file {path}"
     values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)

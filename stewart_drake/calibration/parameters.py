@@ -1,9 +1,9 @@
 """What a calibration can change: eleven numbers of each leg and twelve of the tracker's two frames, as one vector.
 
-The frames of the robot are not given by nature: whoever moves B, and all shafts with it, has the same robot. So where a
-frame of the tracker is not known, six of its numbers and six of the robot's say the same, and a convention must choose:
-B is where the shafts lie nearest to those of the guess, in the sense of least squares, and P where the platform's
-joints do. Both conditions are linear in the change of the positions (of Kabsch's problem they are the optimum).
+Whoever moves B, and all shafts with it, has the same robot. So where a frame of the tracker is not known, six of its
+numbers and six of the robot's say the same, and a convention chooses: B is where the shafts lie nearest to those of the
+guess, in the sense of least squares, and P where the platform's joints do. Both conditions are linear in the change of
+the positions (of Kabsch's problem they are the optimum).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from stewart_drake.calibration.frames import exponential
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.kinematics import cross
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
@@ -26,17 +26,14 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 
 class Parameter(NamedTuple):
-    """One number of a leg.
-
-    Attributes:
-        name: One of `NAMES`.
-        axis: Which of its components; empty where there is one.
-        unit: rad or m.
-    """
+    """One number of a leg: one of `NAMES`, which of its components (or none), and its unit."""
 
     name: Name
     axis: str
-    unit: str
+    unit: Literal["m", "rad"]
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.axis}".strip()
 
 
 OF_LEG = (
@@ -53,70 +50,54 @@ offset is reading minus true angle, counted from the guess's `crank_zero_directi
 PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
-_SHAFT, _JOINT = slice(0, 3), slice(3, 6)
-_CRANK, _ROD, _TILT, _HOMING = 6, 7, slice(8, 10), 10
+SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
+
+
+LARGEST = 0.1
+"""[-] standard deviation of a direction, in `scales`, beyond which it counts as not told: a tenth of the robot's size
+is more than anybody's guess is off."""
 
 
 class Geometry(NamedTuple):
-    """A robot's legs as a calibration sees them.
+    """A robot's legs, by the names that a `ROBOT` record has: (6, 3) [m] or [-], lengths (6,) [m]."""
 
-    Attributes:
-        shafts: (6, 3) [m] in B.
-        joints: (6, 3) [m] in P.
-        cranks: (6,) [m] lengths.
-        rods: (6,) [m] lengths.
-        zeros: (6, 3) [-] directions of the cranks at angle 0.
-        quarters: (6, 3) [-] at pi/2.
-        homing: (6,) [rad] reading minus true angle.
-        turning: (6, 3, 2) [-] rotation in B of each crank's plane per change of its two angles.
-    """
-
-    shafts: np.ndarray
-    joints: np.ndarray
-    cranks: np.ndarray
-    rods: np.ndarray
-    zeros: np.ndarray
-    quarters: np.ndarray
-    homing: np.ndarray
-    turning: np.ndarray
+    shaft: np.ndarray
+    joint: np.ndarray
+    crank_length: np.ndarray
+    rod_length: np.ndarray
+    crank_x: np.ndarray
+    crank_y: np.ndarray
 
 
 def changed(guess: RobotParameters, change: np.ndarray) -> Geometry:
-    """The guess's legs after a change (`SIZE`,) [m, rad] of the parameters."""
-    of_legs = change[:OF_ROBOT].reshape(LEGS, PER_LEG)
-    axes = np.stack([guess.crank_zero_directions, guess.crank_quarter_directions], axis=-1)
-    turn = np.einsum("lij,lj->li", axes, of_legs[:, _TILT])
-    rotation = exponential(turn)
+    """The guess's legs after a change (`SIZE`,) [m, rad]; they count crank angles as the encoders do."""
+    own = change[:OF_ROBOT].reshape(LEGS, PER_LEG)
+    zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
+    rotation = exponential(own[:, 8:9] * zero + own[:, 9:10] * quarter)
+    zero, quarter = (np.einsum("lij,lj->li", rotation, each) for each in (zero, quarter))
+    c, s = np.cos(own[:, HOMING, None]), np.sin(own[:, HOMING, None])
     return Geometry(
-        guess.shaft_positions + of_legs[:, _SHAFT],
-        guess.platform_joints + of_legs[:, _JOINT],
-        guess.crank_lengths + of_legs[:, _CRANK],
-        guess.rod_lengths + of_legs[:, _ROD],
-        np.einsum("lij,lj->li", rotation, guess.crank_zero_directions),
-        np.einsum("lij,lj->li", rotation, guess.crank_quarter_directions),
-        of_legs[:, _HOMING],
-        left_jacobian(turn) @ axes,
+        guess.shaft_positions + own[:, SHAFT],
+        guess.platform_joints + own[:, JOINT],
+        guess.crank_lengths + own[:, CRANK],
+        guess.rod_lengths + own[:, ROD],
+        c * zero - s * quarter,
+        s * zero + c * quarter,
     )
 
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
-    """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets.
-
-    Raises:
-        ConfigurationError: It cannot be a robot, see `RobotParameters`.
-    """
+    """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets."""
     own = changed(guess, change)
-    c, s = np.cos(own.homing)[:, None], np.sin(own.homing)[:, None]
-    zeros, quarters = c * own.zeros - s * own.quarters, s * own.zeros + c * own.quarters
-    ranges = guess.crank_angle_ranges + own.homing[:, None]
+    ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
     legs: list[dict[str, Any]] = [
         {
-            "shaft_position": own.shafts[leg],
-            "crank_zero_direction": zeros[leg],
-            "crank_quarter_direction": quarters[leg],
-            "platform_joint": own.joints[leg],
-            "crank_length": own.cranks[leg],
-            "rod_length": own.rods[leg],
+            "shaft_position": own.shaft[leg],
+            "crank_zero_direction": own.crank_x[leg],
+            "crank_quarter_direction": own.crank_y[leg],
+            "platform_joint": own.joint[leg],
+            "crank_length": own.crank_length[leg],
+            "rod_length": own.rod_length[leg],
             "branch": int(guess.branches[leg]),
             "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
         }
@@ -125,108 +106,29 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     return guess.replace(legs=legs)
 
 
-def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
-    """The change (`SIZE`,) [m, rad] that makes of a guess another robot, frames left alone: undoes `as_robot`."""
-    change = np.zeros((LEGS, PER_LEG))
-    change[:, _SHAFT] = robot.shaft_positions - guess.shaft_positions
-    change[:, _JOINT] = robot.platform_joints - guess.platform_joints
-    change[:, _CRANK] = robot.crank_lengths - guess.crank_lengths
-    change[:, _ROD] = robot.rod_lengths - guess.rod_lengths
-    zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
-    axis, other = cross(zero, quarter), cross(robot.crank_zero_directions, robot.crank_quarter_directions)
-    # The turn that takes one motor axis to the other on the shortest way lies across both, so in the crank's plane.
-    across = cross(axis, other)
-    sine = np.linalg.norm(across, axis=-1)
-    angle = np.arctan2(sine, np.sum(axis * other, axis=-1))
-    turn = across * np.divide(angle, sine, out=np.ones(LEGS), where=sine > 0.0)[:, None]
-    change[:, 8], change[:, 9] = np.sum(turn * zero, axis=-1), np.sum(turn * quarter, axis=-1)
-    rotation = exponential(turn)
-    c, s = (np.einsum("lij,lj,li->l", rotation, v, robot.crank_zero_directions) for v in (zero, quarter))
-    change[:, _HOMING] = np.arctan2(-s, c)
-    return np.concatenate([change.ravel(), np.zeros(12)])
-
-
 def scales(guess: RobotParameters) -> np.ndarray:
     """Change (`SIZE`,) [m, rad] of each parameter that counts as 1: a radian, or the robot's characteristic length."""
     length = guess.characteristic_length
-    of_leg = [length if each.unit == "m" else 1.0 for each in OF_LEG]
-    return np.array(of_leg * LEGS + ([1.0] * 3 + [length] * 3) * 2)
+    return np.array([length if each.unit == "m" else 1.0 for each in OF_LEG] * LEGS + ([1.0] * 3 + [length] * 3) * 2)
 
 
 def free_directions(guess: RobotParameters, known: Collection[FrameName], held: Collection[Name]) -> np.ndarray:
-    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
-
-    Args:
-        guess: The robot as believed.
-        known: Frames of the tracker that are those of the robot.
-        held: Parameters that keep their value.
-
-    Raises:
-        ConfigurationError: Nothing is left to change.
-    """
+    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
     from scipy.linalg import null_space
 
-    rows = [_unit(column) for column in range(OF_ROBOT) if OF_LEG[column % PER_LEG].name in held]
+    if set(NAMES) <= set(held):
+        raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
+    rows = [row for at, row in enumerate(np.eye(SIZE)[:OF_ROBOT]) if OF_LEG[at % PER_LEG].name in held]
     for frame, name, place, points in (
-        ("base", "shaft_position", _SHAFT, guess.shaft_positions),
-        ("platform", "platform_joint", _JOINT, guess.platform_joints),
+        ("base", "shaft_position", SHAFT, guess.shaft_positions),
+        ("platform", "platform_joint", JOINT, guess.platform_joints),
     ):
         if frame in known:
             start = OF_ROBOT + 6 * FRAMES.index(frame)
-            rows += [_unit(column) for column in range(start, start + 6)]
-        elif name not in held:
-            # Held positions are a frame themselves.
-            rows += list(_alignment(points, place))
-    basis: np.ndarray = np.eye(SIZE) if not rows else null_space(np.array(rows))
-    if set(NAMES) <= set(held):
-        raise ConfigurationError("hold", sorted(held), f"some of {', '.join(NAMES)}, not all")
-    return basis
-
-
-def exponential(turn: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3))
-
-
-def logarithm(rotation: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) [rad] of rotation matrices (n, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-
-
-def skew(vector: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape, 3)
-
-
-def left_jacobian(turn: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) with Exp(turn + d) = Exp(left_jacobian d) Exp(turn), of rotation vectors (..., 3) [rad]."""
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    matrix = skew(turn)
-    return np.eye(3) + first * matrix + second * (matrix @ matrix)
-
-
-def _unit(column: int) -> np.ndarray:
-    row = np.zeros(SIZE)
-    row[column] = 1.0
-    return row
-
-
-def _alignment(points: np.ndarray, place: slice) -> np.ndarray:
-    """Rows (6, `SIZE`) that are zero for changes of six points which neither shift nor turn them as a whole."""
-    rows = np.zeros((6, SIZE))
-    columns = rows[:, :OF_ROBOT].reshape(6, LEGS, PER_LEG)
-    centred = points - points.mean(axis=0)
-    # Scaled as the rows of what is held, so that all have a say in what counts as zero.
-    columns[:3, :, place] = np.eye(3)[:, None, :] / np.sqrt(LEGS)
-    columns[3:, :, place] = np.moveaxis(skew(centred), 0, 1) / np.linalg.norm(centred)
-    return rows
+            rows += list(np.eye(SIZE)[start : start + 6])
+        elif name not in held:  # Held positions are a frame themselves.
+            for axis in np.eye(3):
+                for moved in (np.tile(axis, (LEGS, 1)), np.cross(axis, points - points.mean(axis=0))):
+                    rows.append(np.zeros(SIZE))
+                    rows[-1][:OF_ROBOT].reshape(LEGS, PER_LEG)[:, place] = moved / np.linalg.norm(moved)
+    return null_space(np.array(rows)) if rows else np.eye(SIZE)

@@ -7,17 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stewart_drake.calibration.frames import Frame
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.model import Frame, Model
-from stewart_drake.calibration.parameters import (
-    OF_ROBOT,
-    SIZE,
-    FrameName,
-    Name,
-    free_directions,
-    scales,
-)
-from stewart_drake.calibration.untold import LARGEST
+from stewart_drake.calibration.model import Model
+from stewart_drake.calibration.parameters import LARGEST, OF_ROBOT, SIZE, FrameName, Name, free_directions, scales
+from stewart_drake.calibration.result import IN_THOUSANDTHS
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
@@ -25,6 +19,7 @@ from stewart_drake.planning.limits import Limits, limit_bounds
 from stewart_drake.planning.measures import measure_poses
 from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
 
 CANDIDATES = 1500
 MARGIN = 0.85
@@ -53,6 +48,13 @@ class PosePlan:
     half_width: np.ndarray
     random_half_width: np.ndarray
     gain: float
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows: the largest interval of any leg to expect of these poses, and at random, in mm and mrad."""
+        both = (self.half_width, self.random_half_width)
+        widths = np.stack([1e3 * each[:OF_ROBOT].reshape(LEGS, -1).max(axis=0) for each in both], axis=-1).tolist()
+        cells = [[f"{width:.2g}" if width > 0.0 else "held" for width in row] for row in widths]
+        return ["", "planned", "at random"], [[name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)]
 
 
 def plan_poses(
@@ -91,42 +93,31 @@ def plan_poses(
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
     pose = candidate_poses(robot, candidates, Limits() if limits is None else limits, rng)
+    at, angles, model = _frames(pose), inverse_kinematics(robot, pose), Model(robot)
     ways = scales(robot)[:, None] * free
-    rows = told_by(robot, pose, noise) @ ways
+    slope = model.tracker_slope(np.zeros(SIZE), at, angles)
+    rows = model.whitening(np.zeros(SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    drawn = rng.choice(len(pose), (20, count))
-    told = [_covariance(rows[each]) for each in (chosen, *drawn)]
+    told = [_covariance(rows[each]) for each in (chosen, *rng.choice(len(pose), (20, count)))]
     widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in told]
     volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in told]
     return PosePlan(
-        Measurements(pose[chosen], inverse_kinematics(robot, pose[chosen]), "planned poses"),
+        Measurements(pose[chosen], angles[chosen], "planned poses"),
         widths[0],
         np.median(widths[1:], axis=0),
         float(np.exp(np.mean(volume[1:]) - volume[0])),
     )
 
 
-def told_by(robot: RobotParameters, pose: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
-    """Derivatives (n, 6, `SIZE`) of whitened errors at poses (n, 6) [rad, m] of P in B, the tracker's frames there."""
-    model, nothing = Model(robot), np.zeros(SIZE)
-    at, angles = Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), inverse_kinematics(robot, pose)
-    white = model.whitening(nothing, angles, at, noise)
-    return white @ model.marker_derivative(nothing, model.closures(nothing, at, angles), at)
-
-
 def candidate_poses(
     robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator, margin: float = MARGIN
 ) -> np.ndarray:
-    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them.
-
-    Raises:
-        ConfigurationError: Home breaks a limit, or the limits leave hardly a way from it.
-    """
-    home = robot.home_pose
+    """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
+    home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     found = np.empty((0, 6))
     for _ in range(_DRAWS):
-        way = rng.standard_normal((count, 6)) * np.array([1.0] * 3 + [robot.characteristic_length] * 3)
-        way /= np.linalg.norm(way / scales(robot)[-6:], axis=1, keepdims=True)
+        way = rng.standard_normal((count, 6)) * size
+        way /= np.linalg.norm(way / size, axis=1, keepdims=True)
         last = _ends(robot, limits, home, way, margin)
         # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
         share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
@@ -139,11 +130,7 @@ def candidate_poses(
 
 
 def _ends(robot: RobotParameters, limits: Limits, home: np.ndarray, way: np.ndarray, margin: float) -> np.ndarray:
-    """How far (n,) along ways (n, 6) from home all limits hold, in whole steps.
-
-    Raises:
-        ConfigurationError: Home breaks a limit.
-    """
+    """How far (n,) along ways (n, 6) from home all limits hold, in whole steps."""
     torque = limit_bounds(robot, limits).get("torque")
     last, going = np.zeros(len(way)), np.arange(len(way))
     for step in np.linspace(0.0, _FARTHEST, _STEPS + 1):
@@ -160,43 +147,41 @@ def _ends(robot: RobotParameters, limits: Limits, home: np.ndarray, way: np.ndar
     return last
 
 
+def _frames(pose: np.ndarray) -> Frame:
+    return Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])
+
+
 def _amplification(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     """Size (n,) of the derivatives of poses (n, 6) by a robot's parameters, both in `scales`."""
-    model, nothing, size = Model(robot), np.zeros(SIZE), scales(robot)
-    at, angles = Frame(rotation_matrix(pose[:, :3]), pose[:, 3:]), inverse_kinematics(robot, pose)
-    by_legs = model.marker_derivative(nothing, model.closures(nothing, at, angles), at)[..., :OF_ROBOT]
-    return np.asarray(np.linalg.norm(by_legs * size[:OF_ROBOT] / size[-6:, None], axis=(1, 2)))
+    size = scales(robot)
+    slope = Model(robot).tracker_slope(np.zeros(SIZE), _frames(pose), inverse_kinematics(robot, pose))
+    return np.asarray(np.linalg.norm(slope[..., :OF_ROBOT] * size[:OF_ROBOT] / size[-6:, None], axis=(1, 2)))
 
 
 def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
     """Indices (count,) of rows (n, 6, k) with the largest determinant of what they tell together."""
-    covariance = LARGEST**2 * np.eye(rows.shape[2])
-    chosen: list[int] = []
 
-    def best() -> tuple[int, float]:
-        told = rows @ covariance @ np.swapaxes(rows, -1, -2)
-        gain = np.linalg.slogdet(np.eye(6) + told)[1]
+    def gains(covariance: np.ndarray, some: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.slogdet(np.eye(6) + some @ covariance @ np.swapaxes(some, -1, -2))[1])
+
+    def best(covariance: np.ndarray, chosen: list[int]) -> tuple[int, float]:
+        gain = gains(covariance, rows)
         gain[chosen] = -np.inf
-        at = int(gain.argmax())
-        return at, float(gain[at])
+        return int(gain.argmax()), float(gain.max())
 
+    chosen: list[int] = []
     for _ in range(count):
-        chosen.append(best()[0])
-        covariance = _covariance(rows[chosen])
+        chosen.append(best(_covariance(rows[chosen]), chosen)[0])
     for _ in range(_PASSES):
         won = 0.0
         for place, now in enumerate(list(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]
             covariance = _covariance(rows[rest])
-            told = rows[now] @ covariance @ rows[now].T
-            had = float(np.linalg.slogdet(np.eye(6) + told)[1])
-            chosen = rest
-            other, gain = best()
+            had = float(gains(covariance, rows[now]))
+            other, gain = best(covariance, rest)
             if gain > had + _GAIN:
                 won += gain - had
-            else:
-                other = now
-            chosen = rest[:place] + [other] + rest[place:]
+                chosen[place] = other
         if won < _GAIN:
             break
     return np.array(chosen)

@@ -1,27 +1,31 @@
-"""What a calibration found."""
+"""What a calibration found, as numbers, as tables, and as the files that it leaves."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 
+from stewart_drake.calibration.frames import Frame
 from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.model import Frame
-from stewart_drake.calibration.parameters import (
-    NAMES,
-    OF_LEG,
-    OF_ROBOT,
-    PER_LEG,
-    FrameName,
-    Name,
-)
-from stewart_drake.files.tables import need_pandas
+from stewart_drake.calibration.parameters import NAMES, OF_LEG, OF_ROBOT, PER_LEG, FrameName, Name
+from stewart_drake.files.tables import need_pandas, numbers_to_csv
+from stewart_drake.files.yaml_files import to_yaml
+from stewart_drake.mechanics.kinematics import roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 COLUMNS = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
+NOISY = 2.0
+"""[-] errors over the stated noise from which on the noise as stated, or the model, is doubtful."""
+_SMALL, _NAMED = 0.05, 6
+"""Share of an untold direction below which a parameter is not named in it, and how many are."""
+IN_THOUSANDTHS = tuple(f"{own} [m{own.unit}]".replace("_", " ") for own in OF_LEG)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,16 +75,11 @@ class Calibration:
     def rows(self) -> list[tuple[Any, ...]]:
         """A row of `COLUMNS` for each parameter of each leg, in SI units; the half width is that of 95 %."""
         guess = self.guess
-        nothing = np.zeros((LEGS, 1))
-        positions = guess.shaft_positions, guess.platform_joints
         lengths = guess.crank_lengths[:, None], guess.rod_lengths[:, None]
-        of_guess = np.concatenate([*positions, *lengths, nothing, nothing, nothing], axis=-1).ravel()
-        return [
-            (at // PER_LEG, own.name, own.axis, own.unit, float(start), float(start + change), float(width))
-            for at, (own, start, change, width) in enumerate(
-                zip(OF_LEG * LEGS, of_guess, self.change, self.half_width, strict=False)
-            )
-        ]
+        start = np.concatenate([guess.shaft_positions, guess.platform_joints, *lengths, np.zeros((LEGS, 3))], axis=-1)
+        columns = start.ravel(), start.ravel() + self.change[:OF_ROBOT], self.half_width[:OF_ROBOT]
+        numbers = np.stack(columns, axis=-1).tolist()
+        return [(at // PER_LEG, *own, *row) for at, (own, row) in enumerate(zip(OF_LEG * LEGS, numbers, strict=True))]
 
     def to_pandas(self) -> Any:
         """`rows` as a pandas.DataFrame.
@@ -102,23 +101,134 @@ class Calibration:
 
         return sizes(self.before), sizes(self.after)
 
-    def widest(self) -> dict[Name, float]:
-        """Largest half width [m, rad] of each parameter over its axes and the legs."""
-        of_leg = self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
-        return {name: max(float(of_leg[at]) for at, own in enumerate(OF_LEG) if own.name == name) for name in NAMES}
-
     def __repr__(self) -> str:
-        """What was calibrated, how well it fits, and what is not told, in five lines."""
-        before, after = self.error_sizes()
-        sizes = " -> ".join(
-            f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad" for position, rotation in (before, after)
-        )
-        units = {own.name: own.unit for own in OF_LEG}
-        widths = ", ".join(f"{name} {1e3 * width:.2g} m{units[name]}" for name, width in self.widest().items())
-        return (
-            f"Calibration of {self.measurements.source}: {len(self.measurements)} poses tell {self.told} numbers\n"
-            f"  pose error (RMS): {sizes}\n"
-            f"  errors are {self.noise_ratio:.3g} times the stated noise\n"
-            f"  widest 95 % intervals, +-: {widths}\n"
-            f"  not told: {'; '.join(self.untold) or 'nothing'}"
-        )
+        """What was calibrated, how well it fits, and what is not told, in some lines."""
+        lines = [f"  {name}: {text}" for name, text in summary(self)]
+        return "\n".join([f"Calibration of {self.measurements.source}", *lines])
+
+
+def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
+    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad].
+
+    They are combined so that each has a parameter that no other has, and few parameters besides.
+    """
+    if directions.shape[1] == 0:
+        return []
+    _, _, order = scipy.linalg.qr(directions.T, mode="economic", pivoting=True)
+    own = order[: directions.shape[1]]
+    shares = np.linalg.solve(directions[own].T, directions.T)
+    sentences = []
+    for row, first in zip(shares, own, strict=True):
+        others = [at for at in np.argsort(-np.abs(row), kind="stable") if at != first and abs(row[at]) > _SMALL]
+        amounts = row * scales / scales[first]
+        with_it = ", ".join(f"{_name_of(at)} by {amounts[at]:+.2g} m{_unit_of(at)}" for at in others[:_NAMED])
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        what = f": with each m{_unit_of(first)} more of it {with_it}{more}" if others else " on its own"
+        sentences.append(f"{_name_of(first)}{what}")
+    return sorted(sentences)
+
+
+def _unit_of(at: int) -> str:
+    return OF_LEG[at % PER_LEG].unit if at < OF_ROBOT else ("rad", "m")[(at - OF_ROBOT) % 6 // 3]
+
+
+def _name_of(at: int) -> str:
+    if at < OF_ROBOT:
+        return f"leg {at // PER_LEG} {OF_LEG[at % PER_LEG]}"
+    frame, axis = divmod(at - OF_ROBOT, 6)
+    return f"the {('tracker', 'marker')[frame]}'s frame {('turn', 'shift')[axis // 3]} {'xyz'[axis % 3]}"
+
+
+def robot_file(found: Calibration) -> str:
+    """The calibrated robot as a file that goes for `robot:` in a scenario."""
+    error = _millis(*found.error_sizes()[1])
+    about = f"calibrated from {len(found.measurements)} measured poses: pose error {error} (RMS)"
+    comments = "".join(f"# {line}\n" for line in _frame_lines(found))
+    return f"{comments}{to_yaml({'about': about, **found.robot.to_dict()})}"
+
+
+def parameter_table(found: Calibration) -> str:
+    """`Calibration.rows` as CSV."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows([COLUMNS, *found.rows()])
+    return stream.getvalue()
+
+
+def residual_table(found: Calibration) -> str:
+    """Errors of each pose before and after as CSV, [rad, m]."""
+    parts = [*((f"turn_{axis}", "rad") for axis in "xyz"), *((axis, "m") for axis in "xyz")]
+    names = [(f"{when}_{name}", unit) for when in ("before", "after") for name, unit in parts]
+    numbers = np.arange(len(found.after))[:, None] + 1.0
+    return numbers_to_csv([("row", ""), *names], np.concatenate([numbers, found.before, found.after], axis=-1))
+
+
+def summary(found: Calibration) -> list[tuple[str, str]]:
+    """What was found, as rows of two texts."""
+    before, after = (_millis(*sizes) for sizes in found.error_sizes())
+    widest = 1e3 * found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
+    own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
+    widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
+    ratio = f"{found.noise_ratio:.3g} times the stated noise"
+    if found.noise_ratio > NOISY:
+        ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
+    rows = [
+        ("poses, numbers told", f"{len(found.measurements)}, {found.told}"),
+        ("pose error before (RMS)", before),
+        ("pose error after (RMS)", after),
+        ("errors that are left", ratio),
+        ("widest 95 % intervals, ±", widths),
+    ]
+    for frame, name, where, points in (
+        ("base", "shaft_position", "where B is", "the shafts"),
+        ("platform", "platform_joint", "where P is", "the platform's joints"),
+    ):
+        if frame not in found.known_frames and name not in found.hold:
+            line = f"{where} (6 numbers): it was put where {points} lie nearest to the guess's"
+            rows.append(("cannot be told by any poses", line))
+    return rows + [("not told by these poses", line) for line in found.untold]
+
+
+def leg_table(found: Calibration) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: each leg's changes against the guess with their 95 % intervals, in mm and mrad."""
+    changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (found.change, found.half_width))
+    cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
+    rows = [[name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)]
+    return ["", *(f"leg {leg}" for leg in range(LEGS))], rows
+
+
+def report(found: Calibration) -> str:
+    """A page in Markdown."""
+    header, rows = leg_table(found)
+    lines = [
+        f"# Calibration from {found.measurements.source}",
+        "",
+        *(f"- {name}: {text}" for name, text in summary(found)),
+        *(f"- {line}" for line in _frame_lines(found)),
+        "",
+        "Changes against the guess, with 95 % intervals. The homing offset is reading minus true angle; the robot",
+        "has it in its crank directions, so that its crank angles are the readings.",
+        "",
+        *(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)),
+        "",
+        "![Errors of the poses and changes of the parameters](calibration.png)",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _cell(change: float, width: float) -> str:
+    if width == 0.0:
+        return "held"
+    return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "not told"
+
+
+def _millis(position: float, rotation: float) -> str:
+    return f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad"
+
+
+def _frame_lines(found: Calibration) -> Iterator[str]:
+    offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in found.homing_offsets)
+    yield f"Crank angles are the encoders' readings. Homing offsets in them [mrad], legs 0 to 5: {offsets}"
+    for name, frame in (("B in the tracker's frame", found.base), ("Marker in P", found.marker)):
+        pose = " ".join(f"{x:.7g}" for x in (*roll_pitch_yaw(frame.turn), *frame.shift))
+        yield f"{name}, roll pitch yaw [rad] X Y Z [m]: {pose}"

@@ -97,8 +97,8 @@ def _calibrate(
     hold: tuple[Name, ...],
     quiet: bool,
 ) -> None:
-    from stewart_drake.calibration.calibration_report import leg_table, robot_file, summary
     from stewart_drake.calibration.fit import calibrate as fit
+    from stewart_drake.calibration.result import leg_table, robot_file, summary
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file, prepare_folder
@@ -116,7 +116,7 @@ def _calibrate(
 
 
 def _report(found: Calibration, folder: Path) -> None:
-    from stewart_drake.calibration.calibration_report import parameter_table, report, residual_table
+    from stewart_drake.calibration.result import parameter_table, report, residual_table
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.plotting.calibration_plots import plot_calibration
 
@@ -136,7 +136,6 @@ def _plan(
     overrides: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    from stewart_drake.calibration.calibration_report import plan_table
     from stewart_drake.calibration.pose_plan import plan_poses
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
@@ -149,6 +148,6 @@ def _plan(
     prepare_file(out)
     write_atomically(out, plan.targets.to_csv().encode())
     if not quiet:
-        header, rows = plan_table(plan)
+        header, rows = plan.table()
         print_columns(f"largest 95 % interval of any leg to expect of {count} poses, +-", header, rows)
         click.echo(f"{count} poses in {out}: put the measured poses and the readings in their place")

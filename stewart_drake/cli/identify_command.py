@@ -51,7 +51,7 @@ def identify(
     """
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.identification.estimate import ASKED
-    from stewart_drake.identification.identification_report import parameter_columns, robot_file, summary
+    from stewart_drake.identification.identified import parameter_columns, robot_file, summary
     from stewart_drake.identification.identify import identify as fit
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file, prepare_folder
@@ -70,7 +70,7 @@ def identify(
 
 def _report(found: Identification, folder: Path) -> None:
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.identification.identification_report import friction_file, parameter_table, report
+    from stewart_drake.identification.identified import friction_file, parameter_table, report
     from stewart_drake.plotting.identification_plots import plot_identification
 
     write_atomically(folder / "parameters.csv", parameter_table(found).encode())

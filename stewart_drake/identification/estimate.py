@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,38 +41,22 @@ _UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
 differ from the guess's. A log of the same robot leaves some hundredths; units are wrong by 57 or 1000."""
 
 
-@dataclass(frozen=True)
-class Untold:
-    """A parameter that keeps the guess's value.
+class Untold(NamedTuple):
+    """A parameter that keeps the guess's value: its place, and the change of all per unit of it that no torque notices.
 
-    Attributes:
-        at: Its place in `PARAMETERS`.
-        deviation: [-] standard deviation, in `scales`, of the direction; infinite if no motion tells it.
-        direction: (`SIZE`,) change of all parameters per unit of this one that no torque notices.
-        share: (`SIZE`,) [-] the same in `scales`.
+    The deviation [-] is that of the direction, in `scales`; infinite if no motion tells it.
     """
 
     at: int
     deviation: float
     direction: np.ndarray
-    share: np.ndarray
-
-    def told(self, change: np.ndarray) -> np.ndarray:
-        """What a motion tells of a change (`SIZE`,) of the parameters: that which leaves this one alone."""
-        return change - change[self.at] * self.direction
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What the least squares leave.
+    """Values (`SIZE`,) that the least squares leave, free along ways (`SIZE`, k), with their covariance (k, k) there.
 
-    Attributes:
-        values: (`SIZE`,) parameters.
-        ways: (`SIZE`, k) directions in which they were free, in units of the parameters.
-        covariance: (k, k) of the estimate along them.
-        information: (k, k) of the weighed rows along them, as if each were for itself.
-        untold: What the motion does not tell.
-        noise: (6, 6) [N^2 m^2] covariance of what is left.
+    The information (k, k) is that of the weighed rows, as if each were for itself.
     """
 
     values: np.ndarray
@@ -79,12 +64,11 @@ class Estimate:
     covariance: np.ndarray
     information: np.ndarray
     untold: tuple[Untold, ...]
-    noise: np.ndarray
 
     def told(self, change: np.ndarray) -> np.ndarray:
-        """What the motion tells of a change (`SIZE`,) of the parameters."""
+        """What the motion tells of a change (`SIZE`,) of the parameters: that which leaves alone what is not told."""
         for each in self.untold:
-            change = each.told(change)
+            change = change - change[each.at] * each.direction
         return change
 
     @property
@@ -97,24 +81,14 @@ class Estimate:
 def estimate(
     guess: RobotParameters, samples: Samples, held: Collection[Kind] = (), asked: Collection[Kind] = ASKED
 ) -> Estimate:
-    """Fits the parameters of a robot to samples.
-
-    Args:
-        guess: Geometry, and what is held or not told.
-        samples: Equations.
-        held: Kinds that keep the guess's value; friction is none there.
-        asked: Kinds that the motion must tell.
-
-    Raises:
-        ConfigurationError: Nothing is free; what is asked is not told; the torques do not belong to the motion.
-    """
+    """Fits the parameters of a robot to samples, but for kinds that are held; what is asked must be told."""
     size, values = scales(guess), of_robot(guess)
     untold: list[Untold] = []
     noise = np.eye(LEGS) * np.mean(samples.torque**2)
     for turn in range(_PASSES):
         kept = {each.at for each in untold}
         ways = size[:, None] * free_directions(held, kept)
-        slope, left, white = _whitened(samples, values, ways, noise)
+        slope, left = _whitened(samples, values, ways, noise)
         step = np.linalg.lstsq(slope, left, rcond=_BLIND)[0]
         values = values + ways @ step
         # A first pass from a crude guess may leave the logarithms of gains far off.
@@ -124,32 +98,30 @@ def estimate(
             _refuse_other(guess, samples, values)
             slope = _whitened(samples, values, size[:, None] * free_directions(held), noise)[0]
             untold = _untold(slope, samples, held, size)
-            _refuse_untold(samples, untold, set(asked) - set(held))
+            for each in untold:
+                if (own := PARAMETERS[each.at]).kind in set(asked) - set(held):
+                    got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
+                    allowed = "a motion that tells it, as `excite` designs them"
+                    raise ConfigurationError(f"{samples.source}: {own}", got, allowed)
             values = of_robot(guess) if untold else values
-    slope, left, white = _whitened(samples, values, ways, noise)
+    slope, left = _whitened(samples, values, ways, noise)
     information = slope.T @ slope
     inverse = np.linalg.inv(information)
-    rows = int(white.any(axis=-1).sum())
+    rows = int(samples.used.sum())
     covariance = inverse @ _long_run(samples, slope * left[:, None]) @ inverse * rows / (rows - len(inverse))
-    return Estimate(values, ways, covariance, information, tuple(untold), noise)
+    return Estimate(values, ways, covariance, information, tuple(untold))
 
 
 def _whitened(
     samples: Samples, values: np.ndarray, ways: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Derivatives (6 n, k) of whitened torques, what is left of these (6 n,), and the whitening (n, 6, 6)."""
-    white = np.zeros((*samples.used.shape, LEGS))
-    patterns, which = np.unique(samples.used, axis=0, return_inverse=True)
-    for at, pattern in enumerate(patterns):
-        inside = np.flatnonzero(pattern)
-        if inside.size:
-            block = np.zeros((LEGS, LEGS))
-            # W' W is the inverse of the covariance of those rows that have a say.
-            block[np.ix_(inside, inside)] = np.linalg.inv(np.linalg.cholesky(noise[np.ix_(inside, inside)]))
-            white[which.ravel() == at] = block
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives (6 n, k) of whitened torques, and what is left of these (6 n,); zero where a row has no say."""
+    both = samples.used[:, :, None] & samples.used[:, None, :]
+    # W' W is the inverse of the covariance of those rows that have a say.
+    white = np.where(both, np.linalg.inv(np.linalg.cholesky(np.where(both, noise, np.eye(LEGS)))), 0.0)
     slope = (white @ (samples.derivative(values) @ ways)).reshape(-1, ways.shape[1])
     left = np.einsum("nij,nj->ni", white, samples.torque - samples.predicted(values)).ravel()
-    return slope, left, white
+    return slope, left
 
 
 def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
@@ -190,30 +162,22 @@ def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: n
         direction = free @ directions[-1]
         at = int((np.abs(direction) * _KEEP_FIRST).argmax())
         deviation = np.inf if sigma[-1] <= _BLIND * sigma[0] else 1.0 / sigma[-1]
-        share = direction / direction[at]
-        found.append(Untold(at, float(deviation), share * size / size[at], share))
-
-
-def _refuse_untold(samples: Samples, untold: Collection[Untold], asked: Collection[Kind]) -> None:
-    for each in untold:
-        own = PARAMETERS[each.at]
-        if own.kind in asked:
-            got = f"a motion by which it could be off by {each.deviation:.3g} times its size"
-            raise ConfigurationError(
-                f"{samples.source}: {own}", got, "a motion that tells it, as `excite` designs them"
-            )
+        found.append(Untold(at, float(deviation), direction / direction[at] * size / size[at]))
 
 
 def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:
+    """Refuses torques that are not those of the motion, or of another size than the guess's."""
+
     def size(torque: np.ndarray) -> float:
         return float(np.sqrt(np.mean(torque[samples.used] ** 2))) if samples.used.any() else 0.0
 
-    measured, expected = size(samples.torque), size(samples.predicted(of_robot(guess)))
-    left, changes = size(samples.torque - samples.predicted(values)), size(samples.torque - samples.torque.mean(axis=0))
-    allowed = "a log of the robot that is guessed, angles in rad, torques in N m"
+    torque = samples.torque
+    measured, expected = size(torque), size(samples.predicted(of_robot(guess)))
+    left, changes = size(torque - samples.predicted(values)), size(torque - torque.mean(axis=0))
     if left > max(_UNLIKE * changes, _NOISY * measured):
         got = f"torques of whose changes no parameters explain {min(100.0, 100.0 * left / changes):.0f} %"
-        raise ConfigurationError(samples.source, got, allowed)
-    if expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
+    elif expected > 0.0 and not 1.0 / _FACTOR < measured / expected < _FACTOR:
         got = f"torques of {measured:.3g} N m where the guess has {expected:.3g} N m (RMS)"
-        raise ConfigurationError(samples.source, got, allowed)
+    else:
+        return
+    raise ConfigurationError(samples.source, got, "a log of the robot that is guessed, angles in rad, torques in N m")

@@ -38,12 +38,9 @@ _BLIND = 1e-9
 
 @dataclass(frozen=True)
 class Excitation:
-    """A motion for a robot.
+    """A motion begun from rest, with the condition number [-] of the torques' derivatives by the parameters.
 
-    Attributes:
-        reference: It, begun from rest.
-        condition: [-] condition number of the torques' derivatives by the parameters, each in its own size.
-        random_condition: [-] the median of that of the random motions.
+    Each parameter counts in its own size; the last is the median of random motions.
     """
 
     reference: AdjustedReference
@@ -114,24 +111,19 @@ def excite(
             best, waves = now, other
         # One success in five keeps the steps as they are.
         spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
-    return Excitation(_faded(_reference(robot, waves, period)), best, random_condition)
+    faded = AdjustedReference(motion=_reference(robot, waves, period), fade_in=_FADE)
+    return Excitation(faded, best, random_condition)
 
 
 def _reference(robot: RobotParameters, waves: np.ndarray, period: float) -> SumReference:
     """The series of sine and cosine amplitudes (2, harmonics, 6) [rad, m] about home."""
-    sine, cosine = waves
-    parts: list[Any] = []
-    for at, harmonic in enumerate(HARMONICS):
-        parts.append(
-            SineReference(
-                center=tuple(robot.home_pose.tolist()),
-                amplitude=tuple(np.hypot(sine[at], cosine[at]).tolist()),
-                angular_frequency=(2.0 * np.pi * harmonic / period,) * 6,
-                phase=tuple(np.arctan2(cosine[at], sine[at]).tolist()),
-            )
+    parts: list[Any] = [
+        SineReference(
+            center=tuple(robot.home_pose.tolist()),
+            amplitude=tuple(np.hypot(sine, cosine).tolist()),
+            angular_frequency=(2.0 * np.pi * harmonic / period,) * 6,
+            phase=tuple(np.arctan2(cosine, sine).tolist()),
         )
+        for harmonic, sine, cosine in zip(HARMONICS, *waves, strict=True)
+    ]
     return SumReference(parts=tuple(parts))
-
-
-def _faded(motion: SumReference) -> AdjustedReference:
-    return AdjustedReference(motion=motion, fade_in=_FADE)

@@ -34,13 +34,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Parameter(NamedTuple):
-    """One number.
-
-    Attributes:
-        kind: One of `KINDS`.
-        part: Which of its components, or which motor; empty where there is one.
-        unit: Of the number.
-    """
+    """One number: one of `KINDS`, which of its components or which motor (or none), and its unit."""
 
     kind: Kind
     part: str
@@ -66,59 +60,39 @@ PARAMETERS = (
 """Moment: mass times centre of mass, in P; inertia: about the origin of P, the tensor's entries. Of a crank the moment
 of inertia about its own middle stays that of the guess: it and the rotor's only act as their sum."""
 SIZE = len(PARAMETERS)
-COULOMB, VISCOUS, GAIN = slice(14, 20), slice(20, 26), slice(26, 32)
-BODIES = slice(0, 14)
-PLATFORM = slice(0, 10)
-_MASS, _MOMENT, _INERTIA, _ROD_MASS, _ROD_INERTIA, _CRANK_MASS, _ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
-_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+BODIES, COULOMB, VISCOUS, GAIN = slice(0, 14), slice(14, 20), slice(20, 26), slice(26, 32)
+MASS, MOMENT, INERTIA, ROD_MASS, ROD_INERTIA, CRANK_MASS, ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
+ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def of_robot(robot: RobotParameters) -> np.ndarray:
     """Parameters (`SIZE`,) of a robot without friction whose torques are what its log says."""
-    values = np.zeros(SIZE)
     inertia = robot.platform_inertia_about_origin
-    values[_MASS], values[_MOMENT] = robot.platform_mass, robot.platform_moment
-    values[_INERTIA] = [inertia[at] for at in _ENTRIES]
-    values[_ROD_MASS], values[_ROD_INERTIA] = robot.rod_mass, robot.rod_inertia[0]
-    values[_CRANK_MASS], values[_ROTOR] = robot.crank_mass, robot.rotor_inertia
-    return values
+    platform = [robot.platform_mass, *robot.platform_moment, *(inertia[at] for at in ENTRIES)]
+    links = [robot.rod_mass, robot.rod_inertia[0], robot.crank_mass, robot.rotor_inertia]
+    return np.array([*platform, *links, *[0.0] * 18])
 
 
 def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
-    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot.
-
-    Raises:
-        ConfigurationError: They are not those of bodies.
-    """
-    mass, moment = float(values[_MASS]), values[_MOMENT]
-    centre = moment / mass
-    central = inertia_matrix(values[PLATFORM]) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
-    changes: dict[str, Any] = {
-        "platform_mass": mass,
-        "platform_center_of_mass": tuple(centre.tolist()),
-        "platform_inertia": tuple(np.diag(central).tolist()),
-        "platform_products": tuple(float(central[at]) for at in _ENTRIES[3:]),
-        "rod_mass": float(values[_ROD_MASS]),
-        "rod_inertia": (float(values[_ROD_INERTIA]),) * 2 + (guess.rod_inertia[2],),
-        "crank_mass": float(values[_CRANK_MASS]),
-        "rotor_inertia": float(values[_ROTOR]),
-    }
-    return guess.replace(**changes)
+    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot."""
+    mass = float(values[MASS])
+    centre = values[MOMENT] / mass
+    central = inertia_matrix(values) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
+    return guess.replace(
+        platform_mass=mass,
+        platform_center_of_mass=centre,
+        platform_inertia=np.diag(central),
+        platform_products=[central[at] for at in ENTRIES[3:]],
+        rod_mass=values[ROD_MASS],
+        rod_inertia=(values[ROD_INERTIA], values[ROD_INERTIA], guess.rod_inertia[2]),
+        crank_mass=values[CRANK_MASS],
+        rotor_inertia=values[ROTOR],
+    )
 
 
-def with_payload(values: np.ndarray, mass: float, place: np.ndarray) -> np.ndarray:
-    """Parameters (`SIZE`,) with a point of a mass [kg] at a place (3,) [m] in P on the platform."""
-    inertia = mass * ((place @ place) * np.eye(3) - np.outer(place, place))
-    changed = values.copy()
-    changed[_MASS] += mass
-    changed[_MOMENT] += mass * place
-    changed[_INERTIA] += [inertia[at] for at in _ENTRIES]
-    return changed
-
-
-def inertia_matrix(platform: np.ndarray) -> Any:
-    """Inertia (3, 3) about the origin of P of the platform's ten parameters, numbers or expressions."""
-    xx, yy, zz, xy, xz, yz = platform[_INERTIA]
+def inertia_matrix(values: np.ndarray) -> Any:
+    """Inertia (3, 3) of the platform about the origin of P, of parameters, numbers or expressions."""
+    xx, yy, zz, xy, xz, yz = values[INERTIA]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -127,15 +101,12 @@ def unit_robots(guess: RobotParameters) -> list[np.ndarray]:
 
     The last has the cranks' own inertia instead, the part of the torques that is known.
     """
-    nothing = robot_record(guess).copy()
-    bodies = ("crank_inertia", "rod_mass", "rod_inertia", "crank_mass")
-    for name in (*bodies, "platform_mass", "platform_moment", "platform_tensor"):
-        nothing[name] = 0.0
 
     def only(**values: Any) -> np.ndarray:
-        robot = nothing.copy()
-        for name, value in values.items():
-            robot[name] = value
+        robot = robot_record(guess).copy()
+        bodies = ("crank_inertia", "rod_mass", "rod_inertia", "crank_mass")
+        for name in (*bodies, "platform_mass", "platform_moment", "platform_tensor"):
+            robot[name] = values.get(name, 0.0)
         return robot
 
     half = 0.5 * guess.crank_lengths
@@ -156,31 +127,17 @@ def scales(guess: RobotParameters) -> np.ndarray:
 
     Friction counts in hundredths of the motors' limit, at 1 rad/s; gains by a tenth.
     """
-    length = guess.characteristic_length
-    mass = guess.platform_mass
-    effort = float(guess.effort_limits.mean())
-    return np.array(
-        [mass]
-        + [mass * length] * 3
-        + [mass * length**2] * 6
-        + [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
-        + [0.01 * effort] * 12
-        + [0.1] * 6
-    )
+    mass, length, effort = guess.platform_mass, guess.characteristic_length, float(guess.effort_limits.mean())
+    platform = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
+    links = [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
+    return np.array([*platform, *links, *[0.01 * effort] * 12, *[0.1] * 6])
 
 
 def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
 
     No torque tells a heavier robot from stronger motors: unless the platform's mass is held, the geometric mean of the
-    torque constants is.
-
-    Args:
-        held: Kinds that keep their value.
-        kept: Places of single parameters that do.
-
-    Raises:
-        ConfigurationError: Nothing is left to change.
+    torque constants is. Kinds that are held, and single parameters that are kept by their place, do not change.
     """
     from scipy.linalg import null_space
 
@@ -188,7 +145,5 @@ def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.nd
         raise ConfigurationError("hold", sorted(held), f"some of {', '.join(KINDS)}, not all")
     rows = [np.eye(SIZE)[at] for at, own in enumerate(PARAMETERS) if own.kind in held or at in kept]
     if "torque_constant" not in held and "platform_mass" not in held:
-        mean = np.zeros(SIZE)
-        mean[GAIN] = 1.0
-        rows.append(mean)
+        rows.append(np.eye(SIZE)[GAIN].sum(axis=0))
     return null_space(np.array(rows)) if rows else np.eye(SIZE)

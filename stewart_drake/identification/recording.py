@@ -94,19 +94,10 @@ class Recording:
 
 
 def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
-    """Reads a recording.
+    """A recording from a log of this package (.parquet, or a results folder), or from a CSV file with `QUANTITIES`.
 
-    Args:
-        path: A log of this package (.parquet, or a results folder), or a CSV file, see `files.tables`, with `time_s`,
-            `crank_angle_0_rad` to `crank_angle_5_rad` and `torque_0_Nm` to `torque_5_Nm` (`_ms`, `_deg`,
-            `_mNm` will do).
-        guess: Whose it should be.
-        lag: [s] of a CSV file, see `Recording`. Torques measured with the angles have 0, commands that are held until
-            the next row half a row.
-
-    Raises:
-        ConfigurationError: Not readable; a column is missing; a log of a robot with another geometry; as for
-            `Recording`.
+    For the lag [s] of a CSV file see `Recording`: torques measured with the angles have 0, commands that are held until
+    the next row half a row.
     """
     if Path(path).suffix.lower() != ".csv":
         return of_log(load_log(path), guess, f"log {path}")
@@ -119,9 +110,6 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
     """What encoders and amplifiers said in a run: readings by way of the pose that they gave, never the true pose.
 
     Where the controller sees the robot itself, without encoders, that is what it sees.
-
-    Raises:
-        ConfigurationError: The robot has another geometry than the guess; as for `Recording`.
     """
     robot = log.scenario.believed_robot
     for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
@@ -132,9 +120,6 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
     if not log.scenario.estimator.exact:
         got = f"poses of estimator.kind {log.scenario.estimator.kind}, which uses the robot that is guessed"
         raise ConfigurationError(source, got, "poses as they are read: estimator.kind difference")
-    missing = [name for name in ("time", "torque_applied", "pose") if name not in log.signals]
-    if missing:
-        raise ConfigurationError(source, f"no {missing[0]}", "a log with torques and poses")
     # Between two ticks nothing is read, and the torque is held.
     tick, step = log.scenario.controller.period, log.scenario.effective_log_period
     rows = slice(None, None, max(1, round(tick / step)))

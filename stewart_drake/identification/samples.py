@@ -19,9 +19,9 @@ import scipy.ndimage
 import scipy.signal
 
 from stewart_drake.errors import ConfigurationError, ForwardKinematicsError, UnreachablePoseError
-from stewart_drake.identification.parameters import BODIES, COULOMB, GAIN, PARAMETERS, VISCOUS
+from stewart_drake.identification.parameters import BODIES, COULOMB, GAIN, SIZE, VISCOUS, unit_robots
 from stewart_drake.identification.recording import Recording
-from stewart_drake.identification.regressor import body_torques
+from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
@@ -43,18 +43,9 @@ _HOMOTOPY = 4
 class Samples:
     """n instants with six equations each.
 
-    Attributes:
-        time: (n,) [s].
-        torque: (n, 6) [N m] filtered.
-        bodies: (n, 6, 14) [N m] per unit of the bodies' parameters.
-        known: (n, 6) [N m] that no parameter changes.
-        sign: (n, 6) [-] of the cranks' rates, filtered.
-        rates: (n, 6) [rad/s] of the cranks.
-        used: (n, 6) bool, rows that have a say.
-        pieces: Slices of the recordings.
-        step: [s] between instants.
-        repeats: How many instants there are in half a period of the filter.
-        source: Of the recordings.
+    Torques [N m] filtered; `bodies` (n, 6, 14) per unit of the bodies' parameters; `known` what no parameter changes;
+    `sign` of the cranks' `rates` [rad/s], filtered; `used` rows that have a say; `pieces` of the recordings; `step` [s]
+    between instants, of which `repeats` lie in half a period of the filter.
     """
 
     time: np.ndarray
@@ -76,7 +67,7 @@ class Samples:
 
     def derivative(self, values: np.ndarray) -> np.ndarray:
         """Of `predicted` by the parameters, (n, 6, `SIZE`)."""
-        slope = np.zeros((*self.torque.shape, len(PARAMETERS)))
+        slope = np.zeros((*self.torque.shape, SIZE))
         slope[..., BODIES] = self.bodies
         own = np.arange(LEGS)
         slope[:, own, COULOMB.start + own] = self.sign
@@ -87,12 +78,7 @@ class Samples:
 
 
 def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
-    """Equations of a recording.
-
-    Args:
-        guess: Geometry.
-        recording: Angles and torques.
-        bandwidth: [Hz] of the filter; what moves the robot should lie well below. None: see `BANDWIDTH`.
+    """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz].
 
     Raises:
         ConfigurationError: Too short; a bandwidth that the rows' rate does not carry; readings at which the robot
@@ -146,21 +132,16 @@ def samples_of_motion(
     gravity: float,
     source: str = "motion",
 ) -> Samples:
-    """Equations of a motion that is known exactly, without torques.
+    """Equations of a motion that is known exactly, as `Reference.evaluate` gives it at an even rate, without torques.
 
-    Args:
-        guess: Geometry.
-        time: (n,) [s] at an even rate.
-        motion: Poses, rates and accelerations, as `Reference.evaluate` gives them.
-        gravity: [m/s^2].
-        source: For messages.
+    The columns of the model are the exact inverse dynamics, asked once for each parameter of the bodies.
     """
-    pose, rate, acceleration = motion
-    bodies, known = body_torques(guess, pose, rate, acceleration, gravity)
+    pose, rate, _ = motion
+    *columns, known = (inverse_dynamics(robot, *motion, gravity) for robot in unit_robots(guess))
     speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
     used, step = np.abs(speed) > SLOW, float(time[1] - time[0])
-    nothing = np.zeros_like(known)
-    return Samples(time, nothing, bodies, known, np.sign(speed), speed, used, (slice(0, len(time)),), step, 1.0, source)
+    torque, bodies = np.zeros_like(known), np.stack(columns, axis=-1)
+    return Samples(time, torque, bodies, known, np.sign(speed), speed, used, (slice(0, len(time)),), step, 1.0, source)
 
 
 def together(parts: Sequence[Samples]) -> Samples:
@@ -178,11 +159,7 @@ def together(parts: Sequence[Samples]) -> Samples:
 
 
 def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
-    """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps.
-
-    Raises:
-        ConfigurationError: The robot cannot be there.
-    """
+    """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
     home = inverse_kinematics(guess, guess.home_pose)
     pose = np.broadcast_to(guess.home_pose, angles.shape)
     try:

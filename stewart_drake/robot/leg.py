@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
@@ -77,20 +78,10 @@ SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]
 
 
 def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
-    """A, B, C of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid. Any arrays; components first.
+    """A, B, C (6, ...) [m^2] of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
 
-    Args:
-        span: (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2).
-        zero: (3, 6, ...) [-] direction of each crank at theta = 0.
-        quarter: (3, 6, ...) [-] at theta = pi/2.
-        crank: (6, ...) [m] lengths.
-        rod: (6, ...) [m] lengths.
-
-    Returns:
-        (6, ...) [m^2] each.
+    Of spans (3, 6, ...) [m] from motor shaft to platform joint, the L_i of (2), directions (3, 6, ...) of the cranks at
+    theta = 0 and pi/2, and lengths (6, ...) [m] of cranks and rods; components first.
     """
-    twice = 2.0 * crank
-    along = twice * (span[0] * zero[0] + span[1] * zero[1] + span[2] * zero[2])
-    up = twice * (span[0] * quarter[0] + span[1] * quarter[1] + span[2] * quarter[2])
-    constant = span[0] * span[0] + span[1] * span[1] + span[2] * span[2] + (crank * crank - rod * rod)
-    return along, up, constant
+    along, up = (2.0 * crank * np.sum(span * each, axis=0) for each in (zero, quarter))
+    return along, up, np.sum(span * span, axis=0) + (crank * crank - rod * rod)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +12,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
 from stewart_drake.robot.leg import LEGS, Signed3, Size, crank_equation
-from stewart_drake.robot.robot_checks import check_order
+from stewart_drake.robot.robot_checks import check_order, wrapped
 from stewart_drake.section import check_value
 
 Unit = Literal["m", "mm"]
@@ -42,29 +41,30 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
     Raises:
         ConfigurationError: Too few rows, columns or numbers; an unknown choice; a leg that cannot be level.
     """
-    for name, given, choices in (("unit", unit, ("m", "mm")), ("cranks", cranks, ("outwards", "towards", "away"))):
-        if given not in choices:
-            raise ConfigurationError(name, given, f"one of {', '.join(choices)}")
+    check_value("unit", unit, Unit)
+    check_value("cranks", cranks, Cranks)
     scale = 1e-3 if unit == "mm" else 1.0
-    columns = _columns(table)
+    own = dict(parameters)
     for name, given in parameters.items():
-        if name in _LENGTHS or name in _MASSES:
-            check_value(f"robot.{name}", given, Size)
-        elif name == "platform_center_of_mass":
-            check_value(f"robot.{name}", given, Signed3)
-    own = {name: value * scale if name in _LENGTHS else value for name, value in parameters.items()}
-    if "platform_center_of_mass" in own:
-        own["platform_center_of_mass"] = tuple(scale * x for x in own["platform_center_of_mass"])
+        if name in _LENGTHS | _MASSES | {"platform_center_of_mass"}:
+            check_value(f"robot.{name}", given, Signed3 if name == "platform_center_of_mass" else Size)
+            own[name] = given if name in _MASSES else scale * np.array(given)
+    columns = _columns(table)
     # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
     shafts, joints = (
         np.round(scale * np.stack([columns[f"{end}_{axis}"] for axis in "xyz"], -1), 12) for end in ("shaft", "joint")
     )
     # A mirrored axis would else be told as a rod that is too short.
     check_order(shafts, joints)
-    lengths = {name: _lengths(name, columns, own, scale) for name in ("crank_length", "rod_length")}
+    lengths: dict[str, np.ndarray] = {}
+    for name in ("crank_length", "rod_length"):
+        if name not in columns and name not in own:
+            raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
+        lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEGS, float(own[name]))
     zero, up = _directions(columns, shafts, cranks)
-    tips = shafts + lengths["crank_length"][:, None] * zero
-    height = own["home_height"] if "home_height" in own else _level(tips, joints, lengths["rod_length"])
+    height = float(own.get("home_height", np.nan))
+    if "home_height" not in own:
+        height = _level(shafts + lengths["crank_length"][:, None] * zero, joints, lengths["rod_length"])
     span = joints + [0.0, 0.0, height] - shafts
     branch = columns["branch"] if "branch" in columns else _branches(span, zero, up, lengths)
     legs: list[dict[str, Any]] = [
@@ -75,12 +75,10 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
             "crank_quarter_direction": up[leg].tolist(),
             "branch": int(branch[leg]),
             **{name: float(values[leg]) for name, values in lengths.items()},
+            **({"crank_angle_range": [columns["low"][leg], columns["high"][leg]]} if "low" in columns else {}),
         }
         for leg in range(LEGS)
     ]
-    if "low" in columns:
-        for leg, each in enumerate(legs):
-            each["crank_angle_range"] = [float(columns["low"][leg]), float(columns["high"][leg])]
     size = float(np.hypot(joints[:, 0], joints[:, 1]).mean())
     known = {"legs": legs, "home_height": height, "characteristic_length": size, "link_radius": _LINK_RADIUS * size}
     known |= {name: float(values.mean()) for name, values in lengths.items()} | own
@@ -90,36 +88,30 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
 def _columns(table: Any) -> dict[str, np.ndarray]:
     """Columns (6,) of a table by name."""
     if isinstance(table, (str, Path)):
-        rows = _read(Path(table))
+        names, values = _read(Path(table))
     else:
+        names = list(_POSITIONS)
         try:
             values = np.asarray(table, dtype=float)
         except (TypeError, ValueError) as error:
             raise ConfigurationError("table", table, f"a path, or numbers of shape (6, 6) ({error})") from None
-        if values.ndim != 2 or values.shape[1] != len(_POSITIONS):
+        if values.ndim != 2 or values.shape[1] != len(names):
             allowed = "shape (6, 6): a row a leg, x, y, z of its shaft, then of its platform joint"
             raise ConfigurationError("table", values.shape, allowed)
-        rows = [dict(zip(_POSITIONS, row, strict=True)) for row in values.tolist()]
-    if len(rows) != LEGS:
-        raise ConfigurationError("table", f"{len(rows)} rows", f"{LEGS} rows, one a leg")
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    for name, values in columns.items():
-        if not np.isfinite(values).all():
-            leg = int((~np.isfinite(values)).argmax())
-            raise ConfigurationError(f"table: {name} of leg {leg}", float(values[leg]), "a finite number")
-    return columns
+    if len(values) != LEGS:
+        raise ConfigurationError("table", f"{len(values)} rows", f"{LEGS} rows, one a leg")
+    if not np.isfinite(values).all():
+        leg, column = np.argwhere(~np.isfinite(values))[0]
+        raise ConfigurationError(f"table: {names[column]} of leg {leg}", float(values[leg, column]), "a finite number")
+    return dict(zip(names, values.T, strict=True))
 
 
-def _read(path: Path) -> list[dict[str, float]]:
-    """Rows of a CSV file with a header."""
+def _read(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names and values of a CSV file with a header."""
     what = f"table {path}"
-    try:
-        text = read_checked(path, what, _MAX_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ConfigurationError(what, "bytes that are no UTF-8", "a CSV file in UTF-8") from None
+    text = read_checked(path, what, _MAX_BYTES).decode("utf-8-sig", "replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines)]
-    names = rows[0] if rows else []
+    names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
     missing = [name for name in _POSITIONS if name not in names]
     unknown = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg")]
     if missing or unknown or len(set(names)) < len(names):
@@ -129,39 +121,20 @@ def _read(path: Path) -> list[dict[str, float]]:
     for group in _GROUPS:
         if len({name in names for name in group}) > 1:
             raise ConfigurationError(f"{what}: header", ", ".join(names), f"all of {', '.join(group)}, or none")
-    found = []
-    for leg, row in enumerate(rows[1:]):
+    values = np.empty((len(rows), len(names)))
+    for leg, row in enumerate(rows):
         if len(row) != len(names):
             raise ConfigurationError(f"{what}: leg {leg}", f"{len(row)} numbers", f"{len(names)}, one a column")
-        cells = zip(names, row, strict=True)
-        found.append({name: _number(f"{what}: {name} of leg {leg}", text) for name, text in cells if name != "leg"})
-    if "leg" in names:
-        _check_numbering(what, [row[names.index("leg")] for row in rows[1:]])
-    return found
-
-
-def _check_numbering(what: str, labels: list[str]) -> None:
-    """Refuses legs that are numbered otherwise than their rows stand; other labels are remarks."""
-    numbers = [int(label) for label in labels if label.isdecimal()]
-    if len(numbers) == len(labels) and numbers not in (list(range(len(labels))), list(range(1, len(labels) + 1))):
-        allowed = f"rows in the order of the legs, 0 to {LEGS - 1} or 1 to {LEGS}: the first row is leg 0"
-        raise ConfigurationError(f"{what}: leg", ", ".join(labels), allowed)
-
-
-def _number(key: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigurationError(key, text, "a number") from None
-
-
-def _lengths(name: str, columns: Mapping[str, np.ndarray], own: Mapping[str, Any], scale: float) -> np.ndarray:
-    """(6,) [m] of a column, or one length for all legs."""
-    if name in columns:
-        return np.round(scale * columns[name], 12)
-    if name not in own:
-        raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
-    return np.full(LEGS, float(own[name]))
+        for column, (name, cell) in enumerate(zip(names, row, strict=True)):
+            try:
+                values[leg, column] = leg if name == "leg" and not cell.isdecimal() else float(cell)
+            except ValueError:
+                raise ConfigurationError(f"{what}: {name} of leg {leg}", cell, "a number") from None
+    numbers = values[:, names.index("leg")].tolist() if "leg" in names else []
+    if numbers and numbers not in (list(range(len(rows))), list(range(1, len(rows) + 1))):
+        allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"
+        raise ConfigurationError(f"{what}: leg", ", ".join(f"{number:g}" for number in numbers), allowed)
+    return names, values
 
 
 def _directions(columns: Mapping[str, np.ndarray], shafts: np.ndarray, cranks: Cranks) -> tuple[np.ndarray, np.ndarray]:
@@ -204,8 +177,7 @@ def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mappi
     along, across, constant = crank_equation(span.T, zero.T, up.T, lengths["crank_length"], lengths["rod_length"])
     size = np.maximum(np.hypot(along, across), np.finfo(float).tiny)
     middle, spread = np.arctan2(across, along), np.arccos(np.clip(constant / size, -1.0, 1.0))
-    away = [np.abs(np.remainder(middle + side * spread + math.pi, 2.0 * math.pi) - math.pi) for side in (-1.0, 1.0)]
-    return np.where(away[0] <= away[1], -1, 1)
+    return np.where(np.abs(wrapped(middle - spread)) <= np.abs(wrapped(middle + spread)), -1, 1)
 
 
 def _inertias(known: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,34 +15,40 @@ if TYPE_CHECKING:
 
 _HUGE = 30.0
 """[m] no leg is larger: such a number is in millimetres."""
-_LENGTHS = ("rod_length", "crank_length", "shaft_position", "platform_joint")
 _SLACK = 1e-6
 """[rad] by which directions of joints that meet in one point may seem out of order."""
 
 
-def check_directions(robot: RobotParameters) -> None:
-    """Refuses cranks' directions that are not perpendicular unit vectors."""
+def check_geometry(robot: RobotParameters) -> None:
+    """Refuses directions that are not perpendicular unit vectors, lengths that no leg has, and a home that is none."""
     for leg, own in enumerate(robot.legs or ()):
         for name in ("crank_zero_direction", "crank_quarter_direction"):
             given = getattr(own, name)
             if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
                 allowed = f"a vector of length 1, not {math.hypot(*given):.4g}"
                 raise ConfigurationError(f"robot.legs.{leg}.{name}", given, allowed)
-        quarter = (0.0, 0.0, 1.0) if own.crank_quarter_direction is None else own.crank_quarter_direction
+        quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
             allowed = "a direction at a right angle to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
+    for name, lengths in _sizes(robot).items():
+        leg = int(lengths.argmax())
+        given = getattr(robot.legs[leg], name) if robot.legs is not None else None
+        if lengths[leg] > _HUGE and (given is not None or name.endswith("length")):
+            allowed = f"at most {_HUGE:g} m; millimetres? {lengths[leg]:g} mm would be {lengths[leg] / 1e3:g} m"
+            key = f"robot.{name}" if given is None else f"robot.legs.{leg}.{name}"
+            raise ConfigurationError(key, getattr(robot, name) if given is None else given, allowed)
+    check_order(robot.shaft_positions, robot.platform_joints)
+    _check_home(robot)
 
 
 def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
     """Refuses platform joints (6, 3) that do not follow each other around the platform as the shafts (6, 3) do."""
-    around = []
-    for points in (shafts, joints):
-        x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
-        around.append(np.arctan2(y, x))
+    x, y = np.moveaxis(np.stack([shafts, joints]) - np.stack([shafts, joints]).mean(axis=1, keepdims=True), -1, 0)[:2]
+    around = np.arctan2(y, x)
     order = np.argsort(around[0], kind="stable")
     following = np.roll(order, -1)
-    steps = [np.remainder(at[following] - at[order] + math.pi, 2.0 * math.pi) - math.pi for at in around]
+    steps = wrapped(around[:, following] - around[:, order])
     wrong = (steps[0] > _SLACK) & (steps[1] < -_SLACK)
     if wrong.sum() >= LEGS - 1:
         allowed = "joints that go round as the shafts do: these go round the other way; is an axis of P mirrored?"
@@ -53,25 +59,8 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
         raise ConfigurationError(f"robot.legs.{one}.platform_joint", joints[one].tolist(), allowed)
 
 
-def check_sizes(robot: RobotParameters) -> None:
-    """Refuses lengths of a leg that no leg has."""
-    found = {
-        "crank_length": robot.crank_lengths,
-        "rod_length": robot.rod_lengths,
-        "shaft_position": np.linalg.norm(robot.shaft_positions, axis=-1),
-        "platform_joint": np.linalg.norm(robot.platform_joints, axis=-1),
-    }
-    for name, lengths in found.items():
-        leg = int(lengths.argmax())
-        own = robot.legs is not None and getattr(robot.legs[leg], name) is not None
-        if lengths[leg] > _HUGE and (own or name.endswith("length")):
-            allowed = f"at most {_HUGE:g} m; millimetres? {lengths[leg]:g} mm would be {lengths[leg] / 1e3:g} m"
-            key = f"robot.legs.{leg}.{name}" if own else f"robot.{name}"
-            raise ConfigurationError(key, getattr(robot.legs[leg] if own and robot.legs else robot, name), allowed)
-
-
-def check_home(robot: RobotParameters) -> None:
-    """Refuses a robot whose legs do not close at home, or only beyond their stops."""
+def _check_home(robot: RobotParameters) -> None:
+    """Refuses a robot whose legs do not close at home, or only beyond their stops: it has no SDF."""
     span = robot.platform_joints + robot.home_pose[3:] - robot.shaft_positions
     directions = robot.crank_zero_directions.T, robot.crank_quarter_directions.T
     along, up, constant = crank_equation(span.T, *directions, robot.crank_lengths, robot.rod_lengths)
@@ -79,39 +68,48 @@ def check_home(robot: RobotParameters) -> None:
     margin = 1.0 - np.divide(np.abs(constant), size, out=np.full(LEGS, np.inf), where=size > 0.0)
     if not margin.min() > 0.0:
         leg = int(margin.argmin())
-        distance = float(np.linalg.norm(span[leg]))
-        own = [name for name in _LENGTHS if robot.legs is not None and getattr(robot.legs[leg], name) is not None]
+        sizes = _sizes(robot)
+        own = [name for name in sizes if robot.legs is not None and getattr(robot.legs[leg], name) is not None]
         # One number of its own is the likely cause; more of them say no more than the height.
-        key, what = (f"legs.{leg}.{own[0]}", "a value") if len(own) == 1 else ("home_height", "a height")
-        given = getattr(robot.legs[leg], own[0]) if len(own) == 1 and robot.legs else robot.home_height
+        key, what, given = "home_height", "a height", robot.home_height
+        if robot.legs is not None and len(own) == 1:
+            key, what, given = f"legs.{leg}.{own[0]}", "a value", getattr(robot.legs[leg], own[0])
         allowed = (
-            f"{what} with which leg {leg} closes at home: its joint is {distance:.4g} m from its shaft, its crank "
-            f"{robot.crank_lengths[leg]:g} m and its rod {robot.rod_lengths[leg]:g} m long (margin {margin[leg]:.3g})"
+            f"{what} with which leg {leg} closes at home: its joint is {np.linalg.norm(span[leg]):.4g} m from its "
+            f"shaft, its crank {robot.crank_lengths[leg]:g} m and its rod {robot.rod_lengths[leg]:g} m long "
+            f"(margin {margin[leg]:.3g})"
         )
-        raise ConfigurationError(f"robot.{key}", given, allowed + _meant(robot, leg))
+        lengths = {name: float(each[leg]) for name, each in sizes.items()} | {"home_height": abs(robot.home_height)}
+        raise ConfigurationError(f"robot.{key}", given, allowed + _meant(lengths))
     theta = np.arctan2(up, along) + robot.branches * np.arccos(constant / size)
     low, high = np.clip(robot.crank_angle_ranges, -LARGEST, LARGEST).T
-    off = np.remainder(theta - 0.5 * (low + high) + math.pi, 2.0 * math.pi) - math.pi
-    if (beyond := np.abs(off) > 0.5 * (high - low)).any():
+    beyond = np.abs(wrapped(theta - 0.5 * (low + high))) > 0.5 * (high - low)
+    if beyond.any():
         leg = int(beyond.argmax())
         allowed = f"a range that holds the angle at home, {theta[leg]:.4g} rad"
-        given = float(low[leg]), float(high[leg])
-        raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", given, allowed)
+        raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (float(low[leg]), float(high[leg])), allowed)
 
 
-def _meant(robot: RobotParameters, leg: int) -> str:
-    """What was perhaps meant by a number of a leg that does not close."""
-    sizes = {
-        "crank_length": float(robot.crank_lengths[leg]),
-        "rod_length": float(robot.rod_lengths[leg]),
-        "shaft_position": float(np.linalg.norm(robot.shaft_positions[leg])),
-        "platform_joint": float(np.linalg.norm(robot.platform_joints[leg])),
-        "home_height": abs(robot.home_height),
+def _sizes(robot: RobotParameters) -> dict[str, np.ndarray]:
+    """(6,) [m] of what each leg may have of its own."""
+    return {
+        "rod_length": robot.rod_lengths,
+        "crank_length": robot.crank_lengths,
+        "shaft_position": np.linalg.norm(robot.shaft_positions, axis=-1),
+        "platform_joint": np.linalg.norm(robot.platform_joints, axis=-1),
     }
-    # Of five lengths of one robot the middle one tells what is usual there.
-    usual = float(np.median(list(sizes.values())))
-    large = [name for name, size in sizes.items() if size > 100.0 * usual]
-    small = [name for name, size in sizes.items() if 100.0 * size < usual]
+
+
+def _meant(lengths: dict[str, float]) -> str:
+    """What was perhaps meant by lengths of a leg that does not close; the middle one of five tells what is usual."""
+    usual = float(np.median(list(lengths.values())))
+    large = [name for name, size in lengths.items() if size > 100.0 * usual]
+    small = [name for name, size in lengths.items() if 100.0 * size < usual]
     if large:
         return f"; is {' or '.join(large)} in millimetres?"
     return f"; are all but {' and '.join(small)} in millimetres?" if small else ""
+
+
+def wrapped(angle: Any) -> Any:
+    """Angles within half a turn of zero."""
+    return np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi

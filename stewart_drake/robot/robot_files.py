@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import GetJsonSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import BeforeValidator, Field
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import write_atomically
@@ -54,20 +53,12 @@ def save_robot(robot: RobotParameters, path: str | Path, about: str = "") -> Non
 
 
 def robot_section(name: str | Path) -> dict[str, Any]:
-    """Keys and values of a robot's file, unchecked.
-
-    Raises:
-        ConfigurationError: Missing, unreadable or malformed file.
-    """
+    """Keys and values of a robot's file, unchecked."""
     return {key: value for key, value in _read(name).items() if key not in _ABOUT}
 
 
 def robot_about(name: str | Path) -> str:
-    """What a robot's file says of it in a line; empty if nothing.
-
-    Raises:
-        ConfigurationError: As `robot_section`.
-    """
+    """What a robot's file says of it in a line; empty if nothing."""
     return str(_read(name).get("about", ""))
 
 
@@ -75,19 +66,8 @@ def _read(name: str | Path) -> dict[str, Any]:
     return read_mapping("robot", find_file("robot", name), 100)
 
 
-class _ByName:
-    """In `Annotated`: a text in place of the section is the name or the file of a robot."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(_section, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        section = handler(schema)
-        description = f"Path of a YAML file, or one of {', '.join(robot_names())}."
-        return {"anyOf": [section, {"type": "string", "description": description}]}
-
-
 def _section(given: Any) -> Any:
+    """The section that a name or a file stands for."""
     if not isinstance(given, (str, Path)):
         return given
     try:
@@ -98,5 +78,6 @@ def _section(given: Any) -> Any:
         raise as_problem(ConfigurationError("", str(given), error.allowed)) from None
 
 
-AnyRobot = Annotated[RobotParameters, _ByName()]
+_Name = Annotated[str, Field(description=f"Path of a YAML file, or one of {', '.join(robot_names())}.")]
+AnyRobot = Annotated[RobotParameters, BeforeValidator(_section, json_schema_input_type=RobotParameters | _Name)]
 """A robot in a scenario: its section, a file, or a name."""

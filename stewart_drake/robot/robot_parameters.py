@@ -12,7 +12,7 @@ from pydantic import Field
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
 from stewart_drake.robot.positions_table import Cranks, Unit, from_table
-from stewart_drake.robot.robot_checks import check_directions, check_home, check_order, check_sizes
+from stewart_drake.robot.robot_checks import check_geometry
 from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
@@ -102,25 +102,7 @@ class RobotParameters(Section, key="robot"):
             raise ConfigurationError("robot.platform_products", self.platform_products, allowed)
         if self.rod_inertia[0] != self.rod_inertia[1]:
             raise ConfigurationError("robot.rod_inertia", self.rod_inertia, "Ixx = Iyy: a rod is symmetric about z")
-        check_directions(self)
-        check_sizes(self)
-        check_order(self.shaft_positions, self.platform_joints)
-        # A robot that cannot stand at home has no SDF.
-        check_home(self)
-
-    @classmethod
-    def symmetric(cls, **parameters: Any) -> RobotParameters:
-        """A robot whose six legs are alike.
-
-        Args:
-            **parameters: Any but `legs`, such as `crank_plane_angle=math.pi / 2`.
-
-        Raises:
-            ConfigurationError: As for the class; `legs` among them.
-        """
-        if parameters.get("legs") is not None:
-            raise ConfigurationError("robot.legs", parameters["legs"], "null: a symmetric robot has none of its own")
-        return cls(**parameters)
+        check_geometry(self)
 
     @classmethod
     def from_table(
@@ -160,24 +142,18 @@ class RobotParameters(Section, key="robot"):
     @cached_property
     def shaft_positions(self) -> np.ndarray:
         """(6, 3) [m] motor shaft centres P_i in B."""
-        angle = self.pair_angles + _SIDE * self.shaft_half_angle
-        r = self.shaft_circle_radius
-        circle = np.stack([r * np.cos(angle), r * np.sin(angle), np.full(LEGS, self.shaft_height)], axis=-1)
+        circle = self._around(self.shaft_half_angle, self.shaft_circle_radius, self.shaft_height)
         return self._of_legs("shaft_position", circle)
 
     @cached_property
     def platform_joints(self) -> np.ndarray:
         """(6, 3) [m] joint centres p_i in P."""
-        angle = self.pair_angles + _SIDE * self.platform_half_angle
-        r = self.platform_joint_radius
-        circle = np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(LEGS)], axis=-1)
-        return self._of_legs("platform_joint", circle)
+        return self._of_legs("platform_joint", self._around(self.platform_half_angle, self.platform_joint_radius))
 
     @cached_property
     def crank_zero_directions(self) -> np.ndarray:
         """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
-        yaw = self.pair_angles + _SIDE * self.crank_plane_angle
-        return self._of_legs("crank_zero_direction", np.stack([np.cos(yaw), np.sin(yaw), np.zeros(LEGS)], axis=-1))
+        return self._of_legs("crank_zero_direction", self._around(self.crank_plane_angle, 1.0))
 
     @cached_property
     def crank_quarter_directions(self) -> np.ndarray:
@@ -287,17 +263,18 @@ class RobotParameters(Section, key="robot"):
         return [dict(zip(of, leg, strict=True)) for leg in zip(*of.values(), strict=True)]
 
     def replace(self, **changes: Any) -> RobotParameters:
-        """A robot with some parameters changed, validated again.
-
-        Raises:
-            ConfigurationError: Unknown name or unusable value.
-        """
+        """A robot with some parameters changed, validated again."""
         return RobotParameters(**{name: getattr(self, name) for name in self.__pydantic_fields__} | changes)
 
     @property
     def _central_inertia(self) -> np.ndarray:
         xy, xz, yz = self.platform_products
         return np.diag(self.platform_inertia) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+
+    def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:
+        """(6, 3) points beside the pairs' directions, even legs clockwise."""
+        angle = self.pair_angles + _SIDE * half_angle
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(LEGS, height)], axis=-1)
 
     def _of_legs(self, name: str, symmetric: np.ndarray) -> np.ndarray:
         """The symmetric robot's values, overwritten by those that legs have of their own."""

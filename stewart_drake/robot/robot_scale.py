@@ -11,7 +11,6 @@ from stewart_drake.robot.robot_parameters import RobotParameters
 from stewart_drake.section import Section, to_plain
 
 PAPER = RobotParameters()
-Measure = Callable[[RobotParameters], float]
 LATENCY = 0.005
 """[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
 of some 66 rad/s is then a third of a radian of phase. For a longer one they are as much slower."""
@@ -22,16 +21,13 @@ class OfRobot:
     """In `Annotated`, beside a field whose default is for the paper's robot: what it is for another one.
 
     `Scenario` puts it in where the key is absent, so that files and messages have the number itself.
-
-    Attributes:
-        value: From the field's default and the robot, the default for that robot.
-        null: Whether a null in the file asks for it, rather than the key's absence.
-        slower: Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`.
     """
 
     value: Callable[[Any, RobotParameters], Any]
     null: bool = False
+    """Whether a null in the file asks for it, rather than the key's absence."""
     slower: float = 0.0
+    """Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`."""
 
     def at(self, default: Any, robot: RobotParameters, latency: float) -> Any:
         """The default for a robot whose commands act within a latency [s]."""
@@ -39,7 +35,7 @@ class OfRobot:
         return value * (LATENCY / latency) ** self.slower if self.slower and latency > LATENCY else value
 
 
-def times(measure: Measure, power: float = 1.0, slower: float = 0.0) -> OfRobot:
+def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slower: float = 0.0) -> OfRobot:
     """A default that grows with a measure of the robot; for `slower` see `OfRobot`.
 
     Of two numbers, the first an angle, the second grows; of a pose its last three do.
@@ -69,42 +65,28 @@ def fill(
     families: Mapping[str, Family] | None = None,
     latency: float = 0.0,
 ) -> Any:
-    """A section with those defaults that this robot has otherwise than the paper's; `data` itself where none is.
+    """The keys of a section with those defaults that this robot has otherwise than the paper's; or `data` itself.
 
-    Args:
-        section: Its class; None leaves `data` as it is.
-        data: What a file has; or a section made in Python, in which a value that is the class's default counts as
-            absent.
-        robot: Whose defaults are put in.
-        families: Keys at which sections of a family stand in it, alone or in a list.
-        latency: [s] within which its commands act.
+    In a section made in Python a value that is the class's default counts as absent. `families` are keys at which
+    sections of a family stand in it, alone or in a list; commands act within `latency` [s].
     """
     if section is None or not isinstance(data, (Mapping, Section)):
         return data
-    families = families or {}
     found: dict[str, Any] = {}
     for name, field in section.__pydantic_fields__.items():
         given = data.get(name, ...) if isinstance(data, Mapping) else getattr(data, name)
-        marker = _marker(field)
-        if marker is not None and _is_absent(given, marker, field.default, isinstance(data, Section)):
+        if (marker := _marker(field)) is not None:
+            unsaid = given is ... or (isinstance(data, Section) and given == field.default)
             value = marker.at(field.default, robot, latency)
-            if value != field.default or marker.null:
+            if (given is None if marker.null else unsaid) and (marker.null or value != field.default):
                 found[name] = to_plain(value)
-        elif name in families:
+        elif families and name in families:
             parts = given if (many := isinstance(given, (list, tuple))) else [given]
             written = [families[name].spelled(each) for each in parts]
             made = [fill(families[name].section_of(each), each, robot, families) for each in written]
             if any(new is not old for new, old in zip(made, parts, strict=True)):
                 found[name] = made if many else made[0]
     return {**(given_again(data) if isinstance(data, Section) else data), **found} if found else data
-
-
-def _marker(field: Any) -> OfRobot | None:
-    return next((each for each in field.metadata if isinstance(each, OfRobot)), None)
-
-
-def _is_absent(given: Any, marker: OfRobot, default: Any, made: bool) -> bool:
-    return given is None if marker.null else given is ... or (made and given == default)
 
 
 def without_own(
@@ -119,3 +101,7 @@ def without_own(
             if marker.null:
                 kept[name] = None
     return kept
+
+
+def _marker(field: Any) -> OfRobot | None:
+    return next((each for each in field.metadata if isinstance(each, OfRobot)), None)

@@ -4,11 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+from simulated_calibration import aligned, change_to, deviating, measured
 from strategies import ROBOT
 
 from stewart_drake.calibration.measurements import MeasurementNoise, load_measurements
-from stewart_drake.calibration.parameters import change_to
-from stewart_drake.calibration.simulate import aligned, deviating, measured
 from stewart_drake.robot.robot_files import load_robot
 
 

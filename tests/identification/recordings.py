@@ -1,9 +1,9 @@
 """Robots and recordings that the tests of identification share."""
 
 import numpy as np
+from simulated_identification import deviating, recorded
 
 from stewart_drake.hardware.sensors import EncoderOptions
-from stewart_drake.identification.simulated_logs import deviating, recorded
 from stewart_drake.references.basic import SineReference
 from stewart_drake.references.combined import SumReference
 

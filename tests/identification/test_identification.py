@@ -7,14 +7,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recordings import FINE, motion, recording, truth_of
+from simulated_identification import Setting, coverage, run_trial, with_payload
 from strategies import ROBOT, ROBOTS, UNEQUAL, vectors
 
 from stewart_drake import load_robot
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.identification.consistency import consistent, is_consistent, lower_bounds, pseudo_inertia
+from stewart_drake.identification.consistency import consistent, is_consistent, pseudo_inertia
 from stewart_drake.identification.estimate import estimate
 from stewart_drake.identification.excitation import ROOM, excite
-from stewart_drake.identification.identification_study import Setting, coverage, run_trial
 from stewart_drake.identification.identify import identify
 from stewart_drake.identification.parameters import (
     BODIES,
@@ -25,12 +25,9 @@ from stewart_drake.identification.parameters import (
     SIZE,
     VISCOUS,
     as_robot,
-    free_directions,
     of_robot,
     scales,
-    with_payload,
 )
-from stewart_drake.identification.regressor import body_torques
 from stewart_drake.identification.samples import samples_of, samples_of_motion, together
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.planning.limits import Limits, limit_margins
@@ -54,26 +51,12 @@ def exact():
 def test_torques_are_linear_in_the_bodies(robot):
     time = np.linspace(0.0, 5.0, 50)
     pose, rate, acceleration = motion(robot, size=0.5).evaluate(time)
-    columns, known = body_torques(robot, pose, rate, acceleration, 9.81)
-    for values in (of_robot(robot), truth_of(robot)):
-        expected = inverse_dynamics(as_robot(robot, values), pose, rate, acceleration)
-        np.testing.assert_allclose(columns @ values[BODIES] + known, expected, rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
-def test_a_robot_comes_back_from_its_parameters(robot):
+    samples = samples_of_motion(robot, time, (pose, rate, acceleration), 9.81)
     again = as_robot(robot, of_robot(robot))
     np.testing.assert_allclose(of_robot(again), of_robot(robot), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(again.shaft_positions, robot.shaft_positions)
-
-
-@given(mass=st.floats(0.01, 1.0), place=vectors(3, 0.1))
-def test_a_payload_is_a_point_on_the_platform(mass, place):
-    loaded = as_robot(ROBOT, with_payload(of_robot(ROBOT), mass, place))
-    assert loaded.platform_mass == pytest.approx(1.0 + mass)
-    point = mass * ((place @ place) * np.eye(3) - np.outer(place, place))
-    change = loaded.platform_inertia_about_origin - ROBOT.platform_inertia_about_origin
-    np.testing.assert_allclose(change, point, atol=1e-12)
+    for values in (of_robot(robot), truth_of(robot)):
+        expected = inverse_dynamics(as_robot(robot, values), pose, rate, acceleration)
+        np.testing.assert_allclose(samples.bodies @ values[BODIES] + samples.known, expected, rtol=0.0, atol=1e-12)
 
 
 def test_derivatives_are_those_of_the_prediction():
@@ -131,6 +114,8 @@ def test_a_known_mass_makes_torque_constants_absolute():
 
 
 def test_what_is_held_keeps_its_value(exact):
+    with pytest.raises(ConfigurationError, match="hold"):
+        estimate(ROBOT, exact[1], KINDS)
     held, truth = ("torque_constant", "rod_inertia", "rotor_inertia"), exact[0].copy()
     truth[GAIN] = 0.0
     found = estimate(ROBOT, dataclasses.replace(exact[1], torque=exact[1].predicted(truth)), held)
@@ -138,18 +123,6 @@ def test_what_is_held_keeps_its_value(exact):
         if own.kind in held:
             assert found.values[at] == of_robot(ROBOT)[at]
             assert found.half_width[at] == 0.0
-
-
-@pytest.mark.parametrize("held", [("rod_mass",), ("platform_mass", "coulomb"), KINDS[:-1]])
-def test_free_directions_are_orthonormal_and_leave_what_is_held(held):
-    free = free_directions(held)
-    np.testing.assert_allclose(free.T @ free, np.eye(free.shape[1]), atol=1e-12)
-    assert np.abs(free[[at for at, own in enumerate(PARAMETERS) if own.kind in held]]).max() < 1e-12
-
-
-def test_nothing_free_is_refused(exact):
-    with pytest.raises(ConfigurationError, match="hold"):
-        estimate(ROBOT, exact[1], KINDS)
 
 
 def test_two_logs_tell_more_than_one():
@@ -190,29 +163,16 @@ def test_intervals_hold_the_truth(robot, payload):
     assert np.median([max(trial.coulomb, trial.viscous) for trial in trials]) < 0.05
 
 
-def test_errors_shrink_with_the_noise():
-    truth = truth_of(ROBOT)
-    widths = []
-    for noise in (0.008, 0.002):
-        found = estimate(ROBOT, samples_of(ROBOT, recording(ROBOT, truth, noise=noise, seed=1)))
-        free = found.half_width > 0.0
-        off = np.abs(found.values - told(ROBOT, found, truth))
-        assert (off[free] < 2.5 * found.half_width[free]).all()
-        widths.append(np.where(free, found.half_width, np.nan))
-    assert 2.0 < np.nanmedian(widths[0] / widths[1]) < 6.0
-
-
 @given(points=st.lists(vectors(4), min_size=1, max_size=6))
 def test_masses_of_any_distribution_have_a_pseudo_inertia_that_is_positive(points):
-    values = of_robot(ROBOT)
-    values[:10] = 0.0
+    values = 0.0 * of_robot(ROBOT)
     for point in points:
         values = with_payload(values, abs(point[3]), point[:3])
-    scale = max(1.0, values[0])
-    assert np.linalg.eigvalsh(pseudo_inertia(ROBOT, values)).min() > -1e-9 * scale * 100.0
+    assert np.linalg.eigvalsh(pseudo_inertia(ROBOT, values)).min() > -1e-7 * max(1.0, values[0])
 
 
 @settings(max_examples=10)
+@example(np.array([0.0, 0.0, 0.25, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0]))  # Rounding below a bound.
 @example(np.array([0.5625, 0.4609375, 0.0, 0.0, 0.0, -0.5, 0.125, 0.5625, -0.5, 0.0]))  # A bound, all but kept.
 @given(change=vectors(10, 0.6))
 def test_the_nearest_bodies_are_bodies_and_nearest(change):
@@ -225,7 +185,7 @@ def test_the_nearest_bodies_are_bodies_and_nearest(change):
     assert is_consistent(ROBOT, nearest)
     assert as_robot(ROBOT, nearest).platform_mass == pytest.approx(nearest[0])
     if is_consistent(ROBOT, found.values):
-        np.testing.assert_array_equal(nearest, found.values)
+        np.testing.assert_allclose(nearest, found.values, rtol=0.0, atol=1e-9)
         return
     # Optimal: no step from it towards any body is shorter by the estimate's own measure.
     back = np.linalg.lstsq(found.ways, nearest - found.values, rcond=None)[0]
@@ -240,13 +200,6 @@ def test_the_nearest_bodies_are_bodies_and_nearest(change):
 
 
 EXCITED = samples_of_motion(ROBOT, np.linspace(0, 20, 400), motion(ROBOT).evaluate(np.linspace(0, 20, 400)), 9.81)
-
-
-def test_the_guess_is_a_body():
-    for robot in ROBOTS.values():
-        values = of_robot(robot)
-        assert all(values[at] >= bound for at, bound in lower_bounds(robot).items())
-        assert np.linalg.eigvalsh(pseudo_inertia(robot, values)).min() > -1e-12
 
 
 @pytest.mark.slow

@@ -1,0 +1,206 @@
+"""Robots that are not quite what was drawn, tracker and encoders simulated, and calibrations judged by the truth."""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stewart_drake.calibration.fit import calibrate, located
+from stewart_drake.calibration.frames import STILL, Frame, exponential
+from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
+from stewart_drake.calibration.parameters import (
+    CRANK,
+    HOMING,
+    JOINT,
+    OF_LEG,
+    OF_ROBOT,
+    PER_LEG,
+    ROD,
+    SHAFT,
+    SIZE,
+    FrameName,
+    as_robot,
+)
+from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw, rotation_matrix
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS
+
+
+def deviating(
+    robot: RobotParameters, rng: np.random.Generator, length: float = 1e-3, angle: float = 1e-3
+) -> RobotParameters:
+    """A robot whose every parameter is off by a uniform error of up to `length` [m] or `angle` [rad] either way.
+
+    Raises:
+        ConfigurationError: It cannot be a robot.
+    """
+    most = np.array([length if each.unit == "m" else angle for each in OF_LEG] * LEGS)
+    change = np.zeros(SIZE)
+    change[:OF_ROBOT] = rng.uniform(-most, most)
+    return as_robot(robot, change)
+
+
+def measured(
+    robot: RobotParameters,
+    targets: Measurements,
+    noise: MeasurementNoise,
+    rng: np.random.Generator,
+    base: Frame = STILL,
+    marker: Frame = STILL,
+) -> Measurements:
+    """What tracker and encoders say of a robot whose cranks were brought to the angles of planned poses.
+
+    Encoders err by their steps alone, of sqrt(12) times the stated noise.
+
+    Raises:
+        ForwardKinematicsError: The robot cannot be assembled near a planned pose.
+    """
+    pose = forward_kinematics(robot, targets.angles, targets.pose)
+    step = noise.encoder * math.sqrt(12.0)
+    seen = base.after(Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])).after(marker)
+    turn = exponential(noise.rotation * rng.standard_normal((len(pose), 3))) @ seen.turn
+    place = seen.shift + noise.position * rng.standard_normal((len(pose), 3))
+    angles = np.rint(targets.angles / step) * step
+    return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")
+
+
+def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[FrameName] = ()) -> RobotParameters:
+    """The same robot with B and P where a calibration puts them: its shafts and joints nearest to a guess's.
+
+    Args:
+        robot: Any.
+        guess: Near to it.
+        known: Frames that stay where they are.
+    """
+    base, platform = STILL, STILL
+    if "base" not in known:
+        base = _onto(robot.shaft_positions, guess.shaft_positions)
+    if "platform" not in known:
+        platform = _onto(robot.platform_joints, guess.platform_joints)
+    legs: list[dict[str, Any]] = [
+        {
+            "shaft_position": base.turn @ robot.shaft_positions[leg] + base.shift,
+            "crank_zero_direction": base.turn @ robot.crank_zero_directions[leg],
+            "crank_quarter_direction": base.turn @ robot.crank_quarter_directions[leg],
+            "platform_joint": platform.turn @ robot.platform_joints[leg] + platform.shift,
+            "crank_length": robot.crank_lengths[leg],
+            "rod_length": robot.rod_lengths[leg],
+            "branch": int(robot.branches[leg]),
+        }
+        for leg in range(LEGS)
+    ]
+    return robot.replace(legs=legs)
+
+
+def _onto(points: np.ndarray, others: np.ndarray) -> Frame:
+    """The motion that brings points nearest to others."""
+    middle, goal = points.mean(axis=0), others.mean(axis=0)
+    turn = Rotation.align_vectors(others - goal, points - middle)[0].as_matrix()
+    return Frame(turn, goal - turn @ middle)
+
+
+def change_to(guess: RobotParameters, robot: RobotParameters) -> np.ndarray:
+    """The change (`SIZE`,) [m, rad] that makes of a guess another robot, frames left alone: undoes `as_robot`."""
+    change = np.zeros((LEGS, PER_LEG))
+    change[:, SHAFT] = robot.shaft_positions - guess.shaft_positions
+    change[:, JOINT] = robot.platform_joints - guess.platform_joints
+    change[:, CRANK] = robot.crank_lengths - guess.crank_lengths
+    change[:, ROD] = robot.rod_lengths - guess.rod_lengths
+    zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
+    axis, other = cross(zero, quarter), cross(robot.crank_zero_directions, robot.crank_quarter_directions)
+    # The turn that takes one motor axis to the other on the shortest way lies across both, so in the crank's plane.
+    across = cross(axis, other)
+    sine = np.linalg.norm(across, axis=-1)
+    angle = np.arctan2(sine, np.sum(axis * other, axis=-1))
+    turn = across * np.divide(angle, sine, out=np.ones(LEGS), where=sine > 0.0)[:, None]
+    change[:, 8], change[:, 9] = np.sum(turn * zero, axis=-1), np.sum(turn * quarter, axis=-1)
+    rotation = exponential(turn)
+    c, s = (np.einsum("lij,lj,li->l", rotation, v, robot.crank_zero_directions) for v in (zero, quarter))
+    change[:, HOMING] = np.arctan2(-s, c)
+    return np.concatenate([change.ravel(), np.zeros(12)])
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One robot's calibration, judged by the truth.
+
+    Attributes:
+        before: [m, rad] RMS error of unseen poses' position and rotation by the guess.
+        after: [m, rad] the same by the calibrated robot.
+        inside: (6, 11) bool, whether the 95 % intervals hold the truth.
+        width: (6, 11) [m, rad] half widths.
+        noise_ratio: [-] see `Calibration`.
+    """
+
+    before: tuple[float, float]
+    after: tuple[float, float]
+    inside: np.ndarray
+    width: np.ndarray
+    noise_ratio: float
+
+
+def run_trial(
+    guess: RobotParameters,
+    targets: Measurements,
+    unseen: Measurements,
+    noise: MeasurementNoise,
+    seed: int,
+    known_frames: Collection[FrameName] = (),
+) -> Trial:
+    """Calibrates a robot that is off in every parameter by up to 1 mm or 1 mrad either way.
+
+    Frames that are not known lie anywhere: the tracker some metres away, the marker some centimetres.
+
+    Args:
+        guess: What it was drawn as.
+        targets: Poses that are measured.
+        unseen: Poses at which it is judged, by encoder readings with their steps.
+        noise: Of tracker and encoders.
+        seed: Of the deviations, the frames and the noise.
+        known_frames: As for `calibrate`.
+    """
+    rng = np.random.default_rng(seed)
+    truth = deviating(guess, rng)
+    base = Frame(exponential(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-3.0, 3.0, 3))
+    marker = Frame(exponential(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.05, 0.05, 3))
+    base, marker = (STILL if "base" in known_frames else base), (STILL if "platform" in known_frames else marker)
+    seen = measured(truth, targets, noise, rng, base, marker)
+    found = calibrate(guess, seen, noise, known_frames)
+    tracker_free = MeasurementNoise(position=1e-300, rotation=1e-300, encoder=noise.encoder)
+    right = measured(truth, unseen, tracker_free, rng, base, marker)
+    believed = located(guess, seen, known_frames)
+    same = aligned(truth, guess, known_frames)
+    off = (found.change - change_to(guess, same))[:OF_ROBOT].reshape(LEGS, PER_LEG)
+    width = found.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG)
+    return Trial(
+        _error(guess, believed.base, believed.marker, right, unseen),
+        _error(found.robot, found.base, found.marker, right, unseen),
+        np.abs(off) <= width,
+        width,
+        found.noise_ratio,
+    )
+
+
+def coverage(trials: Collection[Trial]) -> dict[str, float]:
+    """Share [-] of the intervals that hold the truth: of each parameter, and under `all`."""
+    inside = np.mean([trial.inside.mean(axis=0) for trial in trials], axis=0)
+    names = map(str, OF_LEG)
+    return {**dict(zip(names, inside.tolist(), strict=True)), "all": float(inside.mean())}
+
+
+def gains(trials: Collection[Trial]) -> np.ndarray:
+    """(n, 2) [-] how many times smaller the errors of unseen poses have become, position and rotation."""
+    return np.array([np.divide(trial.before, trial.after) for trial in trials])
+
+
+def _error(
+    robot: RobotParameters, base: Frame, marker: Frame, right: Measurements, near: Measurements
+) -> tuple[float, float]:
+    """RMS [m, rad] of the marker's predicted poses at readings."""
+    pose = forward_kinematics(robot, right.angles, near.pose)
+    there = base.after(Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])).after(marker)
+    turn, place = np.split(np.linalg.norm(right.marker.minus(there).reshape(-1, 2, 3), axis=-1), 2, axis=-1)
+    return float(np.sqrt(np.mean(place**2))), float(np.sqrt(np.mean(turn**2)))
