@@ -13,7 +13,13 @@ NAMES = (
     *("paper/5_data_and_network", "paper/6_tuner_in_the_loop", "paper/7_sensitivity_and_workspace"),
 )
 MAX_DEFINITION_LINES = 10
+EXACT_GAINS = {
+    "study = Study(quick=True)": """study = Study(quick=True)
+study.base = study.base.replace({"controller.solver": "split"})"""
+}
+"""The same gains in less than half the time."""
 SHORTER = {
+    **dict.fromkeys((name for name in NAMES if name.startswith("paper/")), EXACT_GAINS),
     "02_build_the_diagram": {"DURATION = 3.2": "DURATION = 0.5"},
     "03_follow_a_heart": {"duration = 3.0": "duration = 0.4"},
     "05_the_tuner": {

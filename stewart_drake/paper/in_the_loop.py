@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -42,10 +42,9 @@ CLAIMED = 45.0
 BEST_FIXED, MEAN_OF_NINE, ORACLE = "best fixed pair", "mean of the nine", "oracle"
 APART = 1e-10
 """[rad, m] between starts that nobody could tell apart."""
-TUNER = "tuner"
+MAIN, TUNER = "(37), (38)", "tuner"
 OTHER = "gravity off, feedforward none"
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
-LOG_RATIOS = np.log10(RATIOS)
 
 UNCERTAIN = ("roll_rmse_deg", "z_rmse_mm", "integral_at_5s")
 """Figures of Fig. 7 whose spread over such starts is told: where the loop is chaotic, one run is one sample."""
@@ -54,34 +53,19 @@ Errors = Mapping[str, Mapping[str, float]]
 """Trajectory -> controller -> pose RMSE [mm]; controllers are `TUNER` and `ratio R`."""
 
 
-def of_ratio(ratio: float) -> str:
-    """The name of the controller with fixed weights of a ratio."""
-    return f"ratio {ratio:g}"
+FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
+"""The controllers with fixed weights."""
 
 
-FIXED = tuple(of_ratio(ratio) for ratio in RATIOS)
-
-
-class Trajectory(NamedTuple):
-    """A motion and how long [s] to follow it; errors are judged over the second half."""
-
-    reference: SineReference
-    duration: float
-
-    def under(self, scenario: Scenario) -> Scenario:
-        """`scenario` with this motion to follow."""
-        return scenario.replace({"reference": asdict(self.reference), "duration": self.duration})
-
-
-def unseen_trajectories() -> dict[str, Trajectory]:
-    """The eleven motions of trajectories.yaml."""
+def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
+    """The eleven motions of trajectories.yaml and how long [s] to follow them; the second half is judged."""
     table = YAML(typ="safe", pure=True).load(files(__package__).joinpath("trajectories.yaml").read_text("utf-8"))
     unit, found = np.repeat([math.radians(1.0), 1e-3], 3), {}
     for name, (duration, axes) in table.items():
         size, frequency, phase = (np.array([axes.get(axis, (0.0, 1.0, 0.0))[i] for axis in AXES]) for i in range(3))
         omega = six(2.0 * np.pi * frequency)
         motion = SineReference(amplitude=six(size * unit), angular_frequency=omega, phase=six(np.radians(phase)))
-        found[name] = Trajectory(motion, float(duration))
+        found[name] = motion, float(duration)
     return found
 
 
@@ -125,21 +109,21 @@ def reproduce(study: Study) -> Result:
     base, network = study.base, load_network(study.tuner_file)
     unseen = unseen_trajectories()
     if study.quick:
-        unseen = {"heartbeat": Trajectory(unseen["heartbeat"].reference, 4.0)}
-    trajectories = {"(37), (38)": Trajectory(paper_reference(), study.pick(10.0, 3.2)), **unseen}
-    fixed = {
-        of_ratio(ratio): paper_scenario(base, 10.0, base.gravity, base.lqi.feedforward, pair_of(ratio))
-        for ratio in RATIOS
-    }
-    controllers = fixed | {TUNER: study.under_tuner(fixed[of_ratio(1.0)])}
+        unseen = {"heartbeat": (unseen["heartbeat"][0], 4.0)}
+    trajectories = {MAIN: (paper_reference(), study.pick(10.0, 3.2)), **unseen}
+    condition = base.gravity, base.lqi.feedforward
+    controllers = {name: paper_scenario(base, 10.0, *condition, pair_of(ratio)) for name, ratio in FIXED.items()}
+    controllers[TUNER] = study.under_tuner(controllers["ratio 1"])
     scenarios: dict[tuple[str, Any], Scenario] = {
-        (name, who): t.under(scenario) for name, t in trajectories.items() for who, scenario in controllers.items()
+        (name, who): scenario.replace({"reference": asdict(motion), "duration": duration})
+        for name, (motion, duration) in trajectories.items()
+        for who, scenario in controllers.items()
     }
     main = f"gravity on, feedforward {base.lqi.feedforward}"
     free = paper_scenario(base, study.pick(10.0, 5.2), 0.0, "none", pair_of(1.0))
     fig7 = {
-        f"{main}, tuner": scenarios["(37), (38)", TUNER],
-        f"{main}, 1 / 1, fixed": scenarios["(37), (38)", of_ratio(1.0)],
+        f"{main}, tuner": scenarios[MAIN, TUNER],
+        f"{main}, 1 / 1, fixed": scenarios[MAIN, "ratio 1"],
         f"{OTHER}, tuner": study.under_tuner(free),
         f"{OTHER}, 1 / 1, fixed": free,
     }
@@ -158,7 +142,7 @@ def reproduce(study: Study) -> Result:
     against = baselines(errors)
     seen = {key: log for key, log in logs.items() if key[1] in FIXED}
     answers = [_mean_ratio(log, network.weights(log["density"])) for log in seen.values()]
-    slope = np.polyfit([LOG_RATIOS[FIXED.index(who)] for _, who in seen], answers, 1)[0]
+    slope = np.polyfit([np.log10(FIXED[who]) for _, who in seen], answers, 1)[0]
     tuned = {name: logs[name, TUNER] for name in trajectories}
     numbers = {
         "fig7": {name: _figures(logs[name, None]) for name in fig7},
@@ -168,10 +152,10 @@ def reproduce(study: Study) -> Result:
         },
         "pose_rmse_mm": {
             name: row | {MEAN_OF_NINE: against[MEAN_OF_NINE][i], ORACLE: against[ORACLE][i]}
-            | {"oracle_ratio": min(RATIOS, key=lambda ratio: row[of_ratio(ratio)])}
+            | {"oracle_ratio": FIXED[min(FIXED, key=row.__getitem__)]}
             for i, (name, row) in enumerate(errors.items())
         },
-        "best_fixed_ratio": RATIOS[FIXED.index(best_fixed(errors))],
+        "best_fixed_ratio": FIXED[best_fixed(errors)],
         "improvement_percent": {name: improvement(errors, values) for name, values in against.items()},
         "answers": {"slope": float(slope), "mean": float(np.mean(answers))},
         "ratio_in_the_loop": {name: 10.0 ** _mean_ratio(log, log["weights"]) for name, log in tuned.items()},
@@ -181,8 +165,8 @@ def reproduce(study: Study) -> Result:
     curves = {who: ([row[who] for row in errors.values()], rows) for who in (*FIXED, TUNER)}
     title = "Rows, from the bottom: " + ", ".join(errors)
     figures = {
-        "fig7_states": partial(plot_states, tuned["(37), (38)"]),
-        "fig7_torques": partial(plot_torques, tuned["(37), (38)"]),
+        "fig7_states": partial(plot_states, tuned[MAIN]),
+        "fig7_torques": partial(plot_torques, tuned[MAIN]),
         "ranking": partial(chart, title, "pose RMSE over the second half [mm]", "", curves, "o", "x"),
     }
     return Result(numbers, _claims(numbers), figures)
@@ -214,7 +198,7 @@ def _claims(numbers: dict[str, Any]) -> list[Claim]:
         Claim("Fig. 7: error of the second half by the first", "< 1", grown, "", grown < 1.0),
         Claim("III.D: the answer follows the weights, slope", "1", slope, "", slope > 0.8),
     ]
-    against = {name: gains[name]["mean"] for name in (of_ratio(1.0), BEST_FIXED, MEAN_OF_NINE)}
+    against = {name: gains[name]["mean"] for name in ("ratio 1", BEST_FIXED, MEAN_OF_NINE)}
     for name, gain in {**against, "the weakest of them": best}.items():
         rows.append(Claim(f"later paper: improvement on {name}", f"{CLAIMED:g} %", gain, "%", gain >= CLAIMED))
     return rows

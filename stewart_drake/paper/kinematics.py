@@ -99,7 +99,7 @@ def reproduce(study: Study) -> Result:
             nearby = sample.poses + 0.1 * (robot.home_pose - sample.poses)
             for start, guess in {"home": robot.home_pose, "nearby": nearby}.items():
                 forward[f"{name} {start}"] = newton_outcome(on_branch, sample.poses, guess)
-    misprints = {}
+    misprints: dict[str, dict[str, Any]] = {}
     for name in MISPRINTS:
         shift, in_reach = misprint_effect(robot, near, name)
         lost = 1.0 - float(in_reach.mean())

@@ -19,6 +19,7 @@ from stewart_drake.training.collect import (
     SAMPLES_PER_RUN,
     dataset_from_logs,
     dataset_metadata,
+    experiment_reference,
     experiment_scenarios,
     feasible_amplitudes,
 )
@@ -40,7 +41,7 @@ Scores = dict[str, float | None]
 def datasets(base: Scenario, logs: Sequence[SimulationLog]) -> dict[str, Dataset]:
     """The samples of the nine logs under each kind of density."""
     samples = round(logs[0].scenario.duration / base.lqi.period)
-    about = dataset_metadata(base, logs[0].scenario.reference)
+    about = dataset_metadata(base, experiment_reference(base))
     return {
         kind: dataset_from_logs(logs, samples, kind, base.tuner.window, about | {"density": kind})
         for kind in get_args(DensityKind)
@@ -88,13 +89,14 @@ def reproduce(study: Study) -> Result:
     results = {(kind, split): train_network(data[kind], replace(options, split=split)) for kind, split in trainings}
     network = results[own, "samples"].network
     if study.folder is not None:
-        network.save(study.folder / "tuner.json")
+        study.tuner_file = study.folder / "tuner.json"
+        network.save(study.tuner_file)
     largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
     distances, equal = run_distances(data[own])
     numbers = {
         "samples": len(data[own].run),
         "largest_amplitude": largest.tolist(),
-        "amplitude": [list(row) for row in scenarios[0].reference.amplitude],  # type: ignore[union-attr]
+        "amplitude": [list(row) for row in experiment_reference(base).amplitude],
         "equal_ratio_spread": float(distances[equal].max()),
         "next_ratio_spread": float(distances[~equal].min()),
         "distinct": distinct(distances, SAME_DATA),

@@ -86,8 +86,8 @@ def reproduce(study: Study) -> Result:
     logs = {key: log for key, log in every.items() if len(key) == 2}
     sagging = {key: log for key, log in every.items() if len(key) == 3}
     distances = relative_distances(gains_along_reference(study.base))
-    ratio = np.array([omega_q / omega_r for omega_q, omega_r in PAIRS])
-    equal = np.isclose(ratio[:, None], ratio)
+    ratios = np.array([omega_q / omega_r for omega_q, omega_r in PAIRS])
+    equal = np.isclose(ratios[:, None], ratios)
     numbers = {
         "conditions": {
             f"gravity {g:g}, {f}": [_row(pair, logs[(g, f), pair]) for pair in pairs[g, f]] for g, f in CONDITIONS

@@ -36,8 +36,8 @@ def reproduce(
     results: dict[str, Result] = {}
     with TemporaryDirectory() as scratch:
         study = Study(quick, folder=out or Path(scratch))
-        for index, name in enumerate(MODULES):
-            study.progress = lambda share, i=index, name=name: progress((i + share) / len(MODULES), name)
+        for name in MODULES:
+            study.progress = lambda share: progress((len(results) + share) / len(MODULES), name)  # noqa: B023
             study.progress(0.0)
             results[name] = import_module(f"{__package__}.{name}").reproduce(study)
     if out is not None:
@@ -59,9 +59,7 @@ def write(out: Path, results: dict[str, Result]) -> None:
 
 def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
     """The table: claim, paper, ours, verdict."""
-    return [
-        (c.name, c.paper, f"{c.ours:.4g} {c.unit}".strip(), "holds" if c.holds else "fails") for c in claims
-    ]
+    return [(c.name, c.paper, f"{c.ours:.4g} {c.unit}".strip(), "holds" if c.holds else "fails") for c in claims]
 
 
 def differences(claims: Iterable[Claim], size: str) -> list[str]:

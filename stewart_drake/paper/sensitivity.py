@@ -90,7 +90,7 @@ def reproduce(study: Study) -> Result:
         for ratio in ratios
     }
     controllers = {"tuner": study.under_tuner(fixed["ratio 1"]), **fixed}
-    scenarios = {(name, None): scenario for name, scenario in controllers.items()}
+    scenarios: dict[Any, Scenario] = {(name, None): scenario for name, scenario in controllers.items()}
     with TemporaryDirectory() as folder:
         for name, scenario in controllers.items():
             for change, keys in changes(scenario, Path(folder)).items():
@@ -112,7 +112,7 @@ def reproduce(study: Study) -> Result:
         Claim("V: robust to changes, runs that end early", "0", early, f"of {len(effects)}", early == 0),
         Claim("V: robust to changes, runs with twice the error", "0", blown, f"of {len(effects)}", blown == 0),
     ]
-    curves = {name: ([], []) for name in found}
+    curves: dict[str, tuple[list[float], list[int]]] = {name: ([], []) for name in found}
     for name, of in found.items():
         for row, effect in enumerate(of["effects"]):
             curves[name][0].append((effect["score"] or {"pose_mm": np.nan})["pose_mm"])

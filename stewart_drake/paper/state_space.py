@@ -24,7 +24,7 @@ from stewart_drake.control.state_space import (
     state_matrix,
 )
 from stewart_drake.mechanics.force_map import ForceMapKind, force_map, force_map_of_legs
-from stewart_drake.mechanics.kinematics import LegGeometry, leg_geometry, line_conditioning, reach_margin, rod_lines
+from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
 from stewart_drake.paper.as_printed import matrices_21_22_24
 from stewart_drake.paper.study import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
 from stewart_drake.planning.pose_box import NEAR, sample_poses
@@ -56,42 +56,34 @@ def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float
     400 poses up to `most` units of `direction` are looked at, and the first singular one is found to the last digits.
     """
 
-    def margin(distance: float) -> float:
-        return float(reach_margin(robot, robot.home_pose + distance * direction).min())
+    def margin(distance: Any) -> Any:
+        return reach_margin(robot, robot.home_pose + np.multiply.outer(distance, direction)).min(axis=-1)
 
-    def determinant(distance: float) -> float:
-        return float(np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose + distance * direction))))
+    def determinant(distance: Any) -> Any:
+        return np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose + np.multiply.outer(distance, direction))))
 
-    walk = np.linspace(0.0, most, 401)
-    reached = reach_margin(robot, robot.home_pose + walk[:, None] * direction).min(axis=-1) >= 0.0
-    end = None
-    if not reached.all():
+    walk, end = np.linspace(0.0, most, 401), None
+    if not (reached := margin(walk) >= 0.0).all():
         inside = int(reached.argmin())
         end = brentq(margin, walk[inside - 1], walk[inside], xtol=1e-16, rtol=1e-15)
         while margin(end) < 0.0:
             end = float(np.nextafter(end, 0.0))
         walk = np.unique([*walk[:inside], end])
-    signs = np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose + walk[:, None] * direction)))
-    crossed = signs * signs[0] < 0.0
+    crossed = determinant(walk) * determinant(0.0) < 0.0
     if crossed.any():
         at = int(crossed.argmax())
         return Singularity("parallel", direction, brentq(determinant, *walk[at - 1 : at + 1], xtol=1e-16, rtol=1e-15))
-    return None if end is None else Singularity("serial", direction, float(end))
-
-
-def legs_at(robot: RobotParameters, pose: np.ndarray) -> LegGeometry:
-    """Legs whose transmission is put at zero where it is rounding away from that."""
-    legs = leg_geometry(robot, pose)
-    dead = np.abs(legs.transmission) < DEAD
-    return dataclasses.replace(legs, transmission=np.where(dead, 0.0, legs.transmission))
+    return None if end is None else Singularity("serial", direction, end)
 
 
 def inputs_at(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> np.ndarray | None:
-    """M^-1 tau (6, 6) at a pose; None where `statics` is infinite."""
-    legs = legs_at(robot, pose)
-    if kind == "statics" and not legs.transmission.all():
+    """M^-1 tau (6, 6) at a pose, a transmission within rounding of zero put there; None where `statics` is infinite."""
+    legs = leg_geometry(robot, pose)
+    transmission = np.where(np.abs(legs.transmission) < DEAD, 0.0, legs.transmission)
+    if kind == "statics" and not transmission.all():
         return None
-    return np.asarray(force_map_of_legs(robot, legs, kind) / mass_diagonal(robot)[:, None])
+    tau = force_map_of_legs(robot, dataclasses.replace(legs, transmission=transmission), kind)
+    return np.asarray(tau / mass_diagonal(robot)[:, None])
 
 
 def stabilisability_rank(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> int | None:
@@ -105,15 +97,10 @@ def nonzero_columns(robot: RobotParameters, pose: np.ndarray) -> int:
     return int(np.any(inputs_at(robot, pose, "printed") != 0.0, axis=0).sum())
 
 
-def closed_loop(at_pose: np.ndarray, gain: np.ndarray, period: float) -> np.ndarray:
-    """Eigenvalues (18,) of one tick of (25) under u = -gain x, for M^-1 tau (6, 6) at a pose; exact sampled system."""
-    a, b = discretize(state_matrix(), input_matrix(at_pose), period)
-    return np.asarray(np.linalg.eigvals(a - b @ gain))
-
-
 def radius(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float:
-    """Spectral radius of the closed loop."""
-    return float(np.abs(closed_loop(at_pose, gain, period)).max())
+    """Spectral radius of one tick of (25) under u = -gain x, for M^-1 tau (6, 6) at a pose; exact sampled system."""
+    a, b = discretize(state_matrix(), input_matrix(at_pose), period)
+    return float(np.abs(np.linalg.eigvals(a - b @ gain)).max())
 
 
 def slowest_decay(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float:
@@ -142,6 +129,8 @@ def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) ->
     """Euler's gain against the exact one, both on the exact sampled system: difference, slowest decays, radius."""
     exact, euler = (gain_of_ratio(at_pose, period, ratio, method) for method in ("exact", "euler"))
     return {
+        "period": period,
+        "ratio": ratio,
         "gain": float(np.linalg.norm(euler - exact) / np.linalg.norm(exact)),
         "exact": slowest_decay(at_pose, exact, period),
         "euler": slowest_decay(at_pose, euler, period),
@@ -153,51 +142,42 @@ def reproduce(study: Study) -> Result:
     """Matrices and gains at home; ranks and decay over boxes of poses; singular poses along each axis."""
     robot, period = study.base.robot, study.base.lqi.period
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
-    printed_gain = {ratio: gain_of_ratio(tau, period, ratio) for ratio in RATIOS}
-    gain = {ratio: gain_of_ratio(at_home, period, ratio) for ratio in RATIOS}
+    a, b, c = matrices_21_22_24(at_home)
+    none = np.zeros((AXES, AXES))
+    pairs = {
+        "A": (state_matrix(), np.block([[a, np.zeros((12, AXES))], [c, none]])),
+        "B": (input_matrix(at_home), np.vstack([b, none])),
+        "C": (output_matrix(), np.hstack([c, np.eye(AXES)])),
+    }
+    gain = gain_of_ratio(at_home, period, 1.0)
+    inputs = {"radius": tau, "right": at_home}
     rows = [
-        {"ratio": r, "radius": radius(at_home, printed_gain[r], period), "right": radius(at_home, gain[r], period)}
+        {"ratio": r} | {k: radius(at_home, gain_of_ratio(m, period, r), period) for k, m in inputs.items()}
         for r in RATIOS
     ]
+    ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
     numbers: dict[str, Any] = {
-        "matrices_as_printed": _matrices_as_printed(at_home),
+        "matrices_as_printed": {name: bool(np.array_equal(*pair)) for name, pair in pairs.items()},
         "tau_for_m_inverse_tau": {"period": period, "rows": rows},
         "hautus": {
             "detectability": hautus_detectability(state_matrix(), output_matrix()),
             "regions": _ranks(study),
-            "singular": [_numbers_of(robot, found) for found in singularities(robot)],
+            "singular": [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))],
         },
         "riccati": {
             "undiscretised_gain": float(max(np.abs(gain_without_discretisation(at_home, r)).max() for r in RATIOS)),
-            "radius_30": radius(at_home, -gain[1.0], period),
-            "radius_34": radius(at_home, gain[1.0], period),
+            "radius_30": radius(at_home, -gain, period),
+            "radius_34": radius(at_home, gain, period),
         },
-        "discretisation": [
-            {"period": p, "ratio": r, **compare_discretisations(at_home, p, r)}
-            for p in PERIODS
-            for r in (0.01, 1.0, 100.0)
-        ],
+        "discretisation": [compare_discretisations(at_home, p, r) for p in PERIODS for r in RATIOS[::2]],
         "decay": _decay(study, at_home),
     }
     return Result(numbers, _claims(numbers))
 
 
-def _matrices_as_printed(at_home: np.ndarray) -> dict[str, bool]:
-    """Whether A, B, C are those of (21), (22), (24), written out index by index."""
-    a, b, c = matrices_21_22_24(at_home)
-    augmented = np.block([[a, np.zeros((12, AXES))], [c, np.zeros((AXES, AXES))]])
-    pairs = {
-        "A": (state_matrix(), augmented),
-        "B": (input_matrix(at_home), np.vstack([b, np.zeros((AXES, AXES))])),
-        "C": (output_matrix(), np.hstack([c, np.eye(AXES)])),
-    }
-    return {name: bool(np.array_equal(*pair)) for name, pair in pairs.items()}
-
-
 def _ranks(study: Study) -> dict[str, dict[str, Any]]:
     """How many random poses have full rank (28), by box and force map."""
-    robot, rng = study.base.robot, np.random.default_rng(SEED)
-    found = {}
+    robot, rng, found = study.base.robot, np.random.default_rng(SEED), {}
     for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS):
         poses = sample_poses(robot, region, study.pick(400, 60), rng).poses
         full = [stabilisability_rank(robot, pose, kind) for pose in poses].count(STATES)
@@ -206,20 +186,15 @@ def _ranks(study: Study) -> dict[str, dict[str, Any]]:
     return found
 
 
-def singularities(robot: RobotParameters) -> list[Singularity]:
-    """First singular pose along each axis, both ways."""
-    ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
-    return [found for way, most in ways if (found := first_singularity(robot, way, most)) is not None]
-
-
-def _numbers_of(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
+def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
     axis, pose = int(np.abs(found.direction).argmax()), found.pose(robot)
-    legs, (name, unit) = legs_at(robot, pose), COORDINATES[axis]
+    legs, (name, unit) = leg_geometry(robot, pose), COORDINATES[axis]
+    least = float(np.abs(legs.transmission).min())
     return {
         "axis": ("+" if found.direction[axis] > 0.0 else "-") + name,
         "at": f"{SCALES[axis] * (pose - robot.home_pose)[axis]:.1f}\u00a0{unit}",
         "kind": found.kind,
-        "transmission": float(np.abs(legs.transmission).min()),
+        "transmission": least if least > DEAD else 0.0,
         "conditioning": float(line_conditioning(robot, legs)),
         "rank": {kind: stabilisability_rank(robot, pose, kind) for kind in KINDS},
         "columns": nonzero_columns(robot, pose),

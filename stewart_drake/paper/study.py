@@ -53,7 +53,7 @@ class Result:
 
     numbers: dict[str, Any]
     claims: list[Claim]
-    figures: dict[str, Callable[[], Figure]] = field(default_factory=dict)
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -63,7 +63,8 @@ class Study:
     Attributes:
         quick: Smaller sizes.
         base: Scenario that the claims vary; the default is the paper's loop with gravity compensated.
-        folder: Where the networks go that this study trains; without one the shipped network is used.
+        folder: Where the network goes that this study trains; None keeps none.
+        tuner_file: Its weights; None before, for those of the shipped one.
         workers: Processes for runs; None is one for each core.
         progress: Called with the share of the present runs that is done, 0 to 1.
     """
@@ -71,6 +72,7 @@ class Study:
     quick: bool = False
     base: Scenario = field(default_factory=Scenario)
     folder: Path | None = None
+    tuner_file: Path | None = None
     workers: int | None = None
     progress: Callable[[float], None] = lambda _: None
 
@@ -91,12 +93,6 @@ class Study:
         work = partial(simulate, check=check)
         carry_out(range(len(different)), lambda index: (work, (different[index],)), keep, where)
         return {key: logs[scenario] for key, scenario in scenarios.items()}
-
-    @property
-    def tuner_file(self) -> Path | None:
-        """Weights of the network that this study has trained; None before, for the shipped one."""
-        path = self.folder / "tuner.json" if self.folder else None
-        return path if path and path.is_file() else None
 
     def under_tuner(self, scenario: Scenario) -> Scenario:
         """`scenario` with the network in the loop, from 1/1 as in section IV, densities as it was trained on."""

@@ -100,9 +100,10 @@ def study_poses(
         ConfigurationError: A center that `check_center` refuses; too few samples.
     """
     surveys: dict[Kind, Survey] = {}
-    for i, kind in enumerate(KINDS):
+    for kind in KINDS:
+        start = 0.3 * len(surveys)
         grid = spanning_grid(robot, kind, center, samples)
-        surveys[kind] = survey(robot, limits, grid, gravity, lambda share, i=i: progress(0.3 * (i + share)))
+        surveys[kind] = survey(robot, limits, grid, gravity, lambda share: progress(start + 0.3 * share))  # noqa: B023
 
     def ways(kind: Kind, along: np.ndarray) -> Boundary:
         return Boundary(*follow_rays(robot, limits, kind, center, along, gravity))

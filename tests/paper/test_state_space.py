@@ -5,13 +5,13 @@ import scipy.linalg
 from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, state_matrix
 from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, rod_lines
 from stewart_drake.paper.state_space import (
-    closed_loop,
     compare_discretisations,
     decay_limit,
     first_singularity,
     gain_of_ratio,
     gain_without_discretisation,
     nonzero_columns,
+    radius,
     slowest_decay,
     stabilisability_rank,
 )
@@ -78,10 +78,12 @@ def test_the_loop_decays_as_the_slowest_of_six_channels_in_continuous_time(ratio
     assert decay == pytest.approx(min(slowest), rel=1e-3)
 
 
-def test_decay_is_that_of_the_slowest_eigenvalue():
+def test_a_tick_is_the_exact_sampled_system():
     gain = gain_of_ratio(AT_HOME, 0.005, 1.0)
-    poles = closed_loop(AT_HOME, gain, 0.005)
-    assert np.abs(poles).max() == pytest.approx(np.exp(-0.005 * slowest_decay(AT_HOME, gain, 0.005)), rel=1e-12)
+    continuous = np.vstack([np.hstack([state_matrix(), input_matrix(AT_HOME)]), np.zeros((6, 24))])
+    tick = scipy.linalg.expm(0.005 * continuous)[:18]
+    closed = tick[:, :18] - tick[:, 18:] @ gain
+    assert radius(AT_HOME, gain, 0.005) == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), rel=1e-9)
     assert slowest_decay(AT_HOME, -gain, 0.005) < 0.0
 
 
