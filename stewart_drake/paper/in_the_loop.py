@@ -195,10 +195,10 @@ def _claims(numbers: dict[str, Any]) -> list[Claim]:
     slope, best = numbers["answers"]["slope"], max(gain["mean"] for gain in gains.values())
     rows = [
         Claim("Fig. 7: integral states at 5 s under the tuner", "near 0", settled, "rad s, m s", settled < 0.01),
-        Claim("Fig. 7: error of the second half by the first", "< 1", grown, "", grown < 1.0),
+        Claim("Fig. 7: error of the second half over the first", "< 1", grown, "", grown < 1.0),
         Claim("III.D: the answer follows the weights, slope", "1", slope, "", slope > 0.8),
     ]
     against = {name: gains[name]["mean"] for name in ("ratio 1", BEST_FIXED, MEAN_OF_NINE)}
-    for name, gain in {**against, "the weakest of them": best}.items():
+    for name, gain in {**against, "the worst baseline": best}.items():
         rows.append(Claim(f"later paper: improvement on {name}", f"{CLAIMED:g} %", gain, "%", gain >= CLAIMED))
     return rows

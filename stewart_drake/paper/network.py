@@ -124,7 +124,7 @@ def _claims(study: Study, numbers: dict[str, Any]) -> list[Claim]:
     return [
         Claim("III.D: samples", f"{PAPER_SAMPLES}", samples, "", samples == study.pick(PAPER_SAMPLES, 5760)),
         Claim("III.D: amplitudes that are feasible, 1 to 5 Hz", "all", feasible, "of 30", feasible == 30),
-        Claim("III.D: nine experiments are sets of data", "9", sets, "", sets == 9),
+        Claim("III.D: different sets of data of nine experiments", "9", sets, "", sets == 9),
         *(
             Claim(f"III.D: the network learns {name}, R^2", "learnt", scores[name], "", scores[name] >= LEARNT)
             for name in TARGETS

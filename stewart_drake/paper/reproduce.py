@@ -59,7 +59,9 @@ def write(out: Path, results: dict[str, Result]) -> None:
 
 def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
     """The table: claim, paper, ours, verdict."""
-    return [(c.name, c.paper, f"{c.ours:.4g} {c.unit}".strip(), "holds" if c.holds else "fails") for c in claims]
+    verdicts = {True: "holds", False: "fails", None: "-"}
+    shown = ((claim, f"{claim.ours:.4g}" if claim.ours % 1 else f"{claim.ours:.0f}") for claim in claims)
+    return [(c.name, c.paper, f"{ours} {c.unit}".strip(), verdicts[c.holds]) for c, ours in shown]
 
 
 def differences(claims: Iterable[Claim], size: str) -> list[str]:

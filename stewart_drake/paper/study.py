@@ -38,13 +38,16 @@ WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), 
 
 
 class Claim(NamedTuple):
-    """A row of the table: what the paper claims and says, what we find with its unit, and whether the claim holds."""
+    """A row of the table: what the paper claims and says, what we find with its unit, and whether the claim holds.
+
+    `holds` is None where the paper says nothing.
+    """
 
     name: str
     paper: str
     ours: float
     unit: str
-    holds: bool
+    holds: bool | None
 
 
 @dataclass(frozen=True)

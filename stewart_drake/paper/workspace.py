@@ -121,7 +121,7 @@ def reproduce(study: Study) -> Result:
     whole = len(done) == len(motions)
     claims = [
         Claim("abstract: motions that come to their end", "all", len(done), f"of {len(motions)}", whole),
-        Claim("abstract: one region of torques, largest by least", "1", most, "", most <= LARGE_SPREAD),
-        Claim("IV: part of a limit that (37), (38) takes up", "-", use, "%", use <= 100.0),
+        Claim("abstract: largest torque of a run over the least", "1", most, "", most <= LARGE_SPREAD),
+        Claim("IV: largest part of a limit on (37), (38)", "-", use, "%", None),
     ]
     return Result({"motions": motions}, claims, {"workspace": draw})

@@ -63,8 +63,8 @@ def test_the_command_prints_the_table_writes_its_numbers_and_fails_on_a_changed_
 
 
 def test_rows_show_value_unit_and_verdict():
-    claims = [Claim("a", "0", 1.23456, "mm", True), Claim("b", "9", 5, "", False)]
-    assert rows(claims) == [("a", "0", "1.235 mm", "holds"), ("b", "9", "5", "fails")]
+    claims = [Claim("a", "0", 1.23456, "mm", True), Claim("b", "9", 14400, "", False)]
+    assert rows(claims) == [("a", "0", "1.235 mm", "holds"), ("b", "9", "14400", "fails")]
 
 
 def test_a_table_in_markdown_has_a_dash_for_nothing_and_no_stray_borders():
@@ -80,6 +80,14 @@ def test_the_quick_reproduction_is_the_committed_one(tmp_path):
     assert list(numbers) == list(MODULES)
     drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert drawn == {name for result in results.values() for name in result.figures}
+
+
+def test_the_page_has_the_committed_numbers():
+    page = (ROOT / "docs" / "results" / "reproduction.md").read_text()
+    for each in TABLE:
+        ours = re.search(rf"^\| {re.escape(each['claim'])} \|[^|]*\| (\S+)", page, re.MULTILINE)[1]
+        assert float(ours) == pytest.approx(float(each["full"]), rel=1e-3)
+    assert page.count("\n| ") == len(TABLE) + 2
 
 
 # --- departures from the print ---------------------------------------------------------------------------------------
