@@ -36,7 +36,7 @@ def reproduce(quick: bool, out: Path | None, quiet: bool) -> None:
         results = results_of(quick, out, lambda share, name: advance(100.0 * share, name.replace("_", " ")))
     claims = [claim for result in results.values() for claim in result.claims]
     if not quiet:
-        print_columns("The paper, claim by claim", ("claim", "paper", "ours", "verdict"), rows(claims), (1, 2))
+        print_columns("The paper, claim by claim", ("claim", "paper", "ours", "verdict"), rows(claims))
     different = differences(claims, "quick" if quick else "full")
     for line in different:
         click.echo(f"stewart-drake: {line}", err=True)

@@ -46,12 +46,8 @@ MODELS = {
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
     """The robot with masses and inertias of cranks and rods times `scale`, but no less than a robot may have."""
-    return robot.replace(
-        rod_mass=max(SMALLEST, scale * robot.rod_mass),
-        crank_mass=max(SMALLEST, scale * robot.crank_mass),
-        rod_inertia=tuple(max(SMALLEST, scale * moment) for moment in robot.rod_inertia),
-        crank_inertia=tuple(max(SMALLEST, scale * moment) for moment in robot.crank_inertia),
-    )
+    of_legs = ("rod_mass", "crank_mass", "rod_inertia", "crank_inertia")
+    return robot.replace(**{k: np.maximum(SMALLEST, scale * np.array(getattr(robot, k))).tolist() for k in of_legs})
 
 
 def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:

@@ -161,13 +161,12 @@ def reproduce(study: Study) -> Result:
         "ratio_in_the_loop": {name: 10.0 ** _mean_ratio(log, log["weights"]) for name, log in tuned.items()},
         "torque_spread_percent": max(100.0 * (max(t) / min(t) - 1.0) for t in torques),
     }  # fmt: skip
-    rows = range(len(errors))
-    curves = {who: ([row[who] for row in errors.values()], rows) for who in (*FIXED, TUNER)}
-    title = "Rows, from the bottom: " + ", ".join(errors)
+    curves = {who: ([row[who] for row in errors.values()], list(errors)) for who in (*FIXED, TUNER)}
+    title = "The tuner among the five controllers"
     figures = {
         "fig7_states": partial(plot_states, tuned[MAIN]),
         "fig7_torques": partial(plot_torques, tuned[MAIN]),
-        "ranking": partial(chart, title, "pose RMSE over the second half [mm]", "", curves, "o", "x"),
+        "ranking": partial(chart, title, "pose RMSE over the second half [mm]", "", curves, "o", "x", 5.0),
     }
     return Result(numbers, _claims(numbers), figures)
 

@@ -34,6 +34,8 @@ def reproduce(
     `progress` is called with the share done, 0 to 1, and the module at hand.
     """
     results: dict[str, Result] = {}
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as scratch:
         study = Study(quick, folder=out or Path(scratch))
         for name in MODULES:

@@ -112,10 +112,11 @@ def reproduce(study: Study) -> Result:
         Claim("V: changed runs that end early", "0", early, f"of {len(effects)}", early == 0),
         Claim("V: changed runs with twice the error", "0", blown, f"of {len(effects)}", blown == 0),
     ]
-    curves: dict[str, tuple[list[float], list[int]]] = {name: ([], []) for name in found}
+    curves = {}
     for name, of in found.items():
-        for row, effect in enumerate(of["effects"]):
-            curves[name][0].append((effect["score"] or {"pose_mm": np.nan})["pose_mm"])
-            curves[name][1].append(row)
-    draw = partial(chart, "After each change; none where the run ends early", "pose RMSE [mm]", "", curves, "o", "x")
+        done = [effect for effect in of["effects"] if effect["score"]]
+        rows = [f"{effect['factor']}, {effect['to']}" for effect in done]
+        curves[name] = [effect["score"]["pose_mm"] for effect in done], rows
+    title = "After each change; no mark where the run ends early"
+    draw = partial(chart, title, "pose RMSE [mm]", "", curves, "o", "x", 7.0)
     return Result({"controllers": found}, claims, {"sensitivity": draw})

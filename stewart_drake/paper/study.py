@@ -156,10 +156,16 @@ def largest_integral(log: SimulationLog) -> float | None:
 
 
 def chart(
-    title: str, x: str, y: str, curves: Mapping[str, tuple[Any, Any]], style: str = "-", decades: str = ""
+    title: str,
+    x: str,
+    y: str,
+    curves: Mapping[str, tuple[Any, Any]],
+    style: str = "-",
+    decades: str = "",
+    height: float = 4.0,
 ) -> Figure:
-    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic."""
-    figure, ((panel,),) = panels(1, 1, 4.0)
+    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
+    figure, ((panel,),) = panels(1, 1, height)
     for name, (along, values) in curves.items():
         panel.plot(along, values, style, label=name)
     logarithmic(panel, decades)
