@@ -17,10 +17,11 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.force_map import crank_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix
 from stewart_drake.paper.as_printed import rod_map_11
-from stewart_drake.paper.study import ANNOUNCED, SEED, Claim, Result, Study, chart, quantiles
+from stewart_drake.paper.study import ANNOUNCED, SEED, Claim, Result, Study, quantiles
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plotting.panels import chart
 from stewart_drake.references import paper_reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS, SMALLEST

@@ -25,13 +25,13 @@ from stewart_drake.paper.study import (
     Claim,
     Result,
     Study,
-    chart,
     growth,
     largest_integral,
     pair_of,
     paper_scenario,
     score,
 )
+from stewart_drake.plotting.panels import chart
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario import Scenario

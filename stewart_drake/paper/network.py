@@ -13,7 +13,8 @@ import numpy as np
 from stewart_drake.control.density import DensityKind
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.paper.nine_experiments import distinct
-from stewart_drake.paper.study import PAIRS, Claim, Result, Study, chart
+from stewart_drake.paper.study import PAIRS, Claim, Result, Study
+from stewart_drake.plotting.panels import chart
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import (
     SAMPLES_PER_RUN,

@@ -20,13 +20,13 @@ from stewart_drake.paper.study import (
     Claim,
     Result,
     Study,
-    chart,
     growth,
     largest_integral,
     outcome,
     pair_of,
     paper_scenario,
 )
+from stewart_drake.plotting.panels import chart
 from stewart_drake.references import paper_reference
 from stewart_drake.scenario import Scenario
 

@@ -11,9 +11,10 @@ from scipy.integrate import solve_ivp
 from stewart_drake.errors import RunFailure
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import twist_jacobian, twist_to_pose_rate
-from stewart_drake.paper.study import Claim, Result, Study, chart
+from stewart_drake.paper.study import Claim, Result, Study
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plotting.panels import chart
 from stewart_drake.robot import RobotParameters
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])

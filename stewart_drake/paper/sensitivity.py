@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.control.network import TunerNetwork
-from stewart_drake.paper.study import Claim, Result, Study, chart, outcome, pair_of, paper_scenario, score
+from stewart_drake.paper.study import Claim, Result, Study, outcome, pair_of, paper_scenario, score
+from stewart_drake.plotting.panels import chart
 from stewart_drake.scenario import AnnTuner, Scenario
 
 DURATION = 6.28

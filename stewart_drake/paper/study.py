@@ -20,7 +20,6 @@ from stewart_drake.control.network import load_network
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.planning.pose_box import Region
-from stewart_drake.plotting.panels import label, legend, logarithmic, panels
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.training.collect import OMEGAS
 
@@ -153,25 +152,6 @@ def largest_integral(log: SimulationLog) -> float | None:
     """Largest |z| at 5 s [rad s, m s]; None where the run ended before."""
     z = run_metrics(log)["integral_at_5s"]
     return None if z is None else float(np.abs(z).max())
-
-
-def chart(
-    title: str,
-    x: str,
-    y: str,
-    curves: Mapping[str, tuple[Any, Any]],
-    style: str = "-",
-    decades: str = "",
-    height: float = 4.0,
-) -> Figure:
-    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
-    figure, ((panel,),) = panels(1, 1, height)
-    for name, (along, values) in curves.items():
-        panel.plot(along, values, style, label=name)
-    logarithmic(panel, decades)
-    label(panel, title, x, y)
-    legend(panel)
-    return figure
 
 
 def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:

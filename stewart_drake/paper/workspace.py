@@ -14,11 +14,11 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_jacobian, reach_margin
-from stewart_drake.paper.study import Claim, Result, Study, chart
+from stewart_drake.paper.study import Claim, Result, Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
 from stewart_drake.planning.measures import measure_poses
 from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
-from stewart_drake.plotting.panels import COORDINATES
+from stewart_drake.plotting.panels import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.runs.simulation import check_scenario
