@@ -33,10 +33,9 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
 
 
 ROOT = Path(__file__).parent.parent
-pytest_plugins = ("quick_report",)
 
 
-SHARED = ("report", "cluster", "done", "collected", "wheel")
+SHARED = ("cluster", "done", "collected", "wheel")
 """Fixtures that take long. The tests of each go to one worker: others would make it again, or stand idle meanwhile."""
 
 

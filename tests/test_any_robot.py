@@ -186,7 +186,7 @@ def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
 
 def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     from stewart_drake.cli import workspace_command
-    from stewart_drake.paper import study
+    from stewart_drake.planning import pose_study
 
     class DoneError(Exception):
         pass
@@ -194,7 +194,7 @@ def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     def stop(*_, **__):
         raise DoneError
 
-    monkeypatch.setattr(study, "Study", stop)
+    monkeypatch.setattr(pose_study, "study_poses", stop)
     monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "")
     status, _, error = call("workspace", "--set", "robot.platform_joint_radius=0.16", "--quiet")
     assert workspace_command.workspace.name == "workspace"

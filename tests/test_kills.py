@@ -13,12 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import environment
 
-from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.campaigns.tables import INCIDENTAL
 from stewart_drake.cli.app import main
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
-from stewart_drake.scenario import Scenario
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
 """Of each campaign, for one store and one engine stand under all of them; more of them for a longer search."""
@@ -51,44 +48,20 @@ if __name__ == "__main__":
     from stewart_drake.cli.app import main
     main()
 """
-# A report of two small sections, which run, draw and keep a file.
-FEW_SECTIONS = f"""
-import sys
-from types import ModuleType
-from matplotlib.figure import Figure
-from stewart_drake.paper.report import Section
-from stewart_drake.paper import reproduce
-
-def module(key):
-    def make(study):
-        changes = [{{"duration": 0.2, "initial_offset": [0.0] * 5 + [i * 1e-3]}} for i in range(4)]
-        logs = study.store.run_all([study.base.replace(change) for change in changes])
-        numbers = {{"end": [float(log["pose"][-1, 0]) for log in logs]}}
-        figure = Figure()
-        figure.subplots().plot(logs[0].time, logs[0]["pose"])
-        file = study.save_figure(figure, key)
-        (study.folder / f"{{key}}.txt").write_text(str(numbers))
-        return Section(key, key, "claim", "verdict", f"![a line](figures/{{file}})", numbers,
-                       [f"figures/{{file}}", f"{{key}}.txt"])
-
-    found = ModuleType(key)
-    found.make = make
-    return found
-
-reproduce.SECTIONS = ("tiny_a", "tiny_b")
-reproduce.check_base = lambda base: None
-for key in reproduce.SECTIONS:
-    sys.modules[f"{{reproduce.__package__}}.{{key}}_section"] = module(key)
+# Short runs of a few faults; the workers import this file too.
+FEW_FAULTS = f"""
+from stewart_drake.campaigns import fault, fault_table as table
+some = [pair for pair in table.all_rows() if pair[1] == "hold"][:6]
+table.all_rows = lambda: some
+short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})
+fault.base = lambda *_: short
 {MAIN}
 """
 CAMPAIGNS = {
     "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
     "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
     "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
-    "reproduce": (
-        FEW_SECTIONS,
-        ["reproduce", "--quick", "--set", "limits.clearance=null", "--set", "tuner.kind=fixed"],
-    ),
+    "faults": (FEW_FAULTS, ["faults", "--quick", "--workers", "2"]),
 }
 
 
@@ -169,9 +142,9 @@ def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(her
     assert results(here / "killed") == results(here / "whole")
 
 
-@pytest.mark.parametrize("command", [*CAMPAIGNS, "workspace"])
+@pytest.mark.parametrize("command", CAMPAIGNS)
 def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys, command):
-    args = CAMPAIGNS[command][1] if command in CAMPAIGNS else ["workspace", "--set", "limits.clearance=null"]
+    args = CAMPAIGNS[command][1]
     (here / "out").mkdir()
     monkeypatch.setattr(sys, "argv", ["stewart-drake", *args, "--out", "out", "--quiet"])
     with locked_folder(here / "out"), pytest.raises(SystemExit) as end:
@@ -181,8 +154,3 @@ def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch,
         capsys.readouterr().err == "stewart-drake: --out: got 'out'; allowed: a folder that no other process is using\n"
     )
     assert list((here / "out").iterdir()) == []
-
-
-def test_a_store_of_runs_is_one_process_at_a_time(tmp_path):
-    with locked_folder(tmp_path), pytest.raises(ConfigurationError, match="no other process"):
-        RunStore(tmp_path).run_all([Scenario()])

@@ -100,7 +100,7 @@ def scenario_with(place, code, arguments=""):
 
 
 @pytest.mark.parametrize("place", [each for each in PLACES if each != "metric"])
-@pytest.mark.parametrize("command", ["run", "margins", "workspace", "reproduce", "write-sdf"])
+@pytest.mark.parametrize("command", ["run", "margins", "workspace", "write-sdf"])
 def test_a_module_in_a_file_is_not_called(call, tmp_path, place, command):
     text = scenario_with(place, "psutil:Popen", f", arguments: {{args: [touch, '{tmp_path}/X']}}")
     (tmp_path / "s.yaml").write_text(text)
@@ -108,7 +108,6 @@ def test_a_module_in_a_file_is_not_called(call, tmp_path, place, command):
         "run": ["s.yaml"],
         "margins": ["s.yaml"],
         "workspace": ["--scenario", "s.yaml"],
-        "reproduce": ["--scenario", "s.yaml"],
         "write-sdf": ["x.sdf", "--scenario", "s.yaml"],
     }
     key = text.splitlines()[-1].split(":")[0]

@@ -8,17 +8,17 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from stewart_drake.cli.calibrate_command import calibrate
 from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
-from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, out_folder, overrides, quiet_flag, trust_flag
+from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, overrides, quiet_flag, trust_flag
 from stewart_drake.cli.identify_command import excite, identify
 from stewart_drake.cli.interrupts import interruptible
 from stewart_drake.cli.margins_command import margins
+from stewart_drake.cli.reproduce_command import reproduce
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
 from stewart_drake.cli.train_command import collect, train
 from stewart_drake.cli.tuner_command import tuner
@@ -28,13 +28,9 @@ from stewart_drake.runs.terminal import (
     ProgressBar,
     drop_output,
     print_run,
-    print_table,
     quiet_libraries,
     shown_compiling,
 )
-
-if TYPE_CHECKING:
-    from stewart_drake.paper.report import Section
 
 EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL = 2, 3, 4
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
@@ -124,46 +120,6 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
 
 
 @cli.command()
-@out_folder("runs/reproduction")
-@click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
-@click.option("--scenario", help="Vary this scenario [default: the paper's robot and loop].")
-@overrides("gravity=0")
-@trust_flag
-@quiet_flag
-def reproduce(out: Path, quick: bool, scenario: str | None, overrides: tuple[str, ...], quiet: bool) -> None:
-    """Test the paper claim by claim: report.html, report.md, report.json, figures/.
-
-    Finished parts are kept in OUT, so that an interrupted reproduction goes on where it was.
-
-    Exit status: 0 done, 2 bad input, 130 interrupted.
-    """
-    from stewart_drake.runs.outputs import prepare_folder
-    from stewart_drake.scenario import load_scenario
-
-    base = load_scenario("paper_fig7" if scenario is None else scenario, overrides)
-
-    from stewart_drake.paper.reproduce import check_base
-    from stewart_drake.paper.reproduce import reproduce as make_report
-
-    check_base(base)
-    prepare_folder(out)
-
-    def tell(section: Section) -> None:
-        # Where the bar cannot move, in a log file say, a line for each section.
-        if not quiet and not sys.stderr.isatty():
-            click.echo(f"done: {section.title}", err=True)
-
-    with ProgressBar("reproduction", 100.0, quiet, unit="%") as advance:
-
-        def show(key: str, share: float) -> None:
-            advance(100.0 * share, key.replace("_", " "))
-
-        sections = make_report(out, quick, base, show, tell)
-    if not quiet:
-        print_table(f"report in {out / 'report.html'}", [(s.title, s.verdict) for s in sections])
-
-
-@cli.command()
 @click.option("--out", type=OutPath(dir_okay=False), help="File to write [default: standard output].")
 def schema(out: Path | None) -> None:
     """JSON schema of scenario files, for editors."""
@@ -185,6 +141,7 @@ cli.add_command(excite)
 cli.add_command(faults)
 cli.add_command(margins)
 cli.add_command(identify)
+cli.add_command(reproduce)
 cli.add_command(robots)
 cli.add_command(sweep)
 cli.add_command(train)

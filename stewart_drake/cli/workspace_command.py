@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -42,9 +44,9 @@ def workspace(
 ) -> None:
     """Where the robot can go, what it can do there, and what controlled motions visit.
 
-    Writes report.html, report.md, workspace.json and figures/: positions at a fixed orientation and orientations at a
-    fixed position, within reach, joint swing, clearance, conditioning and motor torque, with serial and parallel
-    singularities told apart; and the region of states and torques that motions visit. Finished runs are kept in OUT.
+    Writes workspace.json and figures/: positions at a fixed orientation and orientations at a fixed position, within
+    reach, joint swing, clearance, conditioning and motor torque, with serial and parallel singularities told apart; and
+    the region of states and torques that motions visit.
 
     Exit status: 0 done, 2 bad input, 130 interrupted.
     """
@@ -69,17 +71,39 @@ def workspace(
     prepare_folder(out)
 
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.paper.report import write_report
     from stewart_drake.paper.study import Study
-    from stewart_drake.paper.workspace_section import make_section, summary
+    from stewart_drake.paper.workspace import motion_numbers
+    from stewart_drake.planning.pose_study import KINDS, study_poses
+    from stewart_drake.plotting import save_figure
+    from stewart_drake.plotting.workspace_plots import plot_capability, plot_slices
 
+    of_base = base.robot, base.limits, base.gravity
     with ProgressBar("workspace", 100.0, quiet, unit="%") as advance:
-        study = Study(out, base=base, progress=lambda share: advance(100.0 * share))
-        with study.locked("figures"):
-            section = make_section(study, samples, center)
-            preface = f"Made by `stewart-drake workspace` for the scenario {base.name}."
-            write_report(out, section.title, preface, [section])
-            numbers = json.dumps(section.numbers, indent=1, allow_nan=False) + "\n"
-            write_atomically(out / "workspace.json", numbers.encode())
+        poses = study_poses(*of_base, center, samples, 20_000, lambda share: advance(60.0 * share))
+        motions, draw = motion_numbers(Study(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
+    numbers = poses.numbers() | {"motions": motions}
+    write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
+    figures = out / "figures"
+    figures.mkdir(exist_ok=True)
+    save_figure(draw(), figures / "torques.png")
+    for kind, shown in zip(KINDS, (-1, 2), strict=True):
+        slices = poses.slices(*of_base, kind, 220)
+        save_figure(plot_slices(slices), figures / f"{kind}-slices.png")
+        save_figure(plot_capability(slices[shown]), figures / f"{kind}-capability.png")
     if not quiet:
-        print_table(f"report in {out / 'report.html'}", summary(section.numbers))
+        print_table(f"numbers and figures in {out}", _rows(numbers))
+
+
+def _rows(numbers: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = []
+    for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
+        found = numbers["workspaces"][kind]
+        rows += [
+            (f"{kind}s that the mechanism can reach", f"{scale * found['regular']:.3g} {unit}"),
+            (f"{kind}s within all limits", f"{scale * found['connected']:.3g} {unit}"),
+            (f"first limit on straight ways through {kind}s", next(iter(found["first"]), "none").replace("_", " ")),
+        ]
+    way, turn = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
+    rows.append(("free in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
+    motions = numbers["motions"].items()
+    return rows + [(f"torque of {name}", f"{of['peak_torque']:.3f} N m, {of['status']}") for name, of in motions]

@@ -14,14 +14,7 @@ from stewart_drake.robot import RobotParameters
 
 
 def rotation_3(rpy: np.ndarray) -> np.ndarray:
-    """R_xyz of (3), with the printed entry (3,1): cos theta cos psi sin theta + sin phi sin psi.
-
-    Args:
-        rpy: (..., 3) [rad].
-
-    Returns:
-        (..., 3, 3) [-], not a rotation in general.
-    """
+    """R_xyz (..., 3, 3) of (3), with the printed entry (3,1): cos theta cos psi sin theta + sin phi sin psi."""
     rpy = np.asarray(rpy, dtype=float)
     matrix = np.swapaxes(rotation_matrix(rpy), -1, -2).copy()
     (sin_phi, sin_theta, sin_psi), (_, cos_theta, cos_psi) = (np.moveaxis(f(rpy), -1, 0) for f in (np.sin, np.cos))
@@ -30,21 +23,22 @@ def rotation_3(rpy: np.ndarray) -> np.ndarray:
 
 
 def platform_joints(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """Platform joints in B as (2) means them: R^-1 p_i + G; (..., 6, 3) [m]."""
-    pose = np.asarray(pose, dtype=float)
+    """Platform joints (..., 6, 3) [m] in B as (2) means them: R^-1 p_i + G."""
     return _turned(robot.platform_joints, rotation_matrix(pose[..., :3])) + pose[..., None, 3:]
 
 
 def platform_joints_3(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """Platform joints in B by (2) with the inverse of (3) as printed; (..., 6, 3) [m]."""
-    pose = np.asarray(pose, dtype=float)
+    """The same by (2) with the inverse of (3) as printed."""
     return _turned(robot.platform_joints, np.linalg.inv(rotation_3(pose[..., :3]))) + pose[..., None, 3:]
 
 
 def platform_joints_5(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
-    """Platform joints in B with the bracket of (5): R^-1 (p_i + G); (..., 6, 3) [m]."""
-    pose = np.asarray(pose, dtype=float)
+    """The same with the bracket of (5): R^-1 (p_i + G)."""
     return _turned(robot.platform_joints + pose[..., None, 3:], rotation_matrix(pose[..., :3]))
+
+
+def _turned(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    return points @ np.swapaxes(rotation, -1, -2)
 
 
 class CrankEquation(NamedTuple):
@@ -59,23 +53,9 @@ class CrankEquation(NamedTuple):
         """(..., 6) [m^2] sqrt(A^2 + B^2)."""
         return np.hypot(self.a, self.b)
 
-    @property
-    def in_reach(self) -> np.ndarray:
-        """(...) bool, whether all six legs have a solution."""
-        return np.asarray((np.abs(self.c) <= self.size).all(axis=-1))
-
-    def residual(self, theta: np.ndarray) -> np.ndarray:
-        """(..., 6) [-] what is left of the equation at `theta`, over sqrt(A^2 + B^2)."""
-        return (self.a * np.cos(theta) + self.b * np.sin(theta) - self.c) / self.size
-
 
 def crank_equation(robot: RobotParameters, joints: np.ndarray) -> CrankEquation:
-    """The equation that a rod of its length puts on its crank, for platform joints anywhere.
-
-    Args:
-        robot: Geometry.
-        joints: (..., 6, 3) [m] platform joints in B.
-    """
+    """The equation that a rod of its length puts on its crank, for platform joints (..., 6, 3) [m] anywhere."""
     span = joints - robot.shaft_positions
     twice = 2.0 * robot.crank_lengths
     return CrankEquation(
@@ -99,24 +79,13 @@ def crank_angles_6(equation: CrankEquation) -> np.ndarray:
 
 
 def rod_map_11(robot: RobotParameters, legs: LegGeometry) -> np.ndarray:
-    """tau_1 of (14) with the unrotated p_i of (11): e_M = p_i x e_l.
-
-    Returns:
-        (..., 6, 6) [m, -].
-    """
+    """tau_1 (..., 6, 6) [m, -] of (14) with the unrotated p_i of (11): e_M = p_i x e_l."""
     joints = np.broadcast_to(robot.platform_joints, legs.e_l.shape)
     return np.swapaxes(np.concatenate([cross(joints, legs.e_l), legs.e_l], axis=-1), -1, -2)
 
 
 def matrices_21_22_24(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A_bar, B_bar and C_bar, entry by entry as (21), (22) and (24) say, their indices from 1.
-
-    Args:
-        tau: (6, 6) what stands in the rows of B_bar; (22) prints tau itself.
-
-    Returns:
-        (12, 12), (12, 6) and (6, 12).
-    """
+    """A_bar, B_bar and C_bar entry by entry as (21), (22), (24) say, indices from 1; `tau` stands in B_bar's rows."""
     a, b, c = np.zeros((12, 12)), np.zeros((12, 6)), np.zeros((6, 12))
     for k in range(1, 7):
         even, odd = 2 * k, 2 * k - 1
@@ -124,8 +93,3 @@ def matrices_21_22_24(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
         b[even - 1] = tau[even // 2 - 1]  # (22): i = 2 k
         c[k - 1, 2 * k - 2] = 1.0  # (24): i = k, j = 2 i - 1
     return a, b, c
-
-
-def _turned(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """(..., 6, 3) points (..., 6, 3) turned by matrices (..., 3, 3)."""
-    return points @ np.swapaxes(rotation, -1, -2)

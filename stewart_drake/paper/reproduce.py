@@ -1,147 +1,91 @@
-"""The whole report: sections in order, finished ones kept, so that an interrupted reproduction goes on where it was."""
+"""The paper, claim by claim: one table, compared with the committed one."""
 
 from __future__ import annotations
 
+import csv
 import json
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterable
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from stewart_drake.campaigns.plan import identity
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.whole import checksum, digest, read_checked, seal, unseal, write_atomically
-from stewart_drake.logs.versions import collect_versions, package_version
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.paper.rendering import render
-from stewart_drake.paper.report import Section, write_report
-from stewart_drake.paper.study import Study
-from stewart_drake.planning.pose_box import NEAR
-from stewart_drake.references import paper_reference
-from stewart_drake.runs.outputs import prepare_folder
-from stewart_drake.scenario import Scenario
+from stewart_drake.paper.study import Claim, Result, Study
 
-SECTIONS = (
+MODULES = (
     "plant",
     "kinematics",
     "force_map",
     "state_space",
     "nine_experiments",
-    "dataset",
-    "training",
+    "network",
     "in_the_loop",
     "sensitivity",
     "workspace",
-    "departures",
 )
-"""Modules of this package in the report's order; each has `make(study) -> Section`."""
-
-MAX_PART_BYTES = 100_000_000
-PAPER_DURATION = 10.0
-"""[s] for which the robot must be able to follow (37), (38)."""
+"""Of this package, in the paper's order; each has `reproduce(study) -> Result`."""
 
 
 def reproduce(
-    folder: Path,
-    quick: bool = False,
-    base: Scenario | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    finished: Callable[[Section], None] | None = None,
-) -> list[Section]:
-    """Makes the report in `folder`: report.html, report.md, report.json, figures/.
+    quick: bool = False, out: Path | None = None, progress: Callable[[float, str], None] = lambda *_: None
+) -> dict[str, Result]:
+    """All claims by module; with `out` the numbers as numbers.json, the network and the figures go there.
 
-    Args:
-        folder: Where to; finished parts of an earlier call with the same code and settings are used again, as long as
-            the files that belong to them are still there and unchanged.
-        quick: Smaller sizes.
-        base: Scenario to vary; None takes the defaults.
-        progress: Called with the section at hand and the share of the whole that is done, 0 to 1.
-        finished: Called with each section as soon as it is done, or found as a finished part.
-
-    Returns:
-        The sections.
-
-    Raises:
-        ConfigurationError: See `check_base`; or the folder cannot be written to or is in use. Found before any work.
+    `progress` is called with the share done, 0 to 1, and the module at hand.
     """
-    base = Scenario() if base is None else base
-    check_base(base)
-    folder = prepare_folder(folder)
-    study = Study(folder, quick, base)
-    with study.locked("parts", "figures"):
-        return _reproduce(study, progress, finished)
+    results: dict[str, Result] = {}
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as scratch:
+        study = Study(quick, folder=out or Path(scratch))
+        for name in MODULES:
+            study.progress = lambda share: progress((len(results) + share) / len(MODULES), name)  # noqa: B023
+            study.progress(0.0)
+            results[name] = import_module(f"{__package__}.{name}").reproduce(study)
+    if out is not None:
+        write(out, results)
+    return results
 
 
-def _reproduce(
-    study: Study, progress: Callable[[str, float], None] | None, finished: Callable[[Section], None] | None
-) -> list[Section]:
-    folder, quick, base, parts = study.folder, study.quick, study.base, study.folder / "parts"
-    versions = collect_versions() | {"torch": package_version("torch")}
-    stamp = _stamp(base, quick, versions)
-    sections = []
-    for index, key in enumerate(SECTIONS):
+def write(out: Path, results: dict[str, Result]) -> None:
+    """The numbers of results as numbers.json, and their figures."""
+    from stewart_drake.plotting import save_figure
 
-        def advance(share: float, index: int = index, key: str = key) -> None:
-            if progress is not None:
-                progress(key, (index + share) / len(SECTIONS))
-
-        advance(0.0)
-        path = parts / f"{key}-{stamp}.json"
-        section = _kept(path, folder)
-        if section is None:
-            made = import_module(f"{__package__}.{key}_section").make(replace(study, progress=advance))
-            section = _keep(made, path, folder)
-        sections.append(section)
-        if finished is not None:
-            finished(section)
-        advance(1.0)
-    preface = render("report", "preface", quick=quick, versions=versions, near=NEAR)
-    write_report(folder, render("report", "title"), preface, sections)
-    numbers = {section.key: section.numbers for section in sections}
-    document = {"quick": quick, "versions": versions, "scenario": base.to_dict(), "numbers": numbers}
-    write_atomically(folder / "report.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
-    return sections
+    numbers = {name: result.numbers for name, result in results.items()}
+    (out / "numbers.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n")
+    (out / "figures").mkdir(exist_ok=True)
+    for result in results.values():
+        for name, draw in result.figures.items():
+            save_figure(draw(), out / "figures" / f"{name}.png")
 
 
-def check_base(base: Scenario) -> None:
-    """Refuses a scenario from which the report cannot be made, before any work.
-
-    Raises:
-        ConfigurationError: `base` itself cannot run; its robot cannot follow the paper's reference (37), (38) within
-            its limits, with gravity or without; its weights file cannot be used.
-    """
-    from stewart_drake.runs.simulation import check_scenario
-
-    check_scenario(base)
-    base.load_tuner_network()
-    paper = base.replace({"reference": asdict(paper_reference()), "duration": PAPER_DURATION})
-    for gravity in (0.0, base.gravity or STANDARD_GRAVITY):
-        check_scenario(paper.replace({"gravity": gravity}))
+def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
+    """The table: claim, paper, ours, verdict."""
+    verdicts = {True: "holds", False: "fails", None: "-"}
+    shown = ((claim, f"{claim.ours:.4g}" if claim.ours % 1 else f"{claim.ours:.0f}") for claim in claims)
+    return [(c.name, c.paper, f"{ours} {c.unit}".strip(), verdicts[c.holds]) for c, ours in shown]
 
 
-def _keep(section: Section, path: Path, folder: Path) -> Section:
-    """Writes a finished part, the section and digests of its files; returns the section as it will be read back."""
-    text = section.to_json()
-    part = {"section": json.loads(text), "digests": _digests(section, folder)}
-    write_atomically(path, json.dumps(seal(part), indent=1, allow_nan=False).encode())
-    return Section.from_json(text)
+def differences(claims: Iterable[Claim], size: str) -> list[str]:
+    """Where claims differ from the committed claims.csv, column `size` (quick or full), by more than its `within`."""
+    with files(__package__).joinpath("claims.csv").open(encoding="utf-8") as stream:
+        table = {row["claim"]: (float(row[size]), float(row["within"])) for row in csv.DictReader(stream)}
+    found = {claim.name: claim.ours for claim in claims}
+    lines = [f"{name}: only in the committed table" for name in table if name not in found]
+    for name, ours in found.items():
+        if name not in table:
+            lines.append(f"{name}: not in the committed table")
+        elif not abs(ours - table[name][0]) <= table[name][1]:
+            lines.append(f"{name}: expected {table[name][0]:g} within {table[name][1]:g}, got {ours:g}")
+    return lines
 
 
-def _kept(path: Path, folder: Path) -> Section | None:
-    """The part at `path`; None where there is none, or where it or its files are no longer what was written."""
-    try:
-        part = unseal(json.loads(read_checked(path, f"part {path}", MAX_PART_BYTES).decode()))
-        section = Section.from_json(json.dumps(part["section"]))
-        digests = _digests(section, folder)
-        return section if part["digests"] == digests and None not in digests.values() else None
-    except (ConfigurationError, ValueError, KeyError, TypeError, RecursionError):
-        return None
+def markdown(header: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
+    """A table in Markdown; numbers with four digits, a dash for nothing."""
 
+    def cell(value: object) -> str:
+        text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+        return text.replace("|", "\\|")
 
-def _digests(section: Section, folder: Path) -> dict[str, str | None]:
-    return {name: digest(folder / name) for name in section.files}
-
-
-def _stamp(base: Scenario, quick: bool, versions: dict[str, str | None]) -> str:
-    work = {"scenario": base.to_dict(), "quick": quick}
-    return checksum(identity(work, [base], versions, more=["torch"]))[:12]
+    every = [list(header), ["---"] * len(list(header)), *lines]
+    return "\n".join("| " + " | ".join(map(cell, line)) + " |" for line in every)

@@ -1,122 +1,160 @@
-"""What every section of the reproduction works with."""
+"""What the claims share: a size, a scenario to vary, its runs, and what comes of a claim."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from stewart_drake.campaigns.run_store import RunStore
-from stewart_drake.control.network import default_network_path
-from stewart_drake.files.whole import locked_folder
+from stewart_drake.campaigns.engine import carry_out
+from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor
+from stewart_drake.campaigns.one_run import simulate
+from stewart_drake.control.network import load_network
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.paper.rendering import render
-from stewart_drake.paper.report import Section
-from stewart_drake.runs.outputs import prepare_folder
-from stewart_drake.scenario import Scenario
+from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
+from stewart_drake.planning.pose_box import Region
+from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+from stewart_drake.training.collect import OMEGAS
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_Key = TypeVar("_Key")
+K = TypeVar("K")
 
 SEED = 20_210_601
-"""Of every random choice in the report, unless a section says otherwise."""
+"""Of every random choice, unless a claim says otherwise."""
+PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
+"""omega_Q, omega_R of the nine experiments."""
+RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
+"""Their distinct ratios omega_Q / omega_R: five controllers."""
+
+ANNOUNCED = Region("announced", (math.pi / 6.0,) * 3 + (0.3,) * 3, "30 deg and 300 mm, as section III.D announces")
+WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as each coordinate goes alone")
 
 
-def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:
-    """Quantiles of what is finite, as plain numbers; none where nothing is."""
-    usable = values[np.isfinite(values)]
-    return [float(q) for q in np.quantile(usable, at)] if usable.size else []
+class Claim(NamedTuple):
+    """A row of the table: what the paper claims and says, what we find with its unit, and whether the claim holds.
+
+    `holds` is None where the paper says nothing.
+    """
+
+    name: str
+    paper: str
+    ours: float
+    unit: str
+    holds: bool | None
 
 
 @dataclass(frozen=True)
+class Result:
+    """What comes of a module of claims: all its numbers, its rows of the table, and its figures, drawn when called."""
+
+    numbers: dict[str, Any]
+    claims: list[Claim]
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
 class Study:
     """One reproduction under way.
 
     Attributes:
-        folder: The report's folder.
-        quick: Smaller sizes: under two minutes for the whole report on two cores.
-        base: Scenario that the sections vary; the main job of the project unless the user gives another robot.
-        progress: Called with the share of the present section that is done, 0 to 1.
+        quick: Smaller sizes.
+        base: Scenario that the claims vary; the default is the paper's loop with gravity compensated.
+        folder: Where the network goes that this study trains; None keeps none.
+        tuner_file: Its weights; None before, for those of the shipped one.
+        workers: Processes for runs; None is one for each core.
+        progress: Called with the share of the present runs that is done, 0 to 1.
     """
 
-    folder: Path
     quick: bool = False
     base: Scenario = field(default_factory=Scenario)
+    folder: Path | None = None
+    tuner_file: Path | None = None
+    workers: int | None = None
     progress: Callable[[float], None] = lambda _: None
-
-    @property
-    def store(self) -> RunStore:
-        """Runs that are kept on disk."""
-        return RunStore(self.folder / "runs")
-
-    def run(
-        self, scenarios: Mapping[_Key, Scenario], start: float = 0.0, size: float = 1.0, check: bool = True
-    ) -> dict[_Key, SimulationLog]:
-        """Logs of `scenarios`, as by `RunStore.run_all`; progress as by `part`."""
-        logs = self.store.run_all(list(scenarios.values()), self.part(start, size), check=check)
-        return dict(zip(scenarios, logs, strict=True))
-
-    @property
-    def tuner_file(self) -> Path:
-        """Weights of the tuner: those that this report's own training has left, else those of the package."""
-        own = self.folder / self.name("tuner", ".json")
-        return own if own.is_file() else default_network_path()
-
-    @contextmanager
-    def locked(self, *inside: str) -> Iterator[None]:
-        """Keeps other processes out of the report's folder, and clears it of what a killed one left half written.
-
-        Args:
-            inside: Folders in it that are written to; they are made.
-
-        Raises:
-            ConfigurationError: Another process has one of them, or it cannot be written to.
-        """
-        with ExitStack() as locks:
-            for folder in (self.folder, *(self.folder / name for name in inside)):
-                locks.enter_context(locked_folder(prepare_folder(folder)))
-            yield
-
-    def name(self, stem: str, ending: str = "") -> str:
-        """Name of a file: a quick and a whole report in one folder do not overwrite each other's."""
-        return f"{stem}{'-quick' if self.quick else ''}{ending}"
 
     def pick(self, full: Any, quick: Any) -> Any:
         """One of two sizes."""
         return quick if self.quick else full
 
-    def part(self, start: float, size: float) -> Callable[[float], None]:
-        """Progress of a part of the section: of its own share, `size` of the whole from `start` on."""
-        return lambda share: self.progress(start + size * share)
+    def run(self, scenarios: Mapping[K, Scenario], check: bool = True) -> dict[K, SimulationLog]:
+        """Logs of the scenarios; equal ones run once. Without `check` a motion is not held against the limits first."""
+        different = list(dict.fromkeys(scenarios.values()))
+        logs: dict[Scenario, SimulationLog] = {}
 
-    def section(
-        self, key: str, numbers: dict[str, Any], figures: Mapping[str, Figure] | None = None, **values: Any
-    ) -> Section:
-        """The section that template `key` makes of its numbers; its pictures are kept.
+        def keep(index: int, log: SimulationLog) -> None:
+            logs[different[index]] = log
+            self.progress(len(logs) / len(different))
 
-        Args:
-            key: Name of the section and of its template.
-            numbers: For the report's JSON; `n` in the template.
-            figures: Pictures by the names under which the template shows them.
-            values: What else the template speaks of, beside the scenario `base`.
-        """
-        files = {name: self.save_figure(figure, name) for name, figure in (figures or {}).items()}
-        blocks = {
-            b: render(key, b, files, n=numbers, base=self.base, **values) for b in ("title", "claim", "verdict", "body")
+        where = SerialExecutor() if self.workers == 1 or len(different) == 1 else LocalProcesses(self.workers)
+        work = partial(simulate, check=check)
+        carry_out(range(len(different)), lambda index: (work, (different[index],)), keep, where)
+        return {key: logs[scenario] for key, scenario in scenarios.items()}
+
+    def under_tuner(self, scenario: Scenario) -> Scenario:
+        """`scenario` with the network in the loop, from 1/1 as in section IV, densities as it was trained on."""
+        network = load_network(self.tuner_file)
+        file = str(self.tuner_file.absolute()) if self.tuner_file else None
+        tuner = AnnTuner(density=network.density, window=network.window, weights_file=file)
+        return scenario.replace({"tuner": tuner.to_dict()})
+
+
+def pair_of(ratio: float) -> tuple[float, float]:
+    """The first pair of the nine with this ratio omega_Q / omega_R."""
+    return next(pair for pair in PAIRS if np.isclose(pair[0] / pair[1], ratio))
+
+
+def paper_scenario(
+    base: Scenario, duration: float, gravity: float, feedforward: str, pair: Sequence[float]
+) -> Scenario:
+    """(37), (38) under one pair of weights, the rest as in `base`."""
+    return base.replace(
+        {
+            "duration": duration,
+            "gravity": gravity,
+            "reference": {"kind": "sine"},
+            "controller.feedforward": feedforward,
+            "tuner": FixedTuner(omega_q=pair[0], omega_r=pair[1]).to_dict(),
         }
-        return Section(key, **blocks, numbers=numbers, files=[f"figures/{file}" for file in files.values()])
+    )
 
-    def save_figure(self, figure: Figure, name: str) -> str:
-        """Keeps a picture for the report; returns its file's name in the folder `figures`."""
-        from stewart_drake.plotting import save_figure
 
-        (self.folder / "figures").mkdir(parents=True, exist_ok=True)
-        file = self.name(name, ".png")
-        save_figure(figure, self.folder / "figures" / file)
-        return file
+def score(log: SimulationLog) -> dict[str, float] | None:
+    """Pose RMSE [mm] and torque RMS [N m] of the second half; None where a run ended early."""
+    if not log.reached_end:
+        return None
+    metrics = run_metrics(log)
+    return {"pose_mm": metrics["pose_rmse_mm"], "torque_rms": metrics["torque_rms_second_half"]}
+
+
+def growth(log: SimulationLog) -> float | None:
+    """RMS error of the second half over that of the first, the larger of roll and Z; None if the run ended early."""
+    if not log.reached_end:
+        return None
+    error, late = tracking_error(log)[:, (0, 5)], second_half(log)
+    return float(np.sqrt(np.mean(error[late] ** 2, axis=0) / np.mean(error[~late] ** 2, axis=0)).max())
+
+
+def outcome(log: SimulationLog) -> str:
+    """`completed`, or what happened, with its leg and time."""
+    reason = (log.reason or "").replace("_", " ")
+    if log.status == "lost":
+        return f"lost: {reason}, {log.outcome_time:.3f} s"
+    return "completed" if log.status == "completed" else f"{reason}, leg {log.leg}, {log.end_time:.3f} s"
+
+
+def largest_integral(log: SimulationLog) -> float | None:
+    """Largest |z| at 5 s [rad s, m s]; None where the run ended before."""
+    z = run_metrics(log)["integral_at_5s"]
+    return None if z is None else float(np.abs(z).max())
+
+
+def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:
+    """Quantiles of what is finite; none where nothing is."""
+    usable = values[np.isfinite(values)]
+    return np.quantile(usable, at).tolist() if usable.size else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.ticker import NullLocator
 
 BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
 """Okabe and Ito's palette, which people with any colour vision can tell apart."""
-QUIET, TEXT, OUTSIDE = "#8C8C8C", "#222222", "#DADADA"
+QUIET, TEXT = "#8C8C8C", "#222222"
 
 COORDINATES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("X", "mm"), ("Y", "mm"), ("Z", "mm"))
 """Names and units in figures; `SCALES` brings a pose to them."""
@@ -86,14 +86,20 @@ def legend_below(figure: Figure, handles: Sequence[Any], columns: int = 4, size:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, **style)
 
 
-def heatmap(
-    figure: Figure, panel: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, unit: str, **options: Any
-) -> None:
-    """Values (len(y), len(x)) as colours with a scale beside them; grey where they are NaN."""
-    panel.set_facecolor(OUTSIDE)
-    panel.grid(visible=False)
-    mesh = panel.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", rasterized=True, **options)
-    bar = figure.colorbar(mesh, ax=panel, pad=0.02)
-    bar.set_label(unit, fontsize=10, color=TEXT)
-    bar.ax.tick_params(labelsize=9, color=QUIET, labelcolor=TEXT)
-    bar.outline.set_visible(False)
+def chart(
+    title: str,
+    x: str,
+    y: str,
+    curves: Mapping[str, tuple[Any, Any]],
+    style: str = "-",
+    decades: str = "",
+    height: float = 4.0,
+) -> Figure:
+    """Curves (x, y) by name in one panel; `decades` are the axes that are logarithmic; texts for y are named rows."""
+    figure, ((panel,),) = panels(1, 1, height)
+    for name, (along, values) in curves.items():
+        panel.plot(along, values, style, label=name)
+    logarithmic(panel, decades)
+    label(panel, title, x, y)
+    legend(panel)
+    return figure

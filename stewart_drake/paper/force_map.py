@@ -1,0 +1,164 @@
+"""(7) to (18): the force map as printed and by statics, against torques that really hold and accelerate.
+
+At rest the acceleration is affine in the torques, and its slope holds all that the force map claims.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+
+from stewart_drake.control.state_space import mass_diagonal
+from stewart_drake.errors import drake_guard
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.force_map import crank_map, force_map_of_legs
+from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix
+from stewart_drake.paper.as_printed import rod_map_11
+from stewart_drake.paper.study import ANNOUNCED, SEED, Claim, Result, Study, quantiles
+from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.plant.multibody_plant import build_plant
+from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.plotting.panels import chart
+from stewart_drake.references import paper_reference
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LEGS, SMALLEST
+
+SETTLING_STEPS = 14
+"""Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
+first step from rest and halve that in each further one."""
+_TORQUE_SHARE = 0.2
+"""Part of the effort limit that is put on one motor at a time."""
+MASSLESS = 1e-4
+"""Factor on the legs' masses and inertias of the plant that stands for massless legs."""
+LEAST_MARGIN = 1e-3
+"""[-] poses keep this far from a crank's dead centre (transmission 0.04), where nothing is finite."""
+MODELS = {
+    "printed, p_i unrotated": "(9) to (18) to the letter",
+    "printed": "the same with e_M from R^-1 p_i",
+    "statics": "and with F_i = T_i / (|a| e_l.e_N)",
+    "statics, I in B": "and with the platform's inertia turned into B, as its moments are",
+    "massless legs": "and with Euler second derivatives told from the angular acceleration: exact without legs",
+}
+"""The controller's model of M q'' = tau T, mended step by step."""
+
+
+def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
+    """The robot with masses and inertias of cranks and rods times `scale`, but no less than a robot may have."""
+    of_legs = ("rod_mass", "crank_mass", "rod_inertia", "crank_inertia")
+    return robot.replace(**{k: np.maximum(SMALLEST, scale * np.array(getattr(robot, k))).tolist() for k in of_legs})
+
+
+def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:
+    """d(twist)/dt (n, 6, 6) per N m of each motor at rest, by seven runs of Drake's plant: none, each alone.
+
+    Steps last a microsecond; the velocity gained in the last one is read.
+    """
+    diagram, stewart = build_plant(robot, PlantOptions(time_step=1e-6), gravity)
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    plant, output = stewart.plant, diagram.GetOutputPort("state")
+    plant_context, step = plant.GetMyMutableContextFromRoot(context), plant.time_step()
+    torque = _TORQUE_SHARE * robot.effort_limit
+    gained = np.empty((len(poses), 1 + LEGS, 6))
+    with drake_guard("measuring accelerations"):
+        for row, state in enumerate(stewart.assemble(poses)):
+            for column, torques in enumerate([np.zeros(LEGS), *(torque * np.eye(LEGS))]):
+                context.SetTime(0.0)
+                plant.SetPositionsAndVelocities(plant_context, state)
+                diagram.GetInputPort("torque").FixValue(context, torques)
+                simulator.Initialize()
+                simulator.AdvanceTo((steps - 1) * step)
+                before = output.Eval(context)[stewart.indices.twist]
+                simulator.AdvanceTo(steps * step)
+                gained[row, column] = (output.Eval(context)[stewart.indices.twist] - before) / step
+    return np.swapaxes(gained[:, 1:] - gained[:, :1], -1, -2) / torque
+
+
+def predicted(robot: RobotParameters, poses: np.ndarray, model: str) -> np.ndarray:
+    """Acceleration q'' per unit of motor torque by one of `MODELS`; (n, 6, 6) [rad/s^2, m/s^2 per N m]."""
+    legs = leg_geometry(robot, poses)
+    if model == "printed, p_i unrotated":
+        wrench = rod_map_11(robot, legs) * crank_map(robot, legs, "printed")[..., None, :]
+    else:
+        wrench = force_map_of_legs(robot, legs, "printed" if model == "printed" else "statics")
+    if model not in ("statics, I in B", "massless legs"):
+        return np.asarray(wrench / mass_diagonal(robot)[:, None])
+    rate = wrench / robot.platform_mass
+    rotation = rotation_matrix(poses[:, :3])
+    inertia = (rotation * np.array(robot.platform_inertia)) @ np.swapaxes(rotation, -1, -2)
+    rate[:, :3] = np.linalg.solve(inertia, wrench[:, :3])
+    return to_euler(poses, rate) if model == "massless legs" else rate
+
+
+def relative_error(robot: RobotParameters, model: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Error (n) [-] of an acceleration map, all directions of torque: RMS by RMS of the truth, angles by the lever."""
+    scale = np.repeat([robot.characteristic_length, 1.0], 3)[:, None]
+    error, size = (np.linalg.norm(scale * each, axis=(-2, -1)) for each in (model - truth, truth))
+    return np.asarray(error / size)
+
+
+def rod_force_per_torque(robot: RobotParameters, poses: np.ndarray, twist_map: np.ndarray) -> np.ndarray:
+    """|a| F_i / T_i (n, 6) [-] from the platform's acceleration per torque, where legs have no mass.
+
+    (15) says e_l.e_N, statics says 1 / (e_l.e_N).
+    """
+    force = robot.platform_mass * np.swapaxes(twist_map[:, 3:], -1, -2)
+    return np.asarray(robot.crank_lengths * np.sum(leg_geometry(robot, poses).e_l * force, axis=-1))
+
+
+def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
+    """Columns of d(twist)/dt (n, 6, k) at rest as columns of q'' (n, 6, k)."""
+    euler = twist_rate.copy()
+    euler[..., :3, :] = np.linalg.solve(euler_rate_matrix(poses[..., :3]), twist_rate[..., :3, :])
+    return euler
+
+
+def reproduce(study: Study) -> Result:
+    """Two plants at rest at random poses, one with the legs of Table I and one with massless legs."""
+    robot, rng = study.base.robot, np.random.default_rng(SEED)
+    poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN).poses
+    light = light_legs(robot, MASSLESS)
+    runs = {name: measured(r, poses, STANDARD_GRAVITY) for name, r in (("massless legs", light), ("Table I", robot))}
+    transmission = leg_geometry(robot, poses).transmission
+    force = rod_force_per_torque(light, poses, runs["massless legs"])
+    off = {"statics_error": force * transmission - 1.0, "printed_error": transmission / force - 1.0}
+    boxes = {r.name: sample_poses(robot, r, study.pick(20000, 2000), rng).poses for r in (NEAR, ANNOUNCED)}
+    boxes["(37), (38)"] = paper_reference().evaluate(np.linspace(0.0, np.pi, 201))[0]
+    models = {
+        plant: {
+            model: quantiles(relative_error(robot, predicted(robot, poses, model), to_euler(poses, run)))
+            for model in MODELS
+        }
+        for plant, run in runs.items()
+    }
+    numbers: dict[str, Any] = {
+        "rod_force": {name: quantiles(np.abs(error), (0.5, 0.95, 1.0)) for name, error in off.items()},
+        "ratio": {name: quantiles(leg_geometry(robot, at).transmission ** 2) for name, at in boxes.items()},
+        "models": models,
+    }
+    seen = 100.0 * numbers["ratio"]["near"][1]
+    statics = 100.0 * numbers["rod_force"]["statics_error"][0]
+    claims = [
+        Claim("(15): part of a rod's true force, median", "100 %", seen, "%", seen > 99.0),
+        Claim("statics for (15): error of a rod's force, median", "-", statics, "%", None),
+    ]
+    letter, *_, mended = MODELS
+    for words, legs, model in (
+        ("to the letter", "massless legs", letter),
+        ("mended", "massless legs", mended),
+        ("to the letter", "Table I", letter),
+        ("mended", "Table I", mended),
+    ):
+        error = 100.0 * models[legs][model][1]
+        claims.append(Claim(f"(9)-(18) {words}: error, {legs}", "0", error, "%", error < 1.0))
+    x = np.linspace(0.12, 1.0, 200)
+    curves = {
+        "statics: $1/(e_l \\cdot e_N)$": (x, 1.0 / x),
+        "(15): $e_l \\cdot e_N$": (x, x),
+        "Drake": (np.sort(transmission.ravel()), force.ravel()[transmission.ravel().argsort()]),
+    }
+    draw = partial(chart, "Force of a rod, massless legs", "$e_l \\cdot e_N$ [-]", "$|a| F / T$ [-]", curves)
+    return Result(numbers, claims, {"force_map": draw})

@@ -1,0 +1,234 @@
+"""(19) to (34): matrices, Hautus ranks, singular poses, gains as printed and as meant, and how the error decays."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from stewart_drake.control.riccati import riccati_gain, solve_drake, split_gain
+from stewart_drake.control.state_space import (
+    AXES,
+    STATES,
+    Discretization,
+    acceleration_map,
+    discretize,
+    hautus_detectability,
+    hautus_stabilisability,
+    input_matrix,
+    mass_diagonal,
+    output_matrix,
+    state_matrix,
+)
+from stewart_drake.mechanics.force_map import ForceMapKind, force_map, force_map_of_legs
+from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, reach_margin, rod_lines
+from stewart_drake.paper.as_printed import matrices_21_22_24
+from stewart_drake.paper.study import ANNOUNCED, RATIOS, SEED, WIDE, Claim, Result, Study
+from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.plotting.panels import COORDINATES, SCALES
+from stewart_drake.robot import RobotParameters
+
+KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
+DEAD = 1e-6
+"""[-] a transmission below this is a dead centre found by bisection: it vanishes with the root of the distance."""
+PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)
+"""[s] control periods that are compared; the paper gives none."""
+
+
+class Singularity(NamedTuple):
+    """The first singular pose on a ray from home: `serial`, a crank at its dead centre, or `parallel`."""
+
+    kind: str
+    direction: np.ndarray
+    distance: float
+
+    def pose(self, robot: RobotParameters, back: float = 0.0) -> np.ndarray:
+        """(6,) [rad, m] the pose, or one `back` short of it in units of `distance`."""
+        return np.asarray(robot.home_pose + (self.distance - back) * self.direction)
+
+
+def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float) -> Singularity | None:
+    """Follows a ray from home until a crank is at its dead centre or the determinant of the rods' lines changes sign.
+
+    400 poses up to `most` units of `direction` are looked at, and the first singular one is found to the last digits.
+    """
+
+    def margin(distance: Any) -> Any:
+        return reach_margin(robot, robot.home_pose + np.multiply.outer(distance, direction)).min(axis=-1)
+
+    def determinant(distance: Any) -> Any:
+        return np.linalg.det(rod_lines(leg_geometry(robot, robot.home_pose + np.multiply.outer(distance, direction))))
+
+    walk, end = np.linspace(0.0, most, 401), None
+    if not (reached := margin(walk) >= 0.0).all():
+        inside = int(reached.argmin())
+        end = brentq(margin, walk[inside - 1], walk[inside], xtol=1e-16, rtol=1e-15)
+        while margin(end) < 0.0:
+            end = float(np.nextafter(end, 0.0))
+        walk = np.unique([*walk[:inside], end])
+    crossed = determinant(walk) * determinant(0.0) < 0.0
+    if crossed.any():
+        at = int(crossed.argmax())
+        return Singularity("parallel", direction, brentq(determinant, *walk[at - 1 : at + 1], xtol=1e-16, rtol=1e-15))
+    return None if end is None else Singularity("serial", direction, end)
+
+
+def inputs_at(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> np.ndarray | None:
+    """M^-1 tau (6, 6) at a pose, a transmission within rounding of zero put there; None where `statics` is infinite."""
+    legs = leg_geometry(robot, pose)
+    transmission = np.where(np.abs(legs.transmission) < DEAD, 0.0, legs.transmission)
+    if kind == "statics" and not transmission.all():
+        return None
+    tau = force_map_of_legs(robot, dataclasses.replace(legs, transmission=transmission), kind)
+    return np.asarray(tau / mass_diagonal(robot)[:, None])
+
+
+def stabilisability_rank(robot: RobotParameters, pose: np.ndarray, kind: ForceMapKind) -> int | None:
+    """Rank (28) of [lambda I - A, B] at a pose; None where the map is infinite."""
+    at_pose = inputs_at(robot, pose, kind)
+    return None if at_pose is None else hautus_stabilisability(state_matrix(), input_matrix(at_pose))
+
+
+def nonzero_columns(robot: RobotParameters, pose: np.ndarray) -> int:
+    """Columns of the printed B that are not zero, which the paper's text counts in place of the rank."""
+    return int(np.any(inputs_at(robot, pose, "printed") != 0.0, axis=0).sum())
+
+
+def radius(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float:
+    """Spectral radius of one tick of (25) under u = -gain x, for M^-1 tau (6, 6) at a pose; exact sampled system."""
+    a, b = discretize(state_matrix(), input_matrix(at_pose), period)
+    return float(np.abs(np.linalg.eigvals(a - b @ gain)).max())
+
+
+def slowest_decay(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float:
+    """Rate [rad/s] at which the slowest mode of the closed loop decays; negative where it grows."""
+    return float(-np.log(radius(at_pose, gain, period)) / period)
+
+
+def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Discretization = "exact") -> np.ndarray:
+    """K (6, 18) of (31) for omega_Q / omega_R = ratio."""
+    return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0), method)
+
+
+def gain_without_discretisation(at_pose: np.ndarray, ratio: float) -> np.ndarray:
+    """K (6, 18) of the discrete (31) with the continuous A, B of (25) in it, as the paper's text has it."""
+    a, b, r = state_matrix(), input_matrix(at_pose), np.eye(AXES)
+    return riccati_gain(a, b, r, solve_drake(a, b, ratio * np.eye(STATES), r))
+
+
+def decay_limit(weights: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
+    """Slowest decay [rad/s] that remains however cheap the torque: stable roots of q_v p^4 - q_e p^2 + q_z."""
+    q_e, q_v, q_z = weights
+    return float(np.sqrt(np.roots([q_v, -q_e, q_z]).astype(complex)).real.min())
+
+
+def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) -> dict[str, float]:
+    """Euler's gain against the exact one, both on the exact sampled system: difference, slowest decays, radius."""
+    exact, euler = (gain_of_ratio(at_pose, period, ratio, method) for method in ("exact", "euler"))
+    return {
+        "period": period,
+        "ratio": ratio,
+        "gain": float(np.linalg.norm(euler - exact) / np.linalg.norm(exact)),
+        "exact": slowest_decay(at_pose, exact, period),
+        "euler": slowest_decay(at_pose, euler, period),
+        "radius": radius(at_pose, euler, period),
+    }
+
+
+def reproduce(study: Study) -> Result:
+    """Matrices and gains at home; ranks and decay over boxes of poses; singular poses along each axis."""
+    robot, period = study.base.robot, study.base.lqi.period
+    at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
+    a, b, c = matrices_21_22_24(at_home)
+    none = np.zeros((AXES, AXES))
+    pairs = {
+        "A": (state_matrix(), np.block([[a, np.zeros((12, AXES))], [c, none]])),
+        "B": (input_matrix(at_home), np.vstack([b, none])),
+        "C": (output_matrix(), np.hstack([c, np.eye(AXES)])),
+    }
+    gain = gain_of_ratio(at_home, period, 1.0)
+    inputs = {"radius": tau, "right": at_home}
+    rows = [
+        {"ratio": r} | {k: radius(at_home, gain_of_ratio(m, period, r), period) for k, m in inputs.items()}
+        for r in RATIOS
+    ]
+    ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
+    numbers: dict[str, Any] = {
+        "matrices_as_printed": {name: bool(np.array_equal(*pair)) for name, pair in pairs.items()},
+        "tau_for_m_inverse_tau": {"period": period, "rows": rows},
+        "hautus": {
+            "detectability": hautus_detectability(state_matrix(), output_matrix()),
+            "regions": _ranks(study),
+            "singular": [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))],
+        },
+        "riccati": {
+            "undiscretised_gain": float(max(np.abs(gain_without_discretisation(at_home, r)).max() for r in RATIOS)),
+            "radius_30": radius(at_home, -gain, period),
+            "radius_34": radius(at_home, gain, period),
+        },
+        "discretisation": [compare_discretisations(at_home, p, r) for p in PERIODS for r in RATIOS[::2]],
+        "decay": _decay(study, at_home),
+    }
+    return Result(numbers, _claims(numbers))
+
+
+def _ranks(study: Study) -> dict[str, dict[str, Any]]:
+    """How many random poses have full rank (28), by box and force map."""
+    robot, rng, found = study.base.robot, np.random.default_rng(SEED), {}
+    for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS):
+        poses = sample_poses(robot, region, study.pick(400, 60), rng).poses
+        full = [stabilisability_rank(robot, pose, kind) for pose in poses].count(STATES)
+        smallest = np.linalg.svd(acceleration_map(robot, poses, kind), compute_uv=False)[:, -1].min()
+        found[f"{region.name}, {kind}"] = {"poses": len(poses), "full": full, "smallest": float(smallest)}
+    return found
+
+
+def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:
+    axis, pose = int(np.abs(found.direction).argmax()), found.pose(robot)
+    legs, (name, unit) = leg_geometry(robot, pose), COORDINATES[axis]
+    least = float(np.abs(legs.transmission).min())
+    return {
+        "axis": ("+" if found.direction[axis] > 0.0 else "-") + name,
+        "at": f"{SCALES[axis] * (pose - robot.home_pose)[axis]:.1f}\u00a0{unit}",
+        "kind": found.kind,
+        "transmission": least if least > DEAD else 0.0,
+        "conditioning": float(line_conditioning(robot, legs)),
+        "rank": {kind: stabilisability_rank(robot, pose, kind) for kind in KINDS},
+        "columns": nonzero_columns(robot, pose),
+    }
+
+
+def _decay(study: Study, at_home: np.ndarray) -> dict[str, Any]:
+    """The limit that equal weights put on the decay of the error, and the decay at home and in the near box."""
+    poses = sample_poses(study.base.robot, NEAR, study.pick(100, 15), np.random.default_rng(SEED), 1e-2).poses
+    maps, period, rows = acceleration_map(study.base.robot, poses), study.base.lqi.period, []
+    for ratio in RATIOS:
+        home, *rates = (slowest_decay(b, gain_of_ratio(b, period, ratio), period) for b in (at_home, *maps))
+        rows.append({"ratio": ratio, "home": home, "least": min(rates), "most": max(rates)})
+    return {"limit": decay_limit(), "rows": rows}
+
+
+def _claims(numbers: dict[str, Any]) -> list[Claim]:
+    hautus, riccati = numbers["hautus"], numbers["riccati"]
+    equal = sum(numbers["matrices_as_printed"].values())
+    unstable = sum(row["radius"] > 1.0 for row in numbers["tau_for_m_inverse_tau"]["rows"])
+    full = all(row["full"] == row["poses"] for row in hautus["regions"].values())
+    lowest = min(rank for row in hautus["singular"] for rank in row["rank"].values() if rank is not None)
+    least = {row["ratio"]: row["least"] for row in numbers["decay"]["rows"]}
+    tuned = least[100.0] / least[0.1]
+    gain, slow = riccati["undiscretised_gain"], max(row["most"] for row in numbers["decay"]["rows"])
+    return [
+        Claim("(21), (22), (24): matrices like ours by index", "3", equal, "of 3", equal == 3),
+        Claim("(22) with tau for M^-1 tau: unstable ratios", "0", unstable, "of 5", unstable == 0),
+        Claim("(28): least rank at random poses", "18", STATES if full else 0, "", full),
+        Claim("(28): least rank at singular poses", "18", lowest, "", lowest == STATES),
+        Claim("(29): rank", "18", hautus["detectability"], "", hautus["detectability"] == STATES),
+        Claim("(30): spectral radius with u = K e", "< 1", riccati["radius_30"], "", riccati["radius_30"] < 1.0),
+        Claim("(34): spectral radius with u = -K e", "< 1", riccati["radius_34"], "", riccati["radius_34"] < 1.0),
+        Claim("(31), (32) with continuous A, B: largest gain", "> 0", gain, "", gain > 1e-10),
+        Claim("(27): slowest decay at ratio 100 over ratio 0.1", "> 1", tuned, "", tuned > 1.1),
+        Claim("(27): slowest decay at the best ratio", "-", slow, "rad/s", None),
+    ]

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from stewart_drake.control.state_space import mass_diagonal
+from stewart_drake.mechanics.dynamics import task_inertia
+from stewart_drake.mechanics.force_map import force_map
+from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix, twist_jacobian
+from stewart_drake.paper.force_map import (
+    MODELS,
+    light_legs,
+    measured,
+    predicted,
+    relative_error,
+    rod_force_per_torque,
+    to_euler,
+)
+from stewart_drake.planning.pose_box import NEAR, sample_poses
+from stewart_drake.robot import RobotParameters
+
+ROBOT = RobotParameters()
+POSES = np.vstack([ROBOT.home_pose, sample_poses(ROBOT, NEAR, 3, np.random.default_rng(4), 0.05).poses])
+
+
+def exact(robot, poses=POSES):
+    """d(twist)/dt per N m at rest by the exact rigid-body model: the oracle of this file."""
+    return np.linalg.solve(task_inertia(robot, poses), np.swapaxes(twist_jacobian(robot, poses), -1, -2))
+
+
+@pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 2e-5), (1e-2, 1e-6)])
+def test_drake_accelerates_as_the_exact_model_says(scale, tolerance):
+    robot = light_legs(ROBOT, scale)
+    assert relative_error(robot, measured(robot, POSES, 9.81), exact(robot)).max() < tolerance
+
+
+def test_the_first_steps_are_not_to_be_trusted():
+    early = measured(ROBOT, POSES[:1], 9.81, steps=1)
+    assert relative_error(ROBOT, early, exact(ROBOT, POSES[:1]))[0] > 1e-4
+
+
+def test_euler_map_gives_second_derivatives_of_the_pose():
+    rate = np.random.default_rng(0).normal(size=(4, 6, 6))
+    euler = to_euler(POSES, rate)
+    np.testing.assert_allclose(euler_rate_matrix(POSES[:, :3]) @ euler[:, :3], rate[:, :3], atol=1e-12)
+    np.testing.assert_array_equal(euler[:, 3:], rate[:, 3:])
+
+
+def test_the_last_model_is_the_massless_limit_of_the_exact_one():
+    said = predicted(ROBOT, POSES, "massless legs")
+    truth = [to_euler(POSES, exact(light_legs(ROBOT, scale))) for scale in (1e-5, 1e-6)]
+    errors = [relative_error(ROBOT, each, said) for each in truth]
+    np.testing.assert_allclose(errors[0] / errors[1], 10.0, rtol=1e-2)
+    assert errors[1].max() < 1e-5
+
+
+def test_the_other_models_mend_one_thing_each():
+    mass = mass_diagonal(ROBOT)[:, None]
+    np.testing.assert_allclose(predicted(ROBOT, POSES, "printed"), force_map(ROBOT, POSES, "printed") / mass)
+    statics = predicted(ROBOT, POSES, "statics")
+    np.testing.assert_allclose(statics, force_map(ROBOT, POSES, "statics") / mass)
+    turned = predicted(ROBOT, POSES, "statics, I in B")
+    rotation = rotation_matrix(POSES[:, :3])
+    moment = rotation @ np.diag(ROBOT.platform_inertia) @ np.swapaxes(rotation, -1, -2) @ turned[:, :3]
+    np.testing.assert_allclose(moment, force_map(ROBOT, POSES, "statics")[:, :3], atol=1e-12)
+    np.testing.assert_allclose(turned[:, 3:], statics[:, 3:])
+
+
+def test_all_models_without_leg_mass_agree_at_home_but_for_15():
+    truth = to_euler(POSES[:1], exact(light_legs(ROBOT, 1e-9), POSES[:1]))
+    for model in MODELS:
+        error = relative_error(ROBOT, predicted(ROBOT, POSES[:1], model), truth)[0]
+        assert (error > 0.01) if model.startswith("printed") else (error < 1e-7)
+
+
+def test_the_rods_force_is_read_off_the_acceleration():
+    light = light_legs(ROBOT, 1e-7)
+    force = rod_force_per_torque(light, POSES, exact(light))
+    np.testing.assert_allclose(force * leg_geometry(ROBOT, POSES).transmission, 1.0, rtol=1e-5)
+
+
+def test_relative_error_weighs_angles_by_the_characteristic_length():
+    truth = np.eye(6)[None]
+    assert relative_error(ROBOT, 0.0 * truth, truth)[0] == pytest.approx(1.0)
+    off = truth.copy()
+    off[0, 0, 0] += 1.0
+    assert relative_error(ROBOT, off, truth)[0] == pytest.approx(0.11 / np.sqrt(3.0 * 0.11**2 + 3.0))

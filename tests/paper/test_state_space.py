@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+import scipy.linalg
+
+from stewart_drake.control.state_space import acceleration_map, discretize, input_matrix, state_matrix
+from stewart_drake.mechanics.kinematics import leg_geometry, line_conditioning, rod_lines
+from stewart_drake.paper.state_space import (
+    compare_discretisations,
+    decay_limit,
+    first_singularity,
+    gain_of_ratio,
+    gain_without_discretisation,
+    nonzero_columns,
+    radius,
+    slowest_decay,
+    stabilisability_rank,
+)
+from stewart_drake.robot import RobotParameters
+
+ROBOT = RobotParameters()
+AXES = np.eye(6)
+AT_HOME = acceleration_map(ROBOT, ROBOT.home_pose)
+
+
+@pytest.mark.parametrize(("axis", "sign", "kind"), [(0, 1, "parallel"), (1, -1, "parallel"), (3, 1, "serial"),
+                                                    (4, -1, "serial"), (5, 1, "serial")])  # fmt: skip
+def test_the_first_singular_pose_is_what_it_is_called(axis, sign, kind):
+    found = first_singularity(ROBOT, sign * AXES[axis], np.pi if axis < 3 else 0.6)
+    assert found.kind == kind
+    legs = leg_geometry(ROBOT, found.pose(ROBOT))
+    lines = np.linalg.svd(rod_lines(legs), compute_uv=False)
+    if kind == "serial":
+        assert np.abs(legs.transmission).min() < 1e-6
+        assert lines[-1] > 0.01 * lines[0]
+    else:
+        assert lines[-1] < 1e-14
+        assert np.abs(legs.transmission).min() > 0.1
+    for back in np.linspace(0.01, 1.0, 7) * found.distance:
+        before = leg_geometry(ROBOT, found.pose(ROBOT, back))
+        assert min(np.abs(before.transmission).min(), line_conditioning(ROBOT, before)) > 1e-3
+
+
+def test_no_singularity_within_a_short_walk():
+    assert first_singularity(ROBOT, AXES[0], 0.5) is None
+
+
+def test_ranks_tell_serial_from_parallel():
+    parallel = first_singularity(ROBOT, AXES[0], np.pi).pose(ROBOT)
+    assert stabilisability_rank(ROBOT, parallel, "printed") == stabilisability_rank(ROBOT, parallel, "statics") == 17
+    assert nonzero_columns(ROBOT, parallel) == 6
+    serial = first_singularity(ROBOT, AXES[4], 0.6)
+    assert stabilisability_rank(ROBOT, serial.pose(ROBOT), "printed") == 17
+    assert stabilisability_rank(ROBOT, serial.pose(ROBOT), "statics") is None
+    assert nonzero_columns(ROBOT, serial.pose(ROBOT)) == 5
+    for kind in ("printed", "statics"):
+        assert stabilisability_rank(ROBOT, serial.pose(ROBOT, 1e-3), kind) == 18
+        assert stabilisability_rank(ROBOT, ROBOT.home_pose, kind) == 18
+
+
+@pytest.mark.parametrize("ratio", [0.01, 1.0, 100.0])
+def test_gains_are_those_of_scipys_riccati_equation(ratio):
+    a, b = discretize(state_matrix(), input_matrix(AT_HOME), 0.005)
+    q, r = ratio * np.eye(18), np.eye(6)
+    p = scipy.linalg.solve_discrete_are(a, b, q, r)
+    gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+    np.testing.assert_allclose(gain_of_ratio(AT_HOME, 0.005, ratio), gain, atol=1e-8 * np.abs(gain).max())
+
+
+@pytest.mark.parametrize("ratio", [0.01, 1.0])
+def test_the_loop_decays_as_the_slowest_of_six_channels_in_continuous_time(ratio):
+    a, b = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.0], [1.0], [0.0]])
+    slowest = []
+    for size in np.linalg.svd(AT_HOME, compute_uv=False):
+        r = np.array([[1.0 / (ratio * size**2)]])
+        p = scipy.linalg.solve_continuous_are(a, b, np.eye(3), r)
+        slowest.append(-np.linalg.eigvals(a - b @ np.linalg.solve(r, b.T @ p)).real.max())
+    decay = slowest_decay(AT_HOME, gain_of_ratio(AT_HOME, 1e-4, ratio), 1e-4)
+    assert decay == pytest.approx(min(slowest), rel=1e-3)
+
+
+def test_a_tick_is_the_exact_sampled_system():
+    gain = gain_of_ratio(AT_HOME, 0.005, 1.0)
+    continuous = np.vstack([np.hstack([state_matrix(), input_matrix(AT_HOME)]), np.zeros((6, 24))])
+    tick = scipy.linalg.expm(0.005 * continuous)[:18]
+    closed = tick[:, :18] - tick[:, 18:] @ gain
+    assert radius(AT_HOME, gain, 0.005) == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), rel=1e-9)
+    assert slowest_decay(AT_HOME, -gain, 0.005) < 0.0
+
+
+def test_the_limit_of_equal_weights_is_half_the_root_of_three_and_weights_move_it():
+    assert decay_limit() == pytest.approx(np.sqrt(3.0) / 2.0, rel=1e-14)
+    for factor in (0.5, 4.0, 10.0):  # time runs faster by the factor
+        assert decay_limit((1.0, factor**-2, factor**2)) == pytest.approx(factor * decay_limit())
+
+
+def test_undiscretised_matrices_give_no_gain_at_all():
+    assert np.abs(gain_without_discretisation(AT_HOME, 1.0)).max() < 1e-14
+
+
+def test_euler_differs_in_first_order_of_the_period():
+    far, near = (compare_discretisations(AT_HOME, period, 1.0) for period in (1e-2, 1e-3))
+    assert far["gain"] / near["gain"] == pytest.approx(10.0, rel=0.05)
+    assert far["radius"] < 1.0
+    assert near["exact"] == pytest.approx(np.sqrt(0.75), rel=1e-4)
