@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.campaigns.tables import markdown
+from stewart_drake.studies.study import markdown
 from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import Benchmark, always, cases_of, cells_for, cells_of, with_setting

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from stewart_drake.campaigns import engine
+from stewart_drake.studies import engine
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.files import code_trust
 from stewart_drake.files.whole import seal

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 from conftest import once
 
-from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.studies.runs import RunStore
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.reproduce import SECTIONS, reproduce
 from stewart_drake.paper.study import Study

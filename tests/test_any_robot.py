@@ -21,10 +21,10 @@ from stewart_drake import (
     run,
     run_metrics,
 )
-from stewart_drake.campaigns import robot_table
-from stewart_drake.campaigns.comparison_file import load_comparison
-from stewart_drake.campaigns.fault import BY_NAME
-from stewart_drake.campaigns.fault_table import FaultPlan, all_rows
+from stewart_drake.studies import robots as robot_table
+from stewart_drake.studies.comparison import load_comparison
+from stewart_drake.studies.faults import BY_NAME
+from stewart_drake.studies.faults import FaultPlan, all_rows
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot

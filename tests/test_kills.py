@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import environment
 
-from stewart_drake.campaigns.run_store import RunStore
-from stewart_drake.campaigns.tables import INCIDENTAL
+from stewart_drake.studies.runs import RunStore
+from stewart_drake.studies.study import INCIDENTAL
 from stewart_drake.cli.app import main
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
@@ -53,7 +53,7 @@ if __name__ == "__main__":
 """
 # Short runs of a few faults; the workers import this file too.
 FEW_FAULTS = f"""
-from stewart_drake.campaigns import fault, fault_table as table
+from stewart_drake.studies import fault, fault_table as table
 some = [pair for pair in table.all_rows() if pair[1] == "hold"][:6]
 table.all_rows = lambda: some
 short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})

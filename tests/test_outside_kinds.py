@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.campaigns.distributions import Uniform
-from stewart_drake.campaigns.plan import identity
-from stewart_drake.campaigns.run_store import run_key
-from stewart_drake.campaigns.sweep_file import Sweep
+from stewart_drake.studies.sweep import Uniform
+from stewart_drake.studies.study import identity
+from stewart_drake.studies.runs import run_key
+from stewart_drake.studies.sweep import Sweep
 from stewart_drake.cli.app import cli
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions

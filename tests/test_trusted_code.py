@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.campaigns.executors import SerialExecutor
-from stewart_drake.campaigns.one_run import simulate
-from stewart_drake.campaigns.plan import run_plan
-from stewart_drake.campaigns.sweep_file import Sweep, load_sweep
+from stewart_drake.studies.workers import SerialExecutor
+from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.study import run_plan
+from stewart_drake.studies.sweep import Sweep, load_sweep
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_path import CodePath
 from stewart_drake.files.code_trust import _keep, code_rule, store, trusting_code
@@ -335,7 +335,7 @@ def test_shipped_code_is_trusted_where_it_lies_and_only_what_it_defines(parts, m
 
 
 def test_what_shipped_code_imports_is_not_shipped():
-    code = "stewart_drake.campaigns.executors:ProcessPoolExecutor"
+    code = "stewart_drake.studies.workers:ProcessPoolExecutor"
     scenario = Scenario.from_dict({"disturbances": [code]})
     with pytest.raises(ConfigurationError, match=r"^disturbances\.0\.kind: .*itself defines"):
         scenario.disturbances[0].evaluate(0.0)

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 
-from stewart_drake.campaigns.plan import identity
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, digest, read_checked, seal, unseal, write_atomically
 from stewart_drake.logs.versions import collect_versions, package_version
@@ -20,6 +19,7 @@ from stewart_drake.planning.pose_box import NEAR
 from stewart_drake.references import paper_reference
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import identity
 
 SECTIONS = (
     "plant",

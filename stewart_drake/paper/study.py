@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from stewart_drake.campaigns.run_store import RunStore
 from stewart_drake.control.network import default_network_path
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.logs.log import SimulationLog
@@ -18,6 +17,7 @@ from stewart_drake.paper.rendering import render
 from stewart_drake.paper.report import Section
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import RunStore
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

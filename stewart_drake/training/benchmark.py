@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.kept_runs import KeptRuns
-from stewart_drake.campaigns.one_run import Task, simulate_unchecked
-from stewart_drake.campaigns.plan import identity
-from stewart_drake.campaigns.tables import Row
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import checksum
@@ -24,6 +18,8 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation
 
 MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
@@ -117,7 +113,7 @@ class Benchmark(KeptRuns):
         self,
         folder: Path,
         engine: Literal["drake", "reduced"],
-        where: Workplace | Executor | None = None,
+        where: Workers | None = None,
         tell: Callable[[float], None] | None = None,
         restart: bool = False,
     ) -> None:
@@ -125,9 +121,10 @@ class Benchmark(KeptRuns):
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        """A row for each run, candidate by candidate: how it ended, see `one_run.execute`, and `measure_parts`."""
+        """A row for each run, candidate by candidate: how it ended, see `runs.execute`, and `measure_parts`."""
         tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
-        return self.rows(tasks, lambda _: simulate_unchecked)
+        keys = [checksum(task.drawn) for task in tasks]
+        return self.rows(keys, dict(zip(keys, tasks, strict=True)).__getitem__)
 
     def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
         """(candidates, cases) logarithms of costs, see `log_cost`."""
@@ -138,8 +135,7 @@ class Benchmark(KeptRuns):
         scenario, base = _situation(case)
         changes = {**candidate(case, scenario), "plant.engine": self._engine, "log_period": None}
         drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
-        # Twelve digits are as many as a double holds exactly.
-        return Task(int(checksum(drawn)[:12], 16), case.seed, base, changes, drawn, measure_parts)
+        return Task(0, case.seed, base, changes, drawn, measure_parts, simulate_unchecked)
 
 
 @lru_cache(maxsize=4096)

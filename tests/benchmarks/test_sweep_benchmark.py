@@ -3,9 +3,9 @@
 import json
 import time
 
-from stewart_drake.campaigns.executors import LocalProcesses
-from stewart_drake.campaigns.sweep import run_sweep
-from stewart_drake.campaigns.sweep_file import Sweep
+from stewart_drake.studies.workers import LocalProcesses
+from stewart_drake.studies.sweep import run_sweep
+from stewart_drake.studies.sweep import Sweep
 
 RUNS, WARM = 40, 6
 """Runs of a sweep, and how many of them pass before the clock starts."""

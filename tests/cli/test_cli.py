@@ -11,7 +11,7 @@ import pytest
 from conftest import resealed
 
 from stewart_drake import scenario as scenario_module
-from stewart_drake.campaigns import executors
+from stewart_drake.studies import executors
 from stewart_drake.cli.app import cli
 from stewart_drake.control.network import default_network_path
 from stewart_drake.files.yaml_files import shipped_folder

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor, workplace
+from stewart_drake.studies.workers import LocalProcesses, SerialExecutor, workplace
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import default_policy_path, load_policy
 from stewart_drake.control.tuners import PolicyTuner

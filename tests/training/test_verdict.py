@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.executors import SerialExecutor
+from stewart_drake.studies.workers import SerialExecutor
 from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import Case, with_setting
 from stewart_drake.training.situations import HELD_OUT, ROBOTS, kinds_of, situation

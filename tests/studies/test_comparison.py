@@ -7,10 +7,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.campaigns.comparison import run_comparison, write_pictures
-from stewart_drake.campaigns.comparison_file import AXIS_NUMBERS, Comparison, load_comparison
-from stewart_drake.campaigns.comparison_table import BANDS, number, sheets, table_columns, table_rows
-from stewart_drake.campaigns.executors import SerialExecutor
+from stewart_drake.studies.comparison_table import run_comparison, write_pictures
+from stewart_drake.studies.comparison import AXIS_NUMBERS, Comparison, load_comparison
+from stewart_drake.studies.comparison_table import BANDS, number, sheets, table_columns, table_rows
+from stewart_drake.studies.workers import SerialExecutor
 from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.errors import ConfigurationError

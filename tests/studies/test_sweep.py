@@ -20,13 +20,13 @@ import pytest
 from conftest import code_frozen
 from sweep_functions import deadly, faulty, killed_once, number, slow
 
-from stewart_drake.campaigns import engine, executors
-from stewart_drake.campaigns.comparison_table import BANDS, table_columns
-from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses, SerialExecutor, Workplace
-from stewart_drake.campaigns.one_run import simulate
-from stewart_drake.campaigns.sweep import run_sweep, summary
-from stewart_drake.campaigns.sweep_file import BEFORE, Sweep
-from stewart_drake.campaigns.tables import INCIDENTAL, to_parquet
+from stewart_drake.studies import engine, executors
+from stewart_drake.studies.comparison_table import BANDS, table_columns
+from stewart_drake.studies.workers import DaskCluster, LocalProcesses, SerialExecutor, Workplace
+from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.sweep import run_sweep, summary
+from stewart_drake.studies.sweep import BEFORE, Sweep
+from stewart_drake.studies.study import INCIDENTAL, to_parquet
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.logs import metric_table, versions

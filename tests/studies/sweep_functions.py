@@ -5,7 +5,7 @@ import signal
 import sys
 import time
 
-from stewart_drake.campaigns.one_run import simulate
+from stewart_drake.studies.runs import simulate
 
 
 def number(scenario):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.comparison_figures import settling_time, sine_response
+from stewart_drake.studies.comparison_table import settling_time, sine_response
 
 
 @pytest.mark.parametrize("rate", [0.5, 2.0])

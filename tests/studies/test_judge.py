@@ -7,10 +7,10 @@ import pytest
 from test_comparison import small
 from test_sweep import TINY, sweep
 
-from stewart_drake.campaigns.comparison import run_comparison
-from stewart_drake.campaigns.executors import SerialExecutor
-from stewart_drake.campaigns.judge import COMPARED
-from stewart_drake.campaigns.sweep import run_sweep
+from stewart_drake.studies.comparison_table import run_comparison
+from stewart_drake.studies.workers import SerialExecutor
+from stewart_drake.studies.study import COMPARED
+from stewart_drake.studies.sweep import run_sweep
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run

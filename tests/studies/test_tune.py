@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.campaigns.comparison_file import Comparison, load_comparison
-from stewart_drake.campaigns.executors import Lasting, SerialExecutor, workplace
-from stewart_drake.campaigns.tune import measure_cost, run_tuning, write_picture
-from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, Ranges, Tuning, load_tuning
+from stewart_drake.studies.comparison import Comparison, load_comparison
+from stewart_drake.studies.workers import Lasting, SerialExecutor, workplace
+from stewart_drake.studies.tune import measure_cost, run_tuning, write_picture
+from stewart_drake.studies.tune import SEARCHED, START, TUNED, Ranges, Tuning, load_tuning
 from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import alive, make_network
 
-from stewart_drake.campaigns.run_store import RunStore, run_key
+from stewart_drake.studies.runs import RunStore, run_key
 from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, StewartDrakeError
 from stewart_drake.logs import versions
 from stewart_drake.runs import simulation
@@ -214,7 +214,7 @@ def test_a_run_that_was_stopped_midway_is_not_kept(tmp_path, monkeypatch):
 SCRIPT = """
 import sys
 from pathlib import Path
-from stewart_drake.campaigns.run_store import RunStore
+from stewart_drake.studies.runs import RunStore
 from stewart_drake.scenario import Scenario
 
 {guard}

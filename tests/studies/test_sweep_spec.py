@@ -3,8 +3,8 @@ import re
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.plan import vary
-from stewart_drake.campaigns.sweep_file import Sweep, SweepFile, load_sweep
+from stewart_drake.studies.study import vary
+from stewart_drake.studies.sweep import Sweep, SweepFile, load_sweep
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import find_file, shipped_folder
 from stewart_drake.scenario import Scenario, load_scenario

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.search import minimise
+from stewart_drake.studies.tune import minimise
 
 AT = np.array([0.3, -1.2, 4.0])
 

@@ -6,11 +6,11 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from stewart_drake.campaigns import executors, plan
-from stewart_drake.campaigns import fault_table as table_module
-from stewart_drake.campaigns.executors import Given, SerialExecutor
-from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
-from stewart_drake.campaigns.fault_table import (
+from stewart_drake.studies import executors, plan
+from stewart_drake.studies import fault_table as table_module
+from stewart_drake.studies.workers import Given, SerialExecutor
+from stewart_drake.studies.faults import DURATION, FAULTS, MOTIONS, ONSET, base
+from stewart_drake.studies.faults import (
     all_rows,
     fault_row,
     holdable_lines,
