@@ -7,11 +7,11 @@ from typing import NamedTuple
 import pytest
 from conftest import once
 
-from stewart_drake.studies.runs import RunStore
 from stewart_drake.paper.report import Section
 from stewart_drake.paper.reproduce import SECTIONS, reproduce
 from stewart_drake.paper.study import Study
 from stewart_drake.scenario import load_scenario
+from stewart_drake.studies.runs import RunStore
 
 FASTER = {"controller.solver": "split"}
 """The same gains and ticks, and a run takes less than half the time; other tests hold them equal."""

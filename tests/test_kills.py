@@ -13,12 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import environment
 
-from stewart_drake.studies.runs import RunStore
-from stewart_drake.studies.study import INCIDENTAL
 from stewart_drake.cli.app import main
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import RunStore
+from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
 """Of each campaign, for one store and one engine stand under all of them; more of them for a longer search."""
@@ -53,11 +53,11 @@ if __name__ == "__main__":
 """
 # Short runs of a few faults; the workers import this file too.
 FEW_FAULTS = f"""
-from stewart_drake.studies import fault, fault_table as table
+from stewart_drake.studies import faults as table
 some = [pair for pair in table.all_rows() if pair[1] == "hold"][:6]
 table.all_rows = lambda: some
-short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})
-fault.base = lambda *_: short
+short = table.base().replace({{"duration": 0.6, "limits.clearance": None}})
+table.base = lambda *_: short
 {MAIN}
 """
 # A report of two small sections, which run, draw and keep a file.

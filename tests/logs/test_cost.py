@@ -32,7 +32,7 @@ def test_of_a_run_the_change_of_torque_counts_for_a_millisecond():
     assert run_cost(figures, "completed", 0.005, SCALES) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("status", ["lost", "stopped", "failed", "rejected", "raised", "crashed"])
+@pytest.mark.parametrize("status", ["lost", "stopped", "failed", "rejected", "raised"])
 def test_a_run_that_was_not_completed_costs_the_most(status):
     figures = {"rmse_norm_deg": 0.1, "rmse_norm_mm": 0.1, "torque_change_rms": 0.1}
     assert run_cost(figures, status, 0.001, SCALES) == FAILED

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from stewart_drake.studies.workers import SerialExecutor
 from stewart_drake.control.objective import CostScales
 from stewart_drake.logs.cost import FAILED, run_cost
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
     LEAST_COST,
     Benchmark,
@@ -46,7 +46,7 @@ def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
     scales = CostScales()
     assert log_cost({**good, "rmse_norm_deg": 0.03}, scales) == pytest.approx(0.0)
     assert log_cost({**good, "rmse_norm_deg": 0.03, "status": "lost"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({"status": "crashed"}, scales) == pytest.approx(np.log(FAILED))
+    assert log_cost({"status": "rejected"}, scales) == pytest.approx(np.log(FAILED))
     assert log_cost({**good, "rmse_norm_deg": 0.0}, scales) == pytest.approx(np.log(LEAST_COST))
 
 
@@ -54,9 +54,9 @@ def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
 def test_what_is_in_the_folder_is_not_run_again_and_is_what_a_run_costs(tmp_path):
     cases, done = cases_of([("hold", "reachy_mini"), ("nod", "reachy_mini")], [5]), []
     quiet = with_setting([0.0, 0.0, 0.0, -1.0])
-    with Benchmark(tmp_path, "reduced", SerialExecutor()) as benchmark:
+    with Benchmark(tmp_path, "reduced", Workers(0)) as benchmark:
         first = benchmark.log_costs([BASE, quiet], cases)
-    with Benchmark(tmp_path, "reduced", SerialExecutor(), done.append) as benchmark:
+    with Benchmark(tmp_path, "reduced", Workers(0), done.append) as benchmark:
         again = benchmark.log_costs([BASE, quiet], cases)
     assert np.array_equal(first, again)
     assert done == [4.0]

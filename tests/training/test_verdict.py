@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.studies.workers import SerialExecutor
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.baselines import Baselines
 from stewart_drake.training.benchmark import Case, with_setting
 from stewart_drake.training.situations import HELD_OUT, ROBOTS, kinds_of, situation
@@ -77,7 +77,7 @@ def test_a_small_verdict_is_written_and_taken_up_again(tmp_path, monkeypatch):
     entered = {BEST_FIXED: with_setting([0.0] * 4), "quiet": with_setting([0.0, 0.0, 0.0, -1.0])}
     done = []
     for _ in range(2):
-        verdict = judge(entered, tmp_path, 1, "reduced", SerialExecutor(), done.append)
+        verdict = judge(entered, tmp_path, 1, "reduced", Workers(0), done.append)
     assert done.count(4.0) == 2
     assert done[-1] == 4.0
     assert {case.seed for case in verdict.cases} == {HELD_OUT[0]}
