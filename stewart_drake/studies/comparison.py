@@ -307,8 +307,6 @@ _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 def _check_names(file: CompareFile, parts: _Parts) -> None:
-    """Refuses names that nothing has, before anything is run."""
-
     def known(where: str, names: Sequence[str], kind: str, others: Sequence[str] = ()) -> None:
         allowed = [*parts[kind], *others]
         for name in names:

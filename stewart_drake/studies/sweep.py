@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -163,16 +163,7 @@ class Grid(Choice):
 
 
 Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
-DISTRIBUTIONS = Family(
-    {
-        "uniform": Uniform,
-        "loguniform": LogUniform,
-        "normal": Normal,
-        "integers": Integers,
-        "choice": Choice,
-        "grid": Grid,
-    }
-)
+DISTRIBUTIONS = Family({each.__pydantic_fields__["kind"].default: each for each in get_args(Distribution)})
 
 
 class SweepFile(StudyFile):

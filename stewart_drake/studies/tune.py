@@ -344,15 +344,14 @@ def minimise(
     spread: float = SPREAD,
     diagonal: bool = False,
 ) -> tuple[np.ndarray, float]:
-    """Searches a box, or all of the space.
+    """The least of a function over a box, or all of the space, by CMA-ES: the best point (n,) and its cost.
 
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772 (2016). The same arguments give the same
     points, so that a search whose evaluations are kept goes on where it was.
 
     Args:
-        evaluate: Costs of some points (n,); the lower the better. It is asked for the start first, then for a
-            generation at a time.
-        start: (n,) where the search starts, within the box.
+        evaluate: Costs of some points (n,). It is asked for the start first, then for a generation at a time.
+        start: (n,) within the box.
         low: (n,) lowest values; None, and so `high`, for no bounds.
         high: (n,) highest values.
         generations: Most of them; fewer where the search has converged.
@@ -360,9 +359,6 @@ def minimise(
         seed: Of the search.
         spread: Of the first generation, as a share of the box; without one as it stands.
         diagonal: Learn no correlations: for hundreds of numbers and more.
-
-    Returns:
-        (n,) the best point that was asked for, and its cost.
     """
     # It loads matplotlib.
     import cma

@@ -229,11 +229,17 @@ def _dask_backend(client: Any) -> Any:
             future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
             return future
 
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # With one, joblib would work in this process.
+            return max(2, int(super().effective_n_jobs(n_jobs)))
+
         def retrieve_result_callback(self, out: Any) -> Any:
             if not isinstance(out, BaseException):
                 return super().retrieve_result_callback(out)
             if type(out).__name__ == "KilledWorker":
                 raise BrokenExecutor from out
-            raise StewartDrakeError(f"the Dask cluster failed: {type(out).__name__}: {out}; rows done are kept")
+            if type(out).__module__.partition(".")[0] in ("distributed", "asyncio", "concurrent"):
+                raise StewartDrakeError(f"the Dask cluster failed: {type(out).__name__}: {out}; rows done are kept")
+            raise out
 
     return Backend(client=client, wait_for_workers_timeout=NO_WORKERS_TIMEOUT, retries=0)

@@ -38,7 +38,7 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert {path.name for path in (tmp_path / "runs" / "tiny").iterdir()} == {
         "sweep.parquet",
         "sweep.csv",
-        "sweep.json",
+        "study.json",
         "rows.jsonl",
     }
     table = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
