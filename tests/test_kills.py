@@ -1,4 +1,4 @@
-"""kill -9 at any instant of a campaign costs what was under way; two processes never share a folder."""
+"""kill -9 at any instant of a study costs what was under way; two processes never share a folder."""
 
 import os
 import random
@@ -21,7 +21,7 @@ from stewart_drake.studies.runs import RunStore
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
-"""Of each campaign, for one store and one engine stand under all of them; more of them for a longer search."""
+"""Of each study; one mechanism stands under all of them, and a comparison is part of `tune`."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -50,15 +50,6 @@ MAIN = """
 if __name__ == "__main__":
     from stewart_drake.cli.app import main
     main()
-"""
-# Short runs of a few faults; the workers import this file too.
-FEW_FAULTS = f"""
-from stewart_drake.studies import faults as table
-some = [pair for pair in table.all_rows() if pair[1] == "hold"][:6]
-table.all_rows = lambda: some
-short = table.base().replace({{"duration": 0.6, "limits.clearance": None}})
-table.base = lambda *_: short
-{MAIN}
 """
 # A report of two small sections, which run, draw and keep a file.
 FEW_SECTIONS = f"""
@@ -90,11 +81,9 @@ for key in reproduce.SECTIONS:
     sys.modules[f"{{reproduce.__package__}}.{{key}}_section"] = module(key)
 {MAIN}
 """
-CAMPAIGNS = {
+STUDIES = {
     "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
-    "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
     "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
-    "faults": (FEW_FAULTS, ["faults", "--quick", "--workers", "2"]),
     "reproduce": (
         FEW_SECTIONS,
         ["reproduce", "--quick", "--set", "limits.clearance=null", "--set", "tuner.kind=fixed"],
@@ -137,7 +126,7 @@ def alive(mark):
 
 
 def results(folder):
-    """What a campaign leaves, without what is incidental, and without what it only keeps for itself."""
+    """What a study leaves, without what is incidental, and without what it only keeps for itself."""
     files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
     found = {
         name: path.read_bytes()
@@ -154,9 +143,9 @@ def results(folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("campaign", CAMPAIGNS)
-def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, campaign):
-    code, args = CAMPAIGNS[campaign]
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, study):
+    code, args = STUDIES[study]
     start = time.monotonic()
     finish(code, args, here / "whole")
     duration = time.monotonic() - start
@@ -179,9 +168,9 @@ def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(her
     assert results(here / "killed") == results(here / "whole")
 
 
-@pytest.mark.parametrize("command", [*CAMPAIGNS, "workspace"])
+@pytest.mark.parametrize("command", [*STUDIES, "workspace"])
 def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys, command):
-    args = CAMPAIGNS[command][1] if command in CAMPAIGNS else ["workspace", "--set", "limits.clearance=null"]
+    args = STUDIES[command][1] if command in STUDIES else ["workspace", "--set", "limits.clearance=null"]
     (here / "out").mkdir()
     monkeypatch.setattr(sys, "argv", ["stewart-drake", *args, "--out", "out", "--quiet"])
     with locked_folder(here / "out"), pytest.raises(SystemExit) as end:
