@@ -14,10 +14,7 @@ import pytest
 from conftest import environment
 
 from stewart_drake.cli.app import main
-from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
-from stewart_drake.scenario import Scenario
-from stewart_drake.studies.runs import RunStore
 from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
@@ -180,8 +177,3 @@ def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch,
         capsys.readouterr().err == "stewart-drake: --out: got 'out'; allowed: a folder that no other process is using\n"
     )
     assert list((here / "out").iterdir()) == []
-
-
-def test_a_store_of_runs_is_one_process_at_a_time(tmp_path):
-    with locked_folder(tmp_path), pytest.raises(ConfigurationError, match="no other process"):
-        RunStore(tmp_path).run_all([Scenario()])

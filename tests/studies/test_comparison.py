@@ -20,7 +20,6 @@ from stewart_drake.studies.comparison_table import (
     sheets,
     sine_response,
     table_columns,
-    table_rows,
     write_pictures,
 )
 from stewart_drake.studies.workers import Workers
@@ -144,16 +143,6 @@ def test_best_of_names_the_controller_that_it_is(done):
         better = min(("soft", "stiff"), key=lambda name: here[name]["pose_rmse_mm"])
         assert here["best"]["chosen"] == better
         assert here["best"]["pose_rmse_mm"] == here[better]["pose_rmse_mm"]
-
-
-def test_best_of_failures_is_the_one_that_got_furthest():
-    comparison = small()
-    rows = [
-        {"index": i, "status": "failed", "reason": "x", "end_time": 0.01 * i, "pose_rmse_mm": None}
-        for i in range(len(comparison.cells))
-    ]
-    best = [row for row in table_rows(comparison, rows) if row["controller"] == "best"]
-    assert [row["chosen"] for row in best] == ["stiff", "stiff"]
 
 
 def test_bands_are_what_the_run_did(done):
