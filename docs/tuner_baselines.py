@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.campaigns.search import minimise
 from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.runs.terminal import ProgressBar
+from stewart_drake.studies.tune import minimise
 from stewart_drake.training.benchmark import (
     DIGITS,
     SHIPPED,

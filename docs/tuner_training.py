@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.campaigns.tables import markdown
 from stewart_drake.runs.terminal import ProgressBar
+from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import Baselines, Benchmark, always, cases_of, cells_for, cells_of, with_setting
 from stewart_drake.training.situations import ROBOTS, VALIDATION
 

@@ -8,16 +8,15 @@ import shutil
 import sys
 from pathlib import Path
 
-from stewart_drake.campaigns.comparison import run_comparison
-from stewart_drake.campaigns.comparison_file import Comparison
-from stewart_drake.campaigns.comparison_table import Sheet, number
-from stewart_drake.campaigns.tune_file import SEARCHED, START, TUNED, load_tuning
 from stewart_drake.files.whole import checksum
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping
 from stewart_drake.logs.cost import mean_cost
 from stewart_drake.scenario import Scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
+from stewart_drake.studies.comparison import Comparison
+from stewart_drake.studies.comparison_table import Sheet, number, run_comparison
+from stewart_drake.studies.tune import SEARCHED, START, TUNED, load_tuning
 
 POSES = 100
 

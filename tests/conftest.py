@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from stewart_drake.campaigns import engine
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.files import code_trust
 from stewart_drake.files.whole import seal
 from stewart_drake.logs import versions
+from stewart_drake.studies import workers
 
 # A deadline would make the outcome depend on how busy the machine is.
 settings.register_profile("default", deadline=None)
@@ -177,9 +177,9 @@ def code_frozen():
     """What is tested in this process must not depend on whether someone edits the package meanwhile."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(versions, "source_digest", lambda: "as it is")
-        engine._own_source.cache_clear()
+        workers._own_source.cache_clear()
         yield
-    engine._own_source.cache_clear()
+    workers._own_source.cache_clear()
 
 
 @pytest.fixture

@@ -22,16 +22,15 @@ from stewart_drake import (
     run,
     run_metrics,
 )
-from stewart_drake.campaigns import robot_table
-from stewart_drake.campaigns.comparison_file import load_comparison
-from stewart_drake.campaigns.fault import BY_NAME
-from stewart_drake.campaigns.fault_table import FaultPlan, all_rows
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.runs.replay import write_replay
 from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.studies import robots as robot_table
+from stewart_drake.studies.comparison import load_comparison
+from stewart_drake.studies.faults import BY_NAME, FaultStudy, all_rows
 
 SHIPPED = ["paper", "reachy_mini", "servo_hexapod"]
 RANDOM = range(20)
@@ -165,7 +164,7 @@ def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
-    plan = FaultPlan.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
+    plan = FaultStudy.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
         index = next(i for i, (fault, _) in enumerate(plan.pairs) if fault.name == wanted)
         function, arguments = plan.work_item(index)

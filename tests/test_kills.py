@@ -1,4 +1,4 @@
-"""kill -9 at any instant of a campaign costs what was under way; two processes never share a folder."""
+"""kill -9 at any instant of a study costs what was under way; two processes never share a folder."""
 
 import os
 import random
@@ -13,12 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import environment
 
-from stewart_drake.campaigns.tables import INCIDENTAL
 from stewart_drake.cli.app import main
 from stewart_drake.files.whole import locked_folder
+from stewart_drake.studies.study import INCIDENTAL
 
 KILLS = int(os.environ.get("STEWART_DRAKE_KILLS", "1"))
-"""Of each campaign, for one store and one engine stand under all of them; more of them for a longer search."""
+"""Of each study; one mechanism stands under all of them, and a comparison is part of `tune`."""
 SWEEP = """
 scenario: paper_fig7
 runs: 8
@@ -48,20 +48,9 @@ if __name__ == "__main__":
     from stewart_drake.cli.app import main
     main()
 """
-# Short runs of a few faults; the workers import this file too.
-FEW_FAULTS = f"""
-from stewart_drake.campaigns import fault, fault_table as table
-some = [pair for pair in table.all_rows() if pair[1] == "hold"][:6]
-table.all_rows = lambda: some
-short = fault.base().replace({{"duration": 0.6, "limits.clearance": None}})
-fault.base = lambda *_: short
-{MAIN}
-"""
-CAMPAIGNS = {
+STUDIES = {
     "sweep": (MAIN, ["sweep", "sweep.yaml", "--workers", "2"]),
-    "compare": (MAIN, ["compare", "comparison.yaml", "--workers", "2"]),
     "tune": (MAIN, ["tune", "comparison.yaml", "--workers", "2"]),
-    "faults": (FEW_FAULTS, ["faults", "--quick", "--workers", "2"]),
 }
 
 
@@ -100,7 +89,7 @@ def alive(mark):
 
 
 def results(folder):
-    """What a campaign leaves, without what is incidental, and without what it only keeps for itself."""
+    """What a study leaves, without what is incidental, and without what it only keeps for itself."""
     files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
     found = {
         name: path.read_bytes()
@@ -117,9 +106,9 @@ def results(folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("campaign", CAMPAIGNS)
-def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, campaign):
-    code, args = CAMPAIGNS[campaign]
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here, study):
+    code, args = STUDIES[study]
     start = time.monotonic()
     finish(code, args, here / "whole")
     duration = time.monotonic() - start
@@ -142,9 +131,9 @@ def test_a_campaign_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(her
     assert results(here / "killed") == results(here / "whole")
 
 
-@pytest.mark.parametrize("command", CAMPAIGNS)
+@pytest.mark.parametrize("command", STUDIES)
 def test_the_second_of_two_processes_in_one_folder_is_refused(here, monkeypatch, capsys, command):
-    args = CAMPAIGNS[command][1]
+    args = STUDIES[command][1]
     (here / "out").mkdir()
     monkeypatch.setattr(sys, "argv", ["stewart-drake", *args, "--out", "out", "--quiet"])
     with locked_folder(here / "out"), pytest.raises(SystemExit) as end:

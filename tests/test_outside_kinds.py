@@ -9,9 +9,6 @@ import pytest
 from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
-from stewart_drake.campaigns.distributions import Uniform
-from stewart_drake.campaigns.plan import identity
-from stewart_drake.campaigns.sweep_file import Sweep
 from stewart_drake.cli.app import cli
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -29,6 +26,8 @@ from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.section import NotNegative, Positive
+from stewart_drake.studies.runs import identity
+from stewart_drake.studies.sweep import Sweep, Uniform
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])

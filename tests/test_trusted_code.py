@@ -9,10 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from stewart_drake.campaigns.executors import SerialExecutor
-from stewart_drake.campaigns.one_run import simulate
-from stewart_drake.campaigns.plan import run_plan
-from stewart_drake.campaigns.sweep_file import Sweep, load_sweep
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_path import CodePath
 from stewart_drake.files.code_trust import _keep, code_rule, store, trusting_code
@@ -20,6 +16,10 @@ from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.study import run_study
+from stewart_drake.studies.sweep import Sweep, load_sweep
+from stewart_drake.studies.workers import Workers
 
 SHORT = "duration: 0.05\ntuner: {kind: fixed}\nreference: {kind: hold}\n"
 PARTS = """
@@ -334,7 +334,7 @@ def test_shipped_code_is_trusted_where_it_lies_and_only_what_it_defines(parts, m
 
 
 def test_what_shipped_code_imports_is_not_shipped():
-    code = "stewart_drake.campaigns.executors:ProcessPoolExecutor"
+    code = "stewart_drake.studies.workers:BrokenExecutor"
     scenario = Scenario.from_dict({"disturbances": [code]})
     with pytest.raises(ConfigurationError, match=r"^disturbances\.0\.kind: .*itself defines"):
         scenario.disturbances[0].evaluate(0.0)
@@ -369,7 +369,7 @@ def test_a_study_has_the_rows_of_one_version_of_a_users_file(call, parts):
 
     plan = load_sweep("sweep.yaml", trust_code=True)
     with pytest.raises(ConfigurationError, match=r"disturbances.*has changed") as caught:
-        run_plan(plan, Path("out"), SerialExecutor(), function=edited)
+        run_study(plan, Path("out"), Workers(0), function=edited)
     assert caught.value.reason == "untrusted_code"
     assert len(statuses("out")) == 1
     status, _, err = call("sweep", "sweep.yaml", "--out", "out")

@@ -12,7 +12,6 @@ from pathlib import Path
 import click
 
 from stewart_drake.cli.calibrate_command import calibrate
-from stewart_drake.cli.campaign_commands import compare, faults, sweep, tune
 from stewart_drake.cli.check_command import check
 from stewart_drake.cli.common_options import EXIT_INTERRUPTED, OutPath, overrides, quiet_flag, trust_flag
 from stewart_drake.cli.identify_command import excite, identify
@@ -20,6 +19,7 @@ from stewart_drake.cli.interrupts import interruptible
 from stewart_drake.cli.margins_command import margins
 from stewart_drake.cli.reproduce_command import reproduce
 from stewart_drake.cli.robots_command import robots, write_mjcf_command, write_sdf_command
+from stewart_drake.cli.study_commands import compare, faults, sweep, tune
 from stewart_drake.cli.train_command import collect, train
 from stewart_drake.cli.tuner_command import tuner
 from stewart_drake.cli.workspace_command import workspace

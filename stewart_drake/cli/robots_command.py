@@ -96,10 +96,10 @@ def from_table(table: Path, unit: str, cranks: str, overrides: tuple[str, ...], 
 @click.option("--quiet", is_flag=True, help="No progress bar and no table.")
 def table(names: tuple[str, ...], out: Path, quiet: bool) -> None:
     """Compare robots in a table: workspace, conditioning, tracking, torque; Markdown. NAMES or files [default: all]."""
-    from stewart_drake.campaigns.robot_table import HEADER, robot_rows, robots_page
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot, robot_names
     from stewart_drake.runs.outputs import prepare_file
+    from stewart_drake.studies.robots import HEADER, robot_rows, robots_page
 
     chosen = {name: load_robot(name) for name in names or robot_names()}
     prepare_file(out)

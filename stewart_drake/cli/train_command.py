@@ -23,13 +23,13 @@ def collect(out: Path, quiet: bool) -> None:
 
     Exit status: 0 done, 2 bad input, 3 an experiment broke, 130 interrupted.
     """
-    from stewart_drake.campaigns.executors import LocalProcesses
     from stewart_drake.runs.outputs import prepare_file
+    from stewart_drake.studies.workers import Workers
     from stewart_drake.training.collect import collect_dataset
 
     prepare_file(out)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
-        dataset = collect_dataset(progress=advance, where=LocalProcesses())
+        dataset = collect_dataset(progress=advance, where=Workers())
     dataset.save(out)
     click.echo(f"{len(dataset.inputs)} samples in {out}")
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import click
 
-from stewart_drake.cli.campaign_commands import campaign_options, under_way
 from stewart_drake.cli.common_options import out_folder
+from stewart_drake.cli.study_commands import study_options, under_way
 from stewart_drake.runs.terminal import print_columns
 
 
@@ -48,7 +48,7 @@ class _Runs(NamedTuple):
     show_default=True,
     help="The plant: Drake's, or the closed form of the robot, several times faster.",
 )
-@campaign_options
+@study_options
 def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: Any) -> None:
     """Assess a trained policy against settings that stay and other tuners, in situations that none of them has seen.
 

@@ -240,7 +240,7 @@ _TAKEN = (
     *("travel_deg", "travel_mm", "peak_torque", "holds_weight", "support_newton", "force_newton"),
     "moment_newton_metre",
 )
-"""Other keys of metrics.json, and other columns of the tables of campaigns."""
+"""Other keys of metrics.json, and other columns of the tables of studies."""
 
 
 def add_metric(metric: Metric) -> None:
@@ -326,8 +326,8 @@ OUTCOME: tuple[Column, ...] = (
         "",
         "completed: the controller was in charge to the end and the motion was followed; stopped: the safety layer "
         "held the robot at the end; lost: the motion was not followed; failed: broke midway, and what was measured "
-        "until then is there; rejected: refused before the run; raised: an exception that is no verdict on the run; "
-        "crashed: took its worker process with it",
+        "until then is there, or took its worker process with it; rejected: refused before the run; raised: an "
+        "exception that is no verdict on the run",
         "text",
     ),
     Column("reason", "", "stable name of what happened, null for completed", "text"),

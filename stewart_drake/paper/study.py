@@ -13,14 +13,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from matplotlib.figure import Figure
 
-from stewart_drake.campaigns.engine import carry_out
-from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor
-from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.control.network import load_network
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics, second_half, tracking_error
 from stewart_drake.planning.pose_box import Region
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
+from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.workers import Workers, run_jobs
 from stewart_drake.training.collect import OMEGAS
 
 K = TypeVar("K")
@@ -91,9 +90,9 @@ class Study:
             logs[different[index]] = log
             self.progress(len(logs) / len(different))
 
-        where = SerialExecutor() if self.workers == 1 or len(different) == 1 else LocalProcesses(self.workers)
+        workers = Workers(0 if self.workers == 1 or len(different) == 1 else self.workers)
         work = partial(simulate, check=check)
-        carry_out(range(len(different)), lambda index: (work, (different[index],)), keep, where)
+        run_jobs(range(len(different)), lambda index: (work, (different[index],)), keep, workers)
         return {key: logs[scenario] for key, scenario in scenarios.items()}
 
     def under_tuner(self, scenario: Scenario) -> Scenario:

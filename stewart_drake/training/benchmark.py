@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.kept_runs import KeptRuns
-from stewart_drake.campaigns.one_run import Task, simulate_unchecked
-from stewart_drake.campaigns.plan import identity
-from stewart_drake.campaigns.tables import Row
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import PACKAGE, checksum
@@ -26,6 +20,8 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
 from stewart_drake.section import Real, Section, Text
+from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
@@ -146,7 +142,7 @@ class Benchmark(KeptRuns):
         self,
         folder: Path,
         engine: Literal["drake", "reduced"],
-        where: Workplace | Executor | None = None,
+        where: Workers | None = None,
         tell: Callable[[float], None] | None = None,
         restart: bool = False,
     ) -> None:
@@ -154,9 +150,10 @@ class Benchmark(KeptRuns):
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        """A row for each run, candidate by candidate: how it ended, see `one_run.execute`, and `measure_parts`."""
+        """A row for each run, candidate by candidate: how it ended, see `runs.execute`, and `measure_parts`."""
         tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
-        return self.rows(tasks, lambda _: simulate_unchecked)
+        keys = [checksum(task.drawn) for task in tasks]
+        return self.rows(keys, dict(zip(keys, tasks, strict=True)).__getitem__)
 
     def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
         """(candidates, cases) logarithms of costs, see `log_cost`."""
@@ -166,16 +163,18 @@ class Benchmark(KeptRuns):
     def _task(self, candidate: Candidate, case: Case) -> Task:
         scenario, base = _situation(case)
         changes = {**candidate(case, scenario), "plant.engine": self._engine, "log_period": None}
-        # A network counts by its content, whatever its file is called.
-        tuner = changes.get("tuner", {})
-        section = TUNERS.section_of(tuner)
-        text = None if section is None else section.from_dict(tuner).content()
-        drawn = {"case": list(case), "changes": changes, "network": None if text is None else checksum(text)}
-        # Twelve digits are as many as a double holds exactly.
-        return Task(int(checksum(drawn)[:12], 16), case.seed, base, changes, drawn, measure_parts)
+        drawn = {"case": list(case), "changes": changes, "network": _network(changes.get("tuner", {}))}
+        return Task(0, case.seed, base, changes, drawn, measure_parts, simulate_unchecked)
 
 
 @lru_cache(maxsize=4096)
 def _situation(case: Case) -> tuple[Scenario, Mapping[str, Any]]:
     scenario = situation(*case)
     return scenario, scenario.to_dict()
+
+
+def _network(tuner: Mapping[str, Any]) -> str | None:
+    """Digest of the network of a tuner, whatever its file is called."""
+    section = TUNERS.section_of(tuner)
+    text = None if section is None else section.from_dict(tuner).content()
+    return None if text is None else checksum(text)

@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.engine import carry_out
-from stewart_drake.campaigns.executors import SerialExecutor, Workplace
-from stewart_drake.campaigns.one_run import simulate
 from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
@@ -21,6 +18,8 @@ from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.section import Vector6
+from stewart_drake.studies.runs import simulate
+from stewart_drake.studies.workers import Workers, run_jobs
 from stewart_drake.training.dataset import Dataset
 
 OMEGAS = (0.1, 1.0, 10.0)
@@ -139,7 +138,7 @@ def collect_dataset(
     base: Scenario | None = None,
     progress: Callable[[float], None] | None = None,
     samples: int = SAMPLES_PER_RUN,
-    where: Workplace | None = None,
+    where: Workers | None = None,
 ) -> Dataset:
     """Runs the nine experiments in the Diagram and gathers their densities.
 
@@ -166,7 +165,7 @@ def collect_dataset(
         if progress is not None:
             progress(float(len(logs)))
 
-    carry_out(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, where or SerialExecutor())
+    run_jobs(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, where or Workers(0))
     ordered = [logs[index] for index in sorted(logs)]
     metadata = dataset_metadata(base, reference)
     return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)

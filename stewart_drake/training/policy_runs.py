@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.campaigns.one_run import simulate_unchecked
 from stewart_drake.control.features import FEATURES, features
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.jit import njit, record
 from stewart_drake.scenario import Scenario
+from stewart_drake.studies.runs import simulate_unchecked
 from stewart_drake.training.benchmark import Case, log_cost, measure_parts
 from stewart_drake.training.situations import situation
 

@@ -13,7 +13,6 @@ import os
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -21,13 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.campaigns.engine import carry_out
-from stewart_drake.campaigns.executors import Lasting, LocalProcesses, Workplace, workplace
 from stewart_drake.control.features import FEATURES
 from stewart_drake.control.policy import SIZE, Policy
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, write_atomically
 from stewart_drake.logs.versions import collect_versions
+from stewart_drake.studies.workers import Workers, run_jobs
 from stewart_drake.training.benchmark import Baselines, cases_of, cells_for, cells_of, mean_over_cells
 from stewart_drake.training.policy_runs import HIDDEN, WEIGHTS, Episode, Frame, episode_cost, episode_features
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION
@@ -109,7 +107,7 @@ class State:
 class Training:
     """The steps of `train_policy`, with runs at a place."""
 
-    def __init__(self, options: PolicyOptions, place: Workplace) -> None:
+    def __init__(self, options: PolicyOptions, place: Workers) -> None:
         self.options, self._place = options, place
         self.centre = np.array(Baselines.load().best)
         cells = [cell for robot in options.robots for cell in cells_for(robot, trained=True)]
@@ -184,7 +182,7 @@ class Training:
     def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Episode]]) -> list[Any]:
         results: dict[int, Any] = {}
         keys = range(len(arguments))
-        carry_out(keys, lambda key: (function, arguments[key]), results.__setitem__, self._place)
+        run_jobs(keys, lambda key: (function, arguments[key]), results.__setitem__, self._place)
         return [results[key] for key in keys]
 
     def _batch(self, generation: int) -> np.ndarray:
@@ -241,7 +239,7 @@ def train_policy(
     options: PolicyOptions,
     file: Path | None = None,
     tell: Callable[[float, str], None] | None = None,
-    where: Workplace | Executor | None = None,
+    where: Workers | None = None,
 ) -> Policy:
     """Trains; the same options give the same policy, however many processes there are and wherever it was interrupted.
 
@@ -251,25 +249,22 @@ def train_policy(
         tell: Called with generations done and a word on it.
         where: Where the runs go; None for a process on each core.
     """
-    if where is None:
-        where = LocalProcesses(os.cpu_count())
-        # Worn out by nothing: without Drake a process stays small, and it knows its situations.
-        where.worn = None
+    # Worn out by nothing: without Drake a process stays small, and it knows its situations.
+    where = where or Workers(os.cpu_count(), worn=None)
     say = tell or (lambda *_: None)
-    with Lasting(workplace(where)) as place:
-        training = Training(options, place)
-        if file is not None and file.exists():
-            state = State.load(file, training.identity)
-        else:
-            say(0.0, "costs of the best fixed setting")
-            state = training.begin()
-        while state.generation < options.generations:
-            state = training.step(state)
-            if file is not None:
-                state.save(file, training.identity)
-            last = f", J {math.exp(state.history[-1, 1]):.3f} of best fixed" if len(state.history) else ""
-            say(float(state.generation), f"generation {state.generation}{last}")
-        policy = training.finish(state)
+    training = Training(options, where)
+    if file is not None and file.exists():
+        state = State.load(file, training.identity)
+    else:
+        say(0.0, "costs of the best fixed setting")
+        state = training.begin()
+    while state.generation < options.generations:
+        state = training.step(state)
+        if file is not None:
+            state.save(file, training.identity)
+        last = f", J {math.exp(state.history[-1, 1]):.3f} of best fixed" if len(state.history) else ""
+        say(float(state.generation), f"generation {state.generation}{last}")
+    policy = training.finish(state)
     if file is not None:
         file.unlink(missing_ok=True)
     return policy

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.tables import markdown, write_table
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import locked_folder, write_atomically
+from stewart_drake.studies.study import markdown, write_table
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
     MEASURED,
     Baselines,
@@ -124,7 +123,7 @@ def assess(
     folder: Path,
     seeds: int = SEEDS,
     engine: Literal["drake", "reduced"] = "drake",
-    where: Workplace | Executor | None = None,
+    where: Workers | None = None,
     tell: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Verdict:

@@ -3,9 +3,8 @@
 import json
 import time
 
-from stewart_drake.campaigns.executors import LocalProcesses
-from stewart_drake.campaigns.sweep import run_sweep
-from stewart_drake.campaigns.sweep_file import Sweep
+from stewart_drake.studies.sweep import Sweep, run_sweep
+from stewart_drake.studies.workers import Workers
 
 RUNS, WARM = 40, 6
 """Runs of a sweep, and how many of them pass before the clock starts."""
@@ -21,7 +20,7 @@ def measure(folder, workers):
     """Time [s] of the runs after the first few, and their own time [s] in the workers."""
     ends = {}
     result = run_sweep(
-        Sweep.from_dict(SPEC), folder, LocalProcesses(workers), lambda done: ends.setdefault(done, time.perf_counter())
+        Sweep.from_dict(SPEC), folder, Workers(workers), lambda done: ends.setdefault(done, time.perf_counter())
     )
     rows = [row for line, row in enumerate(by_completion(folder, result.rows)) if line >= WARM]
     return ends[float(RUNS)] - ends[float(WARM)], sum(row["wall_s"] for row in rows)

@@ -11,7 +11,6 @@ import pytest
 from conftest import resealed
 
 from stewart_drake import scenario as scenario_module
-from stewart_drake.campaigns import executors
 from stewart_drake.cli.app import cli
 from stewart_drake.control.network import default_network_path
 from stewart_drake.files.yaml_files import shipped_folder
@@ -19,6 +18,7 @@ from stewart_drake.logs.log import load_log
 from stewart_drake.runs import simulation
 from stewart_drake.runs.terminal import shown_compiling
 from stewart_drake.scenario import load_scenario, scenario_schema
+from stewart_drake.studies import workers
 from stewart_drake.systems.diagram import ClosedLoop
 
 QUICK = ("--set", "duration=0.05", "--set", "tuner.kind=fixed")
@@ -187,7 +187,7 @@ BAD = [
 
 @pytest.fixture
 def bad_files(tmp_path, monkeypatch):
-    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 1.0)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 1.0)
     (tmp_path / "folder").mkdir()
     weights = json.loads(default_network_path().read_text())
     contents = {

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.executors import SerialExecutor
 from stewart_drake.control.objective import CostScales
 from stewart_drake.logs.cost import FAILED, run_cost
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
     LEAST_COST,
     Baselines,
@@ -42,7 +42,7 @@ def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
     scales = CostScales()
     assert log_cost({**good, "rmse_norm_deg": 0.03}, scales) == pytest.approx(0.0)
     assert log_cost({**good, "rmse_norm_deg": 0.03, "status": "lost"}, scales) == pytest.approx(np.log(FAILED))
-    assert log_cost({"status": "crashed"}, scales) == pytest.approx(np.log(FAILED))
+    assert log_cost({"status": "rejected"}, scales) == pytest.approx(np.log(FAILED))
     assert log_cost({**good, "rmse_norm_deg": 0.0}, scales) == pytest.approx(np.log(LEAST_COST))
 
 
@@ -50,9 +50,9 @@ def test_a_failed_run_costs_the_most_and_one_of_nothing_the_least():
 def test_what_is_in_the_folder_is_not_run_again_and_is_what_a_run_costs(tmp_path):
     cases, done = cases_of([("hold", "reachy_mini"), ("nod", "reachy_mini")], [5]), []
     quiet = with_setting([0.0, 0.0, 0.0, -1.0])
-    with Benchmark(tmp_path, "reduced", SerialExecutor()) as benchmark:
+    with Benchmark(tmp_path, "reduced", Workers(0)) as benchmark:
         first = benchmark.log_costs([BASE, quiet], cases)
-    with Benchmark(tmp_path, "reduced", SerialExecutor(), done.append) as benchmark:
+    with Benchmark(tmp_path, "reduced", Workers(0), done.append) as benchmark:
         again = benchmark.log_costs([BASE, quiet], cases)
     assert np.array_equal(first, again)
     assert done == [4.0]
@@ -106,7 +106,7 @@ def test_a_small_verdict_is_written_and_taken_up_again(tmp_path, monkeypatch):
     entered = {BEST_FIXED: with_setting([0.0] * 4), "quiet": with_setting([0.0, 0.0, 0.0, -1.0])}
     done = []
     for _ in range(2):
-        verdict = assess(entered, tmp_path, 1, "reduced", SerialExecutor(), done.append)
+        verdict = assess(entered, tmp_path, 1, "reduced", Workers(0), done.append)
     assert done.count(4.0) == 2
     assert done[-1] == 4.0
     assert {case.seed for case in verdict.cases} == {HELD_OUT[0]}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from stewart_drake.campaigns.executors import LocalProcesses, SerialExecutor, workplace
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import answer, default_policy_path, load_policy
 from stewart_drake.control.tuners import PolicyTuner
@@ -12,6 +11,7 @@ from stewart_drake.jit import record
 from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
 from stewart_drake.training.benchmark import Baselines, Case
 from stewart_drake.training.policy_runs import (
@@ -76,7 +76,7 @@ def test_an_episode_costs_what_the_same_run_from_a_file_costs(tmp_path):
 
 
 def test_each_kind_counts_alike_but_more_where_the_policy_is_behind():
-    training = Training(PolicyOptions(pool=4, situations=2), workplace(SerialExecutor()))
+    training = Training(PolicyOptions(pool=4, situations=2), Workers(0))
     chosen = training._batch(0)
     share = training._shares(chosen, np.zeros(len(chosen)))
     assert share.sum() == pytest.approx(1.0)
@@ -93,9 +93,7 @@ def test_each_kind_counts_alike_but_more_where_the_policy_is_behind():
 
 def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     monkeypatch.setattr(policy_training, "VALIDATED", 1)
-    training = Training(
-        PolicyOptions(generations=60, situations=4, pool=4, robots=("reachy_mini",)), workplace(SerialExecutor())
-    )
+    training = Training(PolicyOptions(generations=60, situations=4, pool=4, robots=("reachy_mini",)), Workers(0))
     state = state_of(training)
     state.validated += bowl @ bowl
     while state.generation < 60:
@@ -109,7 +107,7 @@ def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
 @pytest.mark.slow
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
-    whole = train_policy(SMALL, where=SerialExecutor())
+    whole = train_policy(SMALL, where=Workers(0))
     file = tmp_path / "policy.state"
 
     def stop(done, _):
@@ -117,9 +115,9 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_policy(SMALL, file, stop, SerialExecutor())
+        train_policy(SMALL, file, stop, Workers(0))
     assert file.exists()
-    again = train_policy(SMALL, file, where=LocalProcesses(2))
+    again = train_policy(SMALL, file, where=Workers(2))
     assert not file.exists()
     for one, other in zip(whole.layers, again.layers, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -129,13 +127,13 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
 
 def test_the_state_of_another_training_or_no_state_is_refused(tmp_path):
     file = tmp_path / "policy.state"
-    state_of(Training(SMALL, workplace(SerialExecutor()))).save(file, "its own")
+    state_of(Training(SMALL, Workers(0))).save(file, "its own")
     assert State.load(file, "its own").generation == 0
     with pytest.raises(ConfigurationError, match="of other options"):
-        train_policy(SMALL, file, where=SerialExecutor())
+        train_policy(SMALL, file, where=Workers(0))
     file.write_bytes(b"no state")
     with pytest.raises(ConfigurationError, match="as training left it"):
-        train_policy(SMALL, file, where=SerialExecutor())
+        train_policy(SMALL, file, where=Workers(0))
 
 
 def test_the_shipped_policy_is_one_and_names_the_revision_that_trained_it():

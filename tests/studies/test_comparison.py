@@ -7,18 +7,22 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.campaigns.comparison import run_comparison, write_pictures
-from stewart_drake.campaigns.comparison_file import AXIS_NUMBERS, Comparison, load_comparison
-from stewart_drake.campaigns.comparison_table import BANDS, number, sheets, table_columns, table_rows
-from stewart_drake.campaigns.executors import SerialExecutor
-from stewart_drake.control.computed_torque import ComputedTorqueOptions
-from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.cost import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
-from stewart_drake.plotting import comparison_plots as plotting
 from stewart_drake.runs.simulation import run
+from stewart_drake.studies.comparison import AXIS_NUMBERS, Comparison, load_comparison
+from stewart_drake.studies.comparison_table import (
+    BANDS,
+    number,
+    run_comparison,
+    settling_time,
+    sheets,
+    sine_response,
+    table_columns,
+    write_pictures,
+)
+from stewart_drake.studies.workers import Workers
 
 SHIPPED = ("tracking", "controllers")
 shipped = functools.cache(functools.partial(load_comparison, quick=True))
@@ -56,7 +60,7 @@ def small(**changes):
 def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("comparison")
     comparison = small()
-    return comparison, run_comparison(comparison, folder, SerialExecutor()), folder
+    return comparison, run_comparison(comparison, folder, Workers(0)), folder
 
 
 @pytest.mark.slow
@@ -74,50 +78,6 @@ def test_every_run_that_is_asked_for_is_there_once():
     assert small().scenario(7).sensors.noise_seed == 4
 
 
-def test_conditions_win_over_controllers_and_these_over_references():
-    made = small(
-        references={"r": {"duration": 0.1, "gravity": 1.0, "command_delay": 1}},
-        controllers={"c": {"gravity": 2.0, "command_delay": 2}},
-        conditions={"d": {"command_delay": 3}},
-        best_of={},
-        runs=None,
-        bands=None,
-    ).scenario(0)
-    assert (made.duration, made.gravity, made.command_delay) == (0.1, 2.0, 3)
-
-
-@pytest.mark.parametrize(
-    ("changes", "key"),
-    [
-        ({"controllers": {}}, "controllers"),
-        ({"references": {"a|b": {}}}, "references"),
-        ({"controllers": {"a": {"controller.perod": 1.0}}, "best_of": {}, "runs": None, "bands": None}, "controller"),
-        ({"controllers": {"a": 3}}, "controllers.a"),
-        ({"runs": [{**SMALL["runs"][0], "controllers": ["x"]}]}, "runs.0.controllers"),
-        ({"runs": [{**SMALL["runs"][0], "references": ["x"]}]}, "runs.0.references"),
-        ({"runs": [{**SMALL["runs"][0], "conditions": []}]}, "runs.0.conditions"),
-        ({"runs": []}, "runs"),
-        ({"best_of": {"pid": {"of": ["soft"]}}}, "best_of.pid"),
-        ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),
-        ({"bands": {**SMALL["bands"], "controllers": ["x"]}}, "bands.controllers"),
-        ({"bands": {**SMALL["bands"], "axes": ["W"]}}, "bands.axes"),
-        ({"seeds": []}, "seeds"),
-        ({"set": {"gravty": 1.0}}, "gravty"),
-        ({"scenario": "none"}, "scenario"),
-        ({"colour": 1}, "colour"),
-    ],
-)  # fmt: skip
-def test_bad_files_name_the_key(changes, key):
-    with pytest.raises(ConfigurationError) as caught:
-        small(**changes)
-    assert key in caught.value.key
-
-
-def test_a_comparison_that_is_not_there_is_told_of_those_that_are():
-    with pytest.raises(ConfigurationError, match="tracking"):
-        load_comparison("none_of_this_name")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_comparisons_load_and_their_first_run_works(name):
@@ -128,21 +88,6 @@ def test_shipped_comparisons_load_and_their_first_run_works(name):
     # The paper's own law sags under gravity from the start.
     assert log.status == "completed" or log.reason in ("crank_dead_centre", "position_bound")
     assert all(comparison.scenario(index).duration <= 1.6 for index in range(0, comparison.runs, 40))
-
-
-@pytest.mark.slow
-def test_the_shipped_controllers_are_tuned_alike_and_the_nine_are_nine():
-    comparison = shipped("controllers")
-    by_name = {cell.controller: comparison.scenario(i).controller for i, cell in enumerate(comparison.cells)}
-    assert by_name["joint PID"] == PidOptions()
-    assert by_name["computed torque"] == ComputedTorqueOptions()
-    for name in SHIPPED:
-        (best,) = shipped(name).file.best_of.values()
-        comparison = shipped(name)
-        tuners = {c.controller: comparison.scenario(i).tuner for i, c in enumerate(comparison.cells)}
-        pairs = {(tuners[pair].omega_q, tuners[pair].omega_r) for pair in best.of}
-        assert pairs == {(q, r) for q in (0.1, 1.0, 10.0) for r in (0.1, 1.0, 10.0)}
-    assert shipped_folder("comparisons").joinpath("tracking.yaml").is_file()
 
 
 @pytest.mark.slow
@@ -200,16 +145,6 @@ def test_best_of_names_the_controller_that_it_is(done):
         assert here["best"]["pose_rmse_mm"] == here[better]["pose_rmse_mm"]
 
 
-def test_best_of_failures_is_the_one_that_got_furthest():
-    comparison = small()
-    rows = [
-        {"index": i, "status": "failed", "reason": "x", "end_time": 0.01 * i, "pose_rmse_mm": None}
-        for i in range(len(comparison.cells))
-    ]
-    best = [row for row in table_rows(comparison, rows) if row["controller"] == "best"]
-    assert [row["chosen"] for row in best] == ["stiff", "stiff"]
-
-
 def test_bands_are_what_the_run_did(done):
     _, result, _ = done
     assert result.bands.column_names == [column.name for column in BANDS]
@@ -253,40 +188,16 @@ def test_pictures_are_written_and_a_blow_up_is_drawn_within_bounds(done, tmp_pat
     assert all(path.stat().st_size > 10_000 for path in tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_a_picture_that_cannot_be_drawn_is_a_line_and_the_others_are_there(done, tmp_path, monkeypatch):
-    comparison, result, _ = done
-
-    def fail(*_):
-        raise OverflowError("cannot convert float infinity to integer")
-
-    monkeypatch.setattr(plotting, "plot_error", fail)
-    (tmp_path / "error.png").write_bytes(b"old")
-    (line,) = write_pictures(comparison, result, tmp_path)
-    assert line == "error.png is left out: OverflowError: cannot convert float infinity to integer"
-    assert {path.name for path in tmp_path.iterdir()} == {"rmse.png", "bands.png"}
-
-
 def test_what_is_done_is_not_run_again_and_another_comparison_is_refused(done):
     comparison, result, folder = done
 
     def never(scenario):
         raise AssertionError(scenario.name)
 
-    again = run_comparison(comparison, folder, SerialExecutor(), function=never)
+    again = run_comparison(comparison, folder, Workers(0), function=never)
     assert again.table.equals(result.table)
     with pytest.raises(ConfigurationError, match="band"):
-        run_comparison(small(band=0.7), folder, SerialExecutor(), function=never)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(None, "-"), (0.0, "0.00"), (0.01234, "0.0123"), (0.33, "0.330"), (0.000123, "0.000123"),
-     (12.34, "12.3"), (1234.5, "1230"),
-     (4e-7, "<0.00001"), (math.pi, "3.14")],
-)  # fmt: skip
-def test_numbers_have_three_digits(value, text):
-    assert number(value) == text
+        run_comparison(small(band=0.7), folder, Workers(0), function=never)
 
 
 @pytest.mark.slow
@@ -296,7 +207,7 @@ def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
         SMALL["runs"][2],
     ]
     comparison = small(cost={"position": 0.5, "torque_change": 2.0}, runs=runs, best_of={}, bands=None)
-    result = run_comparison(comparison, tmp_path, SerialExecutor())
+    result = run_comparison(comparison, tmp_path, Workers(0))
     for row in result.rows:
         if row["status"] == "completed":
             parts = row["rmse_norm_deg"] / 0.03, row["rmse_norm_mm"] / 0.5, row["torque_change_rms"] / 2.0
@@ -314,3 +225,53 @@ def test_with_scales_a_run_has_a_cost_and_controllers_their_mean(tmp_path):
         ),
         ("paper", "1000", "-", "1000"),
     )
+
+
+@pytest.mark.parametrize("rate", [0.5, 2.0])
+@pytest.mark.parametrize("start", [0.0, 3.0])
+def test_settling_of_an_exponential_decay_is_known(rate, start):
+    time = 0.001 * np.arange(12001)
+    size = np.where(time < start, 9.0, np.exp(-rate * (time - start)))
+    assert settling_time(time, size, 0.05, start) == pytest.approx(np.log(20.0) / rate, abs=2e-3)
+
+
+def test_settling_counts_the_last_time_outside_the_band():
+    time = np.arange(6.0)
+    assert settling_time(time, np.array([5.0, 0.0, 5.0, 0.0, 0.0, 0.0]), 1.0) == 3.0
+    assert settling_time(time, np.zeros(6), 1.0) == 0.0
+    assert settling_time(time, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]), 1.0) is None
+    assert settling_time(time, np.full(6, np.nan), 1.0) is None
+    assert settling_time(time, np.zeros(6), 1.0, start=9.0) is None
+
+
+@pytest.mark.parametrize(("ratio", "lag"), [(1.0, 0.0), (0.25, 2.0), (1.3, -0.4)])
+def test_the_response_to_a_sine_is_found_in_spite_of_offset_and_harmonics(ratio, lag):
+    time = 0.001 * np.arange(2000)
+    angle = 2.0 * np.pi * 5.0 * time
+    reference = 0.3 + 0.01 * np.sin(angle + 0.7)
+    response = 0.31 + 0.01 * ratio * (np.sin(angle + 0.7 - lag) + 0.1 * np.sin(3.0 * angle))
+    got, rest = sine_response(time, reference, response, 5.0)
+    assert abs(got) == pytest.approx(ratio, rel=1e-9)
+    assert np.angle(got) == pytest.approx(-lag, abs=1e-9)
+    assert rest == pytest.approx(0.1, rel=1e-9)
+
+
+CONTROLLER = {"controllers": {"a": {"controller.perod": 1.0}}, "best_of": {}, "runs": None, "bands": None}
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"controllers": {}}, "controllers"),
+        ({"references": {"a|b": {}}}, "references"),
+        (CONTROLLER, "controller"),
+        ({"runs": [{**SMALL["runs"][0], "controllers": ["x"]}]}, "runs.0.controllers"),
+        ({"best_of": {"pid": {"of": ["soft"]}}}, "best_of.pid"),
+        ({"best_of": {"b": {"of": ["none"]}}}, "best_of.b.of"),
+        ({"bands": {**SMALL["bands"], "controllers": ["x"]}}, "bands.controllers"),
+    ],
+)
+def test_bad_files_name_the_key(changes, key):
+    with pytest.raises(ConfigurationError) as caught:
+        small(**changes)
+    assert key in caught.value.key

@@ -3,9 +3,8 @@
 import os
 import signal
 import sys
-import time
 
-from stewart_drake.campaigns.one_run import simulate
+from stewart_drake.studies.runs import simulate
 
 
 def number(scenario):
@@ -37,12 +36,6 @@ def deadly(scenario):
         os._exit(0)
     if what == 4:
         os.kill(os.getpid(), signal.SIGKILL)
-    return simulate(scenario)
-
-
-def slow(scenario):
-    """Takes its time, so that something can happen meanwhile."""
-    time.sleep(0.3)
     return simulate(scenario)
 
 

@@ -1,5 +1,4 @@
 import functools
-import json
 import os
 import signal
 import time
@@ -38,7 +37,7 @@ def test_a_sweep_from_the_shell_leaves_its_table_prints_its_summary_and_goes_on(
     assert {path.name for path in (tmp_path / "runs" / "tiny").iterdir()} == {
         "sweep.parquet",
         "sweep.csv",
-        "sweep.json",
+        "study.json",
         "rows.jsonl",
     }
     table = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
@@ -84,15 +83,3 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path)
     assert process.returncode == 0
     assert rows.read_bytes().splitlines()[: len(kept)] == kept
     assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))
-
-
-@pytest.mark.slow
-def test_another_sweep_in_the_folder_is_refused_until_it_is_thrown_away(call, tmp_path):
-    write(tmp_path)
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "rows.jsonl").write_text(json.dumps({"index": 0}) + "\n")
-    status, out, err = call("tiny.yaml", "--out", "out", "--workers", 1)
-    assert (status, out) == (2, "")
-    assert "--restart" in err.splitlines()[-1]
-    assert call("tiny.yaml", "--out", "out", "--workers", 1, "--runs", 1, "--restart", "--quiet") == (0, "", "")
-    assert pq.read_table("out/sweep.parquet").num_rows == 1

@@ -1,24 +1,38 @@
-"""Tables of a comparison: one row a run as Parquet and CSV, and what is read, as Markdown."""
+"""Figures and tables of a comparison: one row a run as Parquet and CSV, what is read as Markdown, and pictures."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stewart_drake.campaigns.tables import Row, flat, markdown
-from stewart_drake.logs.cost import FAILED, mean_cost
+from stewart_drake.control.objective import CostScales
+from stewart_drake.files.whole import locked_folder
+from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.metrics import error_norms
+from stewart_drake.studies.runs import Row, RunFunction, measure, outcome
+from stewart_drake.studies.study import flat, markdown, run_study
+from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
-    from stewart_drake.campaigns.comparison_file import Comparison
-    from stewart_drake.scenario import Scenario
+    import pyarrow as pa
 
+    from stewart_drake.scenario import Scenario
+    from stewart_drake.studies.comparison import Comparison
+
+PICTURES = ("rmse", "error", "bands")
+TRACE_POINTS = 240
+"""Of the error over time that is kept; each the largest error of its share of the run."""
 SMALLEST = 1e-5
 """What is smaller is not written out."""
 _LATE = "over the second half of the planned duration"
@@ -74,12 +88,7 @@ class Sheet:
 
 
 def table_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
-    """Rows of the table, flat; a best of several is a copy of the row that it is, before those that it is chosen from.
-
-    Args:
-        comparison: What was run.
-        rows: See `one_run.execute`.
-    """
+    """Rows of the table, flat; a best of several copies the row that it is, before those it is chosen from."""
     runs = _named(comparison, rows, bands=False)
     if comparison.file.cost is not None:
         # A run that was refused or broke has no figures at all.
@@ -107,13 +116,7 @@ def band_rows(comparison: Comparison, rows: Sequence[Row]) -> list[Row]:
 
 
 def sheets(comparison: Comparison, rows: Sequence[Row], bands: Sequence[Row]) -> list[Sheet]:
-    """The tables that are read: of several seeds the worst number.
-
-    Args:
-        comparison: What was run.
-        rows: See `table_rows`.
-        bands: See `band_rows`.
-    """
+    """The tables that are read, of what `table_rows` and `band_rows` give: of several seeds the worst number."""
     hidden = {name for best in comparison.file.best_of.values() for name in best.of}
     asked = {
         key
@@ -301,3 +304,127 @@ def _band_sheet(axis: str, bands: Sequence[Row]) -> Sheet:
     header = ("controller", *(f"{frequency:g} Hz" for frequency in frequencies))
     brief = tuple(dict.fromkeys(np.linspace(0, len(frequencies), 5).round().astype(int).tolist()))
     return Sheet(f"{axis}: amplitude ratio and phase, pose to reference", header, tuple(lines), brief)
+
+
+def measure_run(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
+    """Figures of a run: those of every sweep, settling into `band` [mm], its cost and the trace of its error."""
+    rotation, position = error_norms(log)
+    pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
+    figures = measure(log)
+    if scales is not None:
+        figures["cost"] = run_cost(figures, log.status, log.scenario.controller.period, scales)
+    return {
+        **figures,
+        "settling_s": settling_time(log.time, pose, band) if log.reached_end else None,
+        "trace": {"time": _thinned(log.time), "pose_mm": _thinned(pose)},
+    }
+
+
+def measure_band(log: SimulationLog, frequency: float, axis: int, window: float) -> Row:
+    """Amplitude ratio and phase over the last `window` [s] of a run along a sine of `frequency` [Hz] on `axis`."""
+    row = outcome(log) | dict.fromkeys(("ratio", "phase_deg", "rest"))
+    if not log.reached_end:
+        return row
+    rows = log.time > log.time[-1] - window + 1e-9
+    reference, pose = log["reference"][rows, axis], log["pose"][rows, axis]
+    response, rest = sine_response(log.time[rows], reference, pose, frequency)
+    return {**row, "ratio": abs(response), "phase_deg": math.degrees(np.angle(response)), "rest": rest}
+
+
+def settling_time(time: np.ndarray, size: np.ndarray, band: float, start: float = 0.0) -> float | None:
+    """Time from `start` (of the run, or of a step) after which `size` stays within `band` to the end.
+
+    0 where it never leaves the band; None where it ends outside, or there are no rows from `start` on.
+    """
+    after = time >= start - 1e-9
+    time, outside = time[after], ~(size[after] <= band)
+    if not len(time) or outside[-1]:
+        return None
+    last = np.flatnonzero(outside)
+    return float(time[last[-1] + 1] - start) if len(last) else 0.0
+
+
+def sine_response(
+    time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
+) -> tuple[complex, float]:
+    """Response to a sine: least-squares fit of sine, cosine and constant to both signals at the frequency.
+
+    Args:
+        time: (n,) [s], best over whole periods, after the transient.
+        reference: (n,) what was asked for.
+        response: (n,) what came.
+        frequency: [Hz].
+
+    Returns:
+        Their ratio as a complex number: amplitude ratio and, as its angle, phase (negative for a lag); and the RMS of
+        what the fit leaves of the response, as a part of the RMS of the fitted sine.
+    """
+    angle = 2.0 * np.pi * frequency * np.asarray(time)
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
+    solution, *_ = np.linalg.lstsq(basis, np.stack([reference, response], axis=1), rcond=None)
+    asked, came = solution[0] + 1j * solution[1]
+    rest = response - basis @ solution[:, 1]
+    return complex(came / asked), float(np.sqrt(2.0 * np.mean(rest**2)) / abs(came))
+
+
+def _thinned(values: np.ndarray) -> list[float]:
+    parts = np.array_split(values, min(TRACE_POINTS, len(values))) if len(values) else []
+    return [float(f"{np.max(part):.4g}") for part in parts]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonResult:
+    """What a comparison leaves.
+
+    Attributes:
+        table: One row a run, see `table_columns`.
+        bands: One row a band, see `BANDS`.
+        rows: Rows of the table as plain values, with `trace`.
+        band_rows: Rows of the bands likewise.
+        sheets: The tables that are read.
+        engine: See `StudyTable`.
+    """
+
+    table: pa.Table
+    bands: pa.Table
+    rows: list[Row]
+    band_rows: list[Row]
+    sheets: list[Sheet]
+    engine: str | None = None
+
+
+def run_comparison(
+    comparison: Comparison,
+    folder: Path,
+    workers: Workers | None = None,
+    progress: Callable[[float], None] | None = None,
+    restart: bool = False,
+    function: RunFunction | None = None,
+) -> ComparisonResult:
+    """Runs what is missing of a comparison and writes its tables; see `run_study`.
+
+    Files: comparison.parquet, .csv and .md; bands.parquet and .csv where there are bands.
+    """
+    made = run_study(comparison, folder, workers, progress, restart, function)
+    table, bands = made["comparison"], made["bands"]
+    read = sheets(comparison, table.rows, bands.rows)
+    return ComparisonResult(table.table, bands.table, table.rows, bands.rows, read, table.engine)
+
+
+def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Path) -> list[str]:
+    """Draws rmse.png, error.png and, where there are bands, bands.png; a line for each that is beyond matplotlib."""
+    # matplotlib takes a second to load.
+    from stewart_drake.plotting import draw
+    from stewart_drake.plotting.comparison_plots import plot_bands, plot_error, plot_rmse
+
+    names = order(comparison)
+    rows = [row for name in names for row in result.rows if row["controller"] == name]
+    figures = {"rmse": partial(plot_rmse, rows)}
+    traced = [row for row in rows if row["reference"] == comparison.traced]
+    if any("trace" in row for row in traced):
+        figures["error"] = partial(plot_error, traced, comparison.file.band)
+    if any(row.get("ratio") is not None for row in result.band_rows):
+        figures["bands"] = partial(plot_bands, result.band_rows)
+    with locked_folder(folder):
+        lines = [draw(figure, folder / f"{name}.png") for name, figure in figures.items()]
+    return [line for line in lines if line is not None]

@@ -6,24 +6,22 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from stewart_drake.campaigns import executors, plan
-from stewart_drake.campaigns import fault_table as table_module
-from stewart_drake.campaigns.executors import Given, SerialExecutor
-from stewart_drake.campaigns.fault import DURATION, FAULTS, MOTIONS, ONSET, base
-from stewart_drake.campaigns.fault_table import (
+from stewart_drake.cli.app import cli
+from stewart_drake.runs.simulation import run
+from stewart_drake.safety import MONITORS
+from stewart_drake.studies import runs, workers
+from stewart_drake.studies.faults import (
+    DURATION,
+    FAULTS,
+    MOTIONS,
+    ONSET,
     all_rows,
+    base,
     fault_row,
-    holdable_lines,
-    make_table,
-    markdown_table,
     measure_fault,
     table_columns,
     terse_rows,
 )
-from stewart_drake.cli.app import cli
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.runs.simulation import run
-from stewart_drake.safety import MONITORS
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in enumerate(FAULTS)]
@@ -96,8 +94,6 @@ def test_without_a_fault_nothing_trips_and_the_error_is_that_of_the_controller()
         assert row["peak_error_mm"] < 0.05
 
 
-# --- each monitor is needed -----------------------------------------------------------------------------------------
-
 NEEDED = {
     "measurement_not_finite": ("pose_nan", {"finite": False, "failures": False}),
     "sensor_failed": ("encoder_nan_20ms", {"failures": False}),
@@ -152,10 +148,6 @@ OTHERS = {
 }
 
 
-def test_every_monitor_has_a_mutation():
-    assert set(NEEDED) == set(MONITORS) - {"none"}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("monitor", NEEDED)
 def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
@@ -170,9 +162,6 @@ def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
     assert broken["reaction"] != "refused"
     assert broken["safety_monitor"] != monitor
     assert bad_ending(fault, broken) is not None
-
-
-# --- rows and files -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -190,88 +179,31 @@ def test_a_rows_figures_are_those_of_its_log():
     assert (row["latency_ms"], row["reaction"], row["safety_leg"]) == (pytest.approx(0.0, abs=1e-6), "ramped", 3)
 
 
-@pytest.mark.slow
-def test_a_run_that_breaks_without_the_layer_is_told_apart():
-    fault = BY_NAME["command_nan"]
-    log = run(base().replace({**fault.in_motion("hold", base()), "safety": None}))
-    assert measure_fault(log, fault)["reaction"] == "broke"
-
-
 def made_row(fault, motion, reaction="held", **figures):
     return {"fault": fault, "motion": motion, "reaction": reaction, **figures}
 
 
-def told(_, task):
+def instantly(task):
     """A row without a run."""
     figures = {"safety_monitor": "deadline", "safety_leg": 2, "latency_ms": 3.0, "peak_error_mm": 1.25}
-    return {**plan.empty_row(task, "completed", None, None), "reaction": "held", "peak_torque": 0.5, **figures}
+    return {**task.row("completed", None, None), "reaction": "held", "peak_torque": 0.5, **figures}
 
 
-@pytest.fixture
-def instant(monkeypatch):
-    """Rows without runs, in this process."""
-    monkeypatch.setattr(executors, "LocalProcesses", lambda *_: Given(SerialExecutor()))
-    monkeypatch.setattr(plan, "execute", told)
-
-
-@pytest.mark.usefixtures("instant")
-def test_the_table_has_a_row_a_run_and_a_line_a_fault(tmp_path):
-    seen = []
-    table = make_table(tmp_path / "new", progress=seen.append)
-    assert [(row["fault"], row["motion"]) for row in table.rows] == [(f.name, motion) for f, motion in all_rows()]
-    assert seen[-1] == len(all_rows())
-    read = pq.read_table(table.path)
-    assert read.num_rows == len(all_rows())
-    assert read.column_names == [column.name for column in table_columns()]
-    assert read.column("safety_leg").to_pylist() == [2] * len(all_rows())
-    text = table.path.with_suffix(".md").read_text()
-    for fault in FAULTS:
-        assert f"| {fault.name} | held (deadline" in text
-        assert fault.text in text
-    assert "1.25 mm" in text
-
-
-@pytest.mark.usefixtures("instant")
-def test_an_interrupted_table_goes_on_where_it_was(tmp_path, monkeypatch):
-    def stop(done):
-        if done == 7:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        make_table(tmp_path, progress=stop)
-    assert not (tmp_path / "faults.md").exists()
-    ran = []
-    monkeypatch.setattr(plan, "execute", lambda _, task: ran.append(task.index) or told(_, task))
-    table = make_table(tmp_path)
-    assert len(ran) == len(all_rows()) - 7
-    assert table.rows == make_table(tmp_path / "whole").rows
-    ran.clear()
-    seen = []
-    assert make_table(tmp_path, progress=seen.append).rows == table.rows
-    assert ran == []
-    assert seen == [len(all_rows())]
-    make_table(tmp_path, restart=True)
-    assert len(ran) == len(all_rows())
-
-
-@pytest.mark.usefixtures("instant")
-def test_rows_of_other_faults_are_not_mixed_in(tmp_path, monkeypatch):
-    make_table(tmp_path)
-    monkeypatch.setattr(table_module, "all_rows", lambda: list(reversed([(f, m) for f in FAULTS for m in MOTIONS])))
-    with pytest.raises(ConfigurationError, match="differs in faults"):
-        make_table(tmp_path)
-
-
-@pytest.mark.usefixtures("instant")
-def test_the_command_prints_the_short_table_quick_that_of_the_held_platform_alone(tmp_path):
-    done = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick"])
-    assert done.exit_code == 0, done.output
-    assert "push_5N" in done.output.replace("\n", "")
-    tables = {"faults.parquet", "faults.csv", "faults.md"}
-    assert {path.name for path in tmp_path.iterdir()} == tables | {"rows.jsonl", "sweep.json"}
-    read = pq.read_table(tmp_path / "faults.parquet").select(["fault", "motion"]).to_pylist()
-    assert read == [{"fault": fault.name, "motion": "hold"} for fault in FAULTS]
-    quiet = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quick", "--quiet"])
+def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_held_platform_alone(tmp_path, monkeypatch):
+    here = workers.Workers(0)
+    monkeypatch.setattr(workers, "Workers", lambda *_: here)
+    monkeypatch.setattr(runs, "execute", instantly)
+    for quick, pairs in ((["--quick"], [(f, "hold") for f in FAULTS]), (["--restart"], all_rows())):
+        done = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), *quick])
+        assert done.exit_code == 0, done.output
+        assert "push_5N" in done.output.replace("\n", "")
+        table = pq.read_table(tmp_path / "faults.parquet")
+        assert table.column_names == [column.name for column in table_columns()]
+        assert [(row["fault"], row["motion"]) for row in table.to_pylist()] == [(f.name, each) for f, each in pairs]
+        text = (tmp_path / "faults.md").read_text()
+        assert all(f"| {fault.name} | held (deadline" in text and fault.text in text for fault in FAULTS)
+        assert "1.25 mm" in text
+    quiet = CliRunner().invoke(cli, ["faults", "--out", str(tmp_path), "--quiet"])
     assert (quiet.exit_code, quiet.stdout) == (0, "")
 
 
@@ -293,24 +225,3 @@ def test_a_terse_line_sets_side_by_side_what_differs():
         ("encoder_frozen", "unnoticed / ended", "lost / failed", "- / reading_stuck", "54", "-", "-", "-"),
         ("dropped_10_percent", "held", "completed", "deadline", "-", "-", "-", "-"),
     ]
-
-
-def test_what_five_motors_hold_is_told_in_words():
-    rows = [
-        made_row("dead_motor_0", "hold", "ended", holds_weight=False, support_newton=4.72),
-        made_row(
-            "dead_motor_0",
-            "paper",
-            "ended",
-            holds_weight=True,
-            support_newton=0.0,
-            force_newton=50.2,
-            moment_newton_metre=3.1,
-        ),
-        made_row("push_5N", "hold", "ridden through"),
-    ]
-    assert holdable_lines(rows) == [
-        "dead_motor_0, hold: none: not even the weight; the smallest outside force with which it stands: 4.7 N",
-        "dead_motor_0, paper: 50 N or 3.1 N m",
-    ]
-    assert "4.7 N" in markdown_table(rows)

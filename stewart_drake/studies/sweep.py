@@ -1,48 +1,175 @@
-"""A sweep as typed YAML: a scenario, what is fixed in it, what its other keys are drawn from."""
+"""A sweep as typed YAML: a scenario, what is fixed in it, what its other keys are drawn from; its table."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.campaigns.distributions import DISTRIBUTIONS, Choice, Distribution, Grid, column_of, is_number
-from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
-from stewart_drake.campaigns.tables import INCIDENTAL, Row, flat
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
-from stewart_drake.families import refuse_given
+from stewart_drake.families import Family, refuse_given
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
-from stewart_drake.logs.metric_table import Column
+from stewart_drake.logs.metric_table import Column, ValueKind
 from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.outcomes import told
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import Count, Flag, Seed, Text
+from stewart_drake.section import Count, Flag, Positive, Real, Section, Seed, Text, check_plain
+from stewart_drake.studies.runs import Row, RunFunction
+from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, StudyTable, flat, run_study, vary
+from stewart_drake.studies.workers import Workers
 from stewart_drake.wording import shown
 
 MAX_RUNS = 1_000_000
-Sampler = Literal["random", "sobol"]
+LARGEST = 1e100
+"""Bounds beyond this are slips of the pen; differences of them could leave floating point."""
+LEAST_PROBABILITY = 1e-9
+"""A truncated normal that keeps less of its bell than this is one too."""
+_LOWEST = 2.0**-54
 BEFORE = (
     Column("index", "", "number of the run, from 0", "whole"),
     Column("seed", "", "of the run; its draws follow from it", "whole"),
 )
 """Columns before those of the varied keys."""
 
+Sampler = Literal["random", "sobol"]
+Bound = Annotated[Real, Field(ge=-LARGEST, le=LARGEST)]
+Whole = Annotated[Count, Field(ge=-(2**53), le=2**53)]
 
-class SweepFile(PlanFile):
+
+class _Distribution(Section):
+    kind: str
+    factor: Flag = False
+    """The number drawn multiplies the value of the key in the scenario instead of replacing it; all of its components
+    where it is a list."""
+
+    column: ClassVar[ValueKind] = "number"
+
+    @abstractmethod
+    def at(self, quantile: float) -> Any:
+        """The value below which the share `quantile`, 0 to 1, of the distribution lies."""
+
+
+class _Between(_Distribution):
+    kind: str
+    low: Bound
+    high: Bound
+
+    def rules(self) -> None:
+        if not self.low < self.high:
+            raise ConfigurationError("high", self.high, f"more than low, {self.low:g}")
+
+
+class Uniform(_Between):
+    """Uniform from `low` to `high`."""
+
+    kind: Literal["uniform"] = "uniform"
+
+    def at(self, quantile: float) -> float:
+        return min(self.low + quantile * (self.high - self.low), self.high)
+
+
+class LogUniform(_Between):
+    """Uniform in the logarithm, from `low` to `high`, both positive."""
+
+    kind: Literal["loguniform"] = "loguniform"
+    low: Annotated[Positive, Field(le=LARGEST)]
+
+    def at(self, quantile: float) -> float:
+        value = math.exp(math.log(self.low) + quantile * (math.log(self.high) - math.log(self.low)))
+        return min(max(value, self.low), self.high)
+
+
+class Normal(_Distribution):
+    """Normal, cut off at `low` and `high` where they are given."""
+
+    kind: Literal["normal"] = "normal"
+    mean: Bound
+    std: Annotated[Positive, Field(le=LARGEST)]
+    low: Bound | None = None
+    high: Bound | None = None
+
+    def rules(self) -> None:
+        low, high = self._scores
+        if not low < high:
+            raise ConfigurationError("high", self.high, f"more than low, {self.low:g}")
+        from scipy.special import ndtr
+
+        # In the upper tail the bell's share below rounds off to 1: then that of its mirror image.
+        kept = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
+        if kept < LEAST_PROBABILITY:
+            allowed = f"bounds that keep at least {LEAST_PROBABILITY:g} of the distribution"
+            raise ConfigurationError("low", [self.low, self.high], allowed)
+
+    def at(self, quantile: float) -> float:
+        from scipy.stats import truncnorm
+
+        value = self.mean + self.std * float(truncnorm.ppf(max(quantile, _LOWEST), *self._scores))
+        value = value if self.low is None else max(value, self.low)
+        return value if self.high is None else min(value, self.high)
+
+    @property
+    def _scores(self) -> tuple[float, float]:
+        """Bounds in standard deviations from the mean."""
+        low, high = (None if bound is None else (bound - self.mean) / self.std for bound in (self.low, self.high))
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+
+class Integers(_Between):
+    """Whole numbers from `low` to `high`, both included, equally often."""
+
+    kind: Literal["integers"] = "integers"
+    low: Whole
+    high: Whole
+
+    column: ClassVar[ValueKind] = "whole"
+
+    def at(self, quantile: float) -> int:
+        return min(self.low + int(quantile * (self.high - self.low + 1)), self.high)
+
+
+class Choice(_Distribution):
+    """One of `values`, equally often: numbers, texts, truth values, lists, sections."""
+
+    kind: Literal["choice"] = "choice"
+    values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)]
+
+    def rules(self) -> None:
+        check_plain("values", self.values)
+        if self.factor and not all(map(_is_number, self.values)):
+            raise ConfigurationError("values", self.values, "numbers, to multiply by")
+
+    def at(self, quantile: float) -> Any:
+        return self.values[min(int(quantile * len(self.values)), len(self.values) - 1)]
+
+
+class Grid(Choice):
+    """Each of `values` in turn; several grids of a sweep run through all their combinations, the first key fastest."""
+
+    kind: Literal["grid"] = "grid"  # type: ignore[assignment]
+
+
+Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
+DISTRIBUTIONS = Family({each.__pydantic_fields__["kind"].default: each for each in get_args(Distribution)})
+
+
+class SweepFile(StudyFile):
     """Keys of a sweep file."""
 
-    name: PlanName = "sweep"
+    name: StudyName = "sweep"
     runs: Annotated[Count, Field(ge=1, le=MAX_RUNS)] | None = None
     """Number of runs; null takes as many as the grids have combinations. Run i stays the same when this changes."""
     seed: Seed = 0
@@ -58,7 +185,7 @@ class SweepFile(PlanFile):
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep(Plan):
+class Sweep(Study):
     """A scenario and what its keys are drawn from.
 
     The draws for run i depend on `seed`, i and the key alone: not on how many runs there are, nor on other keys (with
@@ -92,8 +219,8 @@ class Sweep(Plan):
         fixed = {column.name for column in (*BEFORE, *run_columns(), *INCIDENTAL)}
         for key, current in self._bases.items():
             path = split_key(key)
-            paths = ((other, split_key(other)) for other in self.distributions if other != key)
-            over = next((other for other, inside in paths if path[: len(inside)] == inside), None)
+            others = (other for other in self.distributions if other != key)
+            over = next((other for other in others if path[: len(split_key(other))] == split_key(other)), None)
             if over is not None:
                 raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
             if key in fixed:
@@ -103,15 +230,7 @@ class Sweep(Plan):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
-        """A sweep from plain values, as YAML gives them.
-
-        Args:
-            data: See `SweepFile`.
-            folder: Paths in `data` are relative to it; None for the current folder.
-
-        Raises:
-            ConfigurationError: Names the key, the value and what is allowed.
-        """
+        """A sweep from plain values, see `SweepFile`; paths are relative to `folder`, None for the current one."""
         given, base = SweepFile.read("sweep", data, folder)
         if given.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
@@ -126,7 +245,6 @@ class Sweep(Plan):
         return cls(base, given.distributions, given.seed, given.sampler, runs=runs, name=given.name)
 
     def run_seed(self, index: int) -> int:
-        """Seed of run `index`, below 2^63."""
         state = np.random.SeedSequence(self.seed, spawn_key=(index,)).generate_state(1, np.uint64)
         return int(state[0] >> np.uint64(1))
 
@@ -146,13 +264,10 @@ class Sweep(Plan):
 
     def changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
         """Scenario key -> value for what `draw` gave: factors multiplied out."""
-        return {
-            key: _times(self._bases[key], value) if self.distributions[key].factor else value
-            for key, value in drawn.items()
-        }
+        factors = {key for key, distribution in self.distributions.items() if distribution.factor}
+        return {key: _times(self._bases[key], value) if key in factors else value for key, value in drawn.items()}
 
     def variants(self) -> list[Scenario]:
-        """See `Plan.variants`."""
         found = [self.base]
         for key, distribution in self.distributions.items():
             if isinstance(distribution, Choice) and not distribution.factor:
@@ -162,7 +277,7 @@ class Sweep(Plan):
         return found
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """See `Plan.tables`: of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
+        """Of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
         factors = [key for key, distribution in self.distributions.items() if distribution.factor]
         for key, distribution in self.distributions.items():
@@ -182,13 +297,12 @@ class Sweep(Plan):
 
     @property
     def work(self) -> Mapping[str, Any]:
-        """See `Plan.work`: not how many runs there are, nor a name."""
+        """Not how many runs there are, nor a name."""
         data = self.to_dict()
         del data["runs"], data["name"], data["scenario"]["name"]
         return data
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it in plain types, the whole scenario included."""
         return {
             "name": self.name,
             "scenario": self.base.to_dict(),
@@ -199,11 +313,7 @@ class Sweep(Plan):
         }
 
     def replace(self, **changes: Any) -> Sweep:
-        """A sweep with some attributes changed.
-
-        Raises:
-            ConfigurationError: As for the class.
-        """
+        """A sweep with some attributes changed."""
         return dataclasses.replace(self, **changes)
 
     @cached_property
@@ -239,7 +349,7 @@ class Sweep(Plan):
                 self._check_value(key, current, value)
         elif isinstance(current, list):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
-        elif current is not None and not is_number(current):
+        elif current is not None and not _is_number(current):
             raise ConfigurationError(where, current, "a key that holds a number; kinds for others are choice and grid")
         elif isinstance(current, int) and column_of(distribution) != "whole":
             raise ConfigurationError(where, distribution.kind, "whole numbers, by the kinds integers, choice or grid")
@@ -257,12 +367,7 @@ class Sweep(Plan):
 
 
 def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
-    """Reads a sweep file.
-
-    Args:
-        path: YAML file, or the name of a sweep of the package such as `initial_offset`.
-        runs: In place of the number in the file.
-        trust_code: See `load_scenario`.
+    """Reads a sweep file, or a sweep of the package by its name; `runs` in place of the number in it.
 
     Raises:
         ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
@@ -275,16 +380,59 @@ def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = Fal
         return Sweep.from_dict(data, path.parent)
 
 
+def run_sweep(
+    sweep: Sweep,
+    folder: Path,
+    workers: Workers | None = None,
+    progress: Callable[[float], None] | None = None,
+    restart: bool = False,
+    function: RunFunction | None = None,
+) -> StudyTable:
+    """Runs what is missing of a sweep and writes sweep.parquet and .csv; see `run_study`."""
+    return run_study(sweep, folder, workers, progress, restart, function)["sweep"]
+
+
+def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Counts by status and reason, percentiles of the errors: what and how much, as texts."""
+    counts = Counter((row["status"], row["reason"]) for row in rows)
+    lines = [("runs", str(len(rows)))]
+    for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
+        lines.append((told(status, reason), str(count)))
+    for unit, of in (("deg", "rotation"), ("mm", "position")):
+        name = f"rmse_norm_{unit}"
+        values = np.array([row[name] for row in rows if row.get(name) is not None])
+        if len(values):
+            shares = "  ".join(f"{value:.4g}" for value in np.percentile(values, [50, 95, 99, 100]))
+            lines.append((f"RMSE of {of}, percentiles 50 95 99, largest", f"{shares} {unit}"))
+    return lines
+
+
+def column_of(distribution: Distribution) -> ValueKind:
+    """What a column must be to hold the values of a distribution as they are."""
+    if not isinstance(distribution, Choice):
+        return distribution.column
+    values = distribution.values
+    if all(isinstance(value, bool) for value in values):
+        return "flag"
+    if all(isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63 for value in values):
+        return "whole"
+    if all(map(_is_number, values)):
+        return "number"
+    return "text" if all(isinstance(value, str) for value in values) else "json"
+
+
 def _generator(seed: int, key: str) -> np.random.Generator:
     """Random numbers of one key in one run: another key in the sweep changes nothing about them."""
     words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words)))
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
 def _numbers(value: Any) -> bool:
-    if isinstance(value, list):
-        return bool(value) and all(map(_numbers, value))
-    return is_number(value)
+    return bool(value) and all(map(_numbers, value)) if isinstance(value, list) else _is_number(value)
 
 
 def _times(value: Any, factor: float) -> Any:

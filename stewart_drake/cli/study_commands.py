@@ -15,7 +15,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
 
 if TYPE_CHECKING:
-    from stewart_drake.campaigns.executors import Workplace
+    from stewart_drake.studies.workers import Workers
 
 WIDE = 150
 """Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
@@ -33,7 +33,7 @@ class Runs(Protocol):
         """How many, at most."""
 
 
-def campaign_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def study_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """`--workers`, `--scheduler`, `--restart`, `--quiet` and `--trust-code` of a command of many runs."""
     for option in (
         trust_flag,
@@ -60,22 +60,19 @@ _robot = click.option(
 @contextmanager
 def under_way(
     plan: Runs, out: Path | None, workers: int | None, scheduler: str | None, quiet: bool, ending: str = ""
-) -> Iterator[tuple[Path, Workplace, Callable[[float], None]]]:
+) -> Iterator[tuple[Path, Workers, Callable[[float], None]]]:
     """The folder, where the runs go, and what is told how many are done; Ctrl-C ends the command with what is kept."""
-    from stewart_drake.campaigns.executors import DaskCluster, LocalProcesses
     from stewart_drake.runs.outputs import prepare_folder
+    from stewart_drake.studies.workers import Workers
 
-    where: Workplace = LocalProcesses(workers)
-    if scheduler is not None:
-        if workers is not None:
-            allowed = "no value with --scheduler: the cluster sets the number of workers"
-            raise ConfigurationError("--workers", workers, allowed)
-        where = cluster = DaskCluster(scheduler)
-        cluster.connect()
+    if scheduler is not None and workers is not None:
+        allowed = "no value with --scheduler: the cluster sets the number of workers"
+        raise ConfigurationError("--workers", workers, allowed)
+    where = Workers(workers, scheduler)
     folder = prepare_folder(out if out is not None else Path("runs") / f"{plan.name}{ending}")
     done = 0.0
     try:
-        with ProgressBar(plan.name, float(plan.runs), quiet, unit="runs") as advance:
+        with where, ProgressBar(plan.name, float(plan.runs), quiet, unit="runs") as advance:
 
             def progress(count: float) -> None:
                 nonlocal done
@@ -93,7 +90,7 @@ def under_way(
 @click.argument("sweep")
 @out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
-@campaign_options
+@study_options
 def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
     """Run SWEEP many times over: a YAML file, or the name of a shipped one such as initial_offset.
 
@@ -103,8 +100,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.sweep import run_sweep, summary
-    from stewart_drake.campaigns.sweep_file import load_sweep
+    from stewart_drake.studies.sweep import load_sweep, run_sweep, summary
 
     loaded = load_sweep(sweep, runs)
     with under_way(loaded, **options) as (folder, where, progress):
@@ -120,7 +116,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 @out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
 @_robot
-@campaign_options
+@study_options
 def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **options: Any) -> None:
     """Compare controllers: COMPARISON is a YAML file or one of tracking, controllers, fair, observer.
 
@@ -131,8 +127,8 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.comparison import run_comparison, write_pictures
-    from stewart_drake.campaigns.comparison_file import load_comparison
+    from stewart_drake.studies.comparison import load_comparison
+    from stewart_drake.studies.comparison_table import run_comparison, write_pictures
 
     loaded = load_comparison(comparison, quick, robot)
     with under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
@@ -156,7 +152,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
 @click.option("--budget", type=click.IntRange(1), help="Evaluations of each controller, in place of those in the file.")
 @click.option("--quick", is_flag=True, help="Short runs and two generations: to see that all is well.")
-@campaign_options
+@study_options
 def tune(
     comparison: str, controllers: tuple[str, ...], budget: int | None, quick: bool, restart: bool, **options: Any
 ) -> None:
@@ -169,8 +165,7 @@ def tune(
 
     Exit status: 0 all is searched, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.tune import run_tuning, write_picture
-    from stewart_drake.campaigns.tune_file import load_tuning
+    from stewart_drake.studies.tune import load_tuning, run_tuning, write_picture
 
     loaded = load_tuning(comparison, controllers, budget, quick)
     with under_way(loaded, **options, ending="-tune-quick" if quick else "-tune") as (folder, where, progress):
@@ -189,7 +184,7 @@ def tune(
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @_robot
 @overrides("estimator.kind=observer")
-@campaign_options
+@study_options
 def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: bool, **options: Any) -> None:
     """Inject every fault into a running loop and write what the safety layer makes of it: faults.parquet, .csv and .md.
 
@@ -197,9 +192,9 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.campaigns.fault_table import TERSE_HEADERS, holdable_lines, make_table, table_plan, terse_rows
+    from stewart_drake.studies.faults import TERSE_HEADERS, fault_study, holdable_lines, make_table, terse_rows
 
-    plan = table_plan(quick, robot, overrides)
+    plan = fault_study(quick, robot, overrides)
     with under_way(plan, **options) as (folder, where, progress):
         made = make_table(folder, quick, where, progress, restart, robot, overrides)
     if options["quiet"]:

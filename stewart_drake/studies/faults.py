@@ -1,34 +1,125 @@
-"""The fault table: every fault during every motion, and what the safety layer makes of it."""
+"""The fault table: every fault of `faults.yaml` during every motion, and what the safety layer makes of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.campaigns import fault as catalogue
-from stewart_drake.campaigns.executors import Workplace
-from stewart_drake.campaigns.fault import BY_NAME, DURATION, FAULTS, MOTIONS, ONSET, Fault
-from stewart_drake.campaigns.one_run import Measure, RunFunction, measure, simulate
-from stewart_drake.campaigns.plan import Made, Plan, run_plan
-from stewart_drake.campaigns.tables import Row, flat, markdown
 from stewart_drake.errors import UnreachablePoseError
+from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.hardware.motors import holdable_load
+from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.rows import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
-from stewart_drake.safety import RAMP
+from stewart_drake.robot.robot_scale import LENGTH
+from stewart_drake.safety import RAMP, SafetyOptions
+from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.section import Flag, NotNegative, Section, Text, Vector6
+from stewart_drake.studies.robots import sized
+from stewart_drake.studies.runs import Measure, Row, RunFunction, execute, measure, simulate, simulate_unchecked
+from stewart_drake.studies.study import Study, StudyTable, flat, markdown, run_study
+from stewart_drake.studies.workers import Workers
+
+Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
+"""refused: before the start. ridden through: no monitor tripped, and none had to. unnoticed: none tripped, but the true
+pose went farther from the reference than `safety.following_error` allows. held: the last good command
+bridged it. ramped: a safe hold, then the end. ended: without one, since the robot could not be held; brakes are all
+that is left."""
+
+_FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
+ONSET: float = _FILE["onset"]
+"""[s] when every fault begins."""
+DURATION: float = _FILE["duration"]
+"""[s] of each run."""
+MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
+
+_TICK = 0.001
+"""[s] of `exact_fig7`."""
+_WITHIN = {
+    "at_once": 0.0,
+    "deadline": 2 * _TICK,
+    "estimator": EncoderOptions.hold_ticks * _TICK,
+    "torque_limit": SafetyOptions.torque_limit_time,
+    "torque_rate": SafetyOptions.torque_rate_time,
+}
+"""[s] at_once: in the tick of the fault. deadline: of the safety layer. estimator: it bridges readings that it cannot
+believe for so long. Others: time in which that monitor trips."""
+
+
+class Fault(Section):
+    """A row of the table."""
+
+    name: Text
+    """Stable name."""
+    text: Text
+    """One line."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Scenario keys; `reference` is the motion's, whatever they say."""
+    expected: tuple[Reaction, ...] = ("ridden through",)
+    """Reactions allowed."""
+    monitors: tuple[Text, ...] = ()
+    """Monitors allowed to trip first; empty where none may."""
+    drift: Vector6 | None = None
+    """[rad, m] by which the reference wanders off; null for not at all."""
+    drift_time: NotNegative = 0.8
+    """[s] in which it does."""
+    checked: Flag = True
+    """Whether the run is checked beforehand, as a user's is."""
+    since: NotNegative = ONSET
+    """[s] from which it acts; 0 for what is wrong from the start."""
+    encoders: dict[str, Any] | None = None
+    """Keys of `sensors`, for a loop with encoders and commands a tick late; null for ideal sensors."""
+    within: NotNegative | None = None
+    """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
+    and the robot take to show it."""
+
+    @classmethod
+    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """The file has a name for the time `within`."""
+        return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
+
+    def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
+        """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
+        reference: Mapping[str, Any] = sized({"reference": MOTIONS[motion]}, base)["reference"]
+        if self.drift is not None:
+            home = base.robot.home_pose.tolist()
+            away = [a + b for a, b in zip(home, LENGTH.value(self.drift, base.robot), strict=True)]
+            path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
+            reference = {"kind": "sum", "parts": [reference, path]}
+        changes: dict[str, Any] = {"reference": dict(reference), **sized(self.changes, base)}
+        if self.encoders is not None:
+            # Commands of a real drive are a tick old; with encoders it has to be shown that the loop bears both.
+            changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
+        return changes
+
+
+def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
+    """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default.
+
+    Args:
+        robot: Name or YAML file; None for the paper's.
+        overrides: `key=value` texts, see `load_scenario`.
+    """
+    named = () if robot is None else (f"robot={robot}",)
+    return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
+
+
+FAULTS = tuple(Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items())
+"""In the order of the table."""
+BY_NAME = {fault.name: fault for fault in FAULTS}
 
 QUICK_MOTIONS = ("hold",)
-_REACTION = "see fault.Reaction; broke: the run ended without the safety layer; the status, if there is no log"
+_REACTION = "see Reaction; broke: the run ended without the safety layer; the status, if there is no log"
 OWN = (
     Column("safety_cause", "", "of the trip, where an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 to which the trip belongs", "whole"),
@@ -51,8 +142,8 @@ _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended
 def table_columns() -> tuple[Column, ...]:
     """Columns of the table."""
     names = (
-        Column("fault", "", "name in fault.FAULTS", "text"),
-        Column("motion", "", "name in fault.MOTIONS", "text"),
+        Column("fault", "", "name in FAULTS", "text"),
+        Column("motion", "", "name in MOTIONS", "text"),
         Column("reaction", "", _REACTION, "text"),
     )
     return (*names, *run_columns(), *OWN)
@@ -64,7 +155,7 @@ def all_rows() -> list[tuple[Fault, str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class FaultPlan(Plan):
+class FaultStudy(Study):
     """Runs of the table.
 
     Attributes:
@@ -84,46 +175,39 @@ class FaultPlan(Plan):
         motions: Sequence[str] = tuple(MOTIONS),
         robot: str | None = None,
         overrides: Sequence[str] = (),
-    ) -> FaultPlan:
-        """The plan of some rows; robot and overrides as in `fault.base`."""
+    ) -> FaultStudy:
+        """The study of some rows; robot and overrides as in `base`."""
         runs = sum(motion in motions for _, motion in pairs)
-        return cls(catalogue.base(robot, overrides), pairs, motions, runs=runs, name="faults")
+        return cls(base(robot, overrides), pairs, motions, runs=runs, name="faults")
 
     @property
     def indices(self) -> Iterable[int]:
-        """See `Plan.indices`: a row has its number in the whole table."""
+        """A row has its number in the whole table."""
         return [index for index, (_, motion) in enumerate(self.pairs) if motion in self.motions]
 
     def run_name(self, index: int) -> str:
-        """See `Plan.run_name`."""
         return f"{self.pairs[index][0].name} {self.pairs[index][1]}"
 
     def draw(self, index: int) -> dict[str, Any]:
-        """See `Plan.draw`."""
         return {"run": index}
 
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """See `Plan.changes`."""
         fault, motion = self.pairs[drawn["run"]]
         return fault.in_motion(motion, self.base)
 
     def measure(self, index: int) -> Measure:
-        """See `Plan.measure`."""
         return partial(measure_fault, fault=self.pairs[index][0])
 
     def simulation(self, index: int) -> RunFunction:
-        """See `Plan.simulation`."""
-        return simulate if self.pairs[index][0].checked else partial(simulate, check=False)
+        return simulate if self.pairs[index][0].checked else simulate_unchecked
 
     def to_dict(self) -> dict[str, Any]:
-        """See `Plan.to_dict`."""
         faults = [
             {**fault.to_dict(), "motion": motion, **fault.in_motion(motion, self.base)} for fault, motion in self.pairs
         ]
         return {"scenario": self.base.to_dict(), "faults": faults}
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """See `Plan.tables`."""
         columns, wide = table_columns(), []
         for row in rows:
             fault, motion = self.pairs[row["index"]]
@@ -133,43 +217,34 @@ class FaultPlan(Plan):
         return {"faults": (columns, wide)}
 
     def page(self, tables: Mapping[str, list[Row]]) -> str:
-        """See `Plan.page`."""
         return markdown_table(tables["faults"])
 
 
-def table_plan(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultPlan:
-    """The plan of the whole table; quick: of the held platform alone; robot and overrides as in `fault.base`."""
-    return FaultPlan.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot, overrides)
+def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
+    """The study of the whole table; quick: of the held platform alone; robot and overrides as in `base`."""
+    return FaultStudy.of(all_rows(), QUICK_MOTIONS if quick else tuple(MOTIONS), robot, overrides)
 
 
 def make_table(
     folder: str | Path,
     quick: bool = False,
-    where: Workplace | Executor | None = None,
+    workers: Workers | None = None,
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
     robot: str | None = None,
     overrides: Sequence[str] = (),
-) -> Made:
-    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `plan.run_plan`.
+) -> StudyTable:
+    """Runs every fault during every motion and writes `faults.parquet`, `.csv` and `.md`; see `run_study`.
 
-    Args:
-        folder: Where to.
-        quick: The held platform alone.
-        where: Where the runs go; None for processes of this machine.
-        progress: Called with the number of rows done.
-        restart: Throw away the rows that an earlier call left in the folder.
-        robot: Name or YAML file; None for the paper's.
-        overrides: `key=value` texts, such as `estimator.kind=observer`.
+    `quick` is the held platform alone; robot and overrides as in `base`.
     """
-    return run_plan(table_plan(quick, robot, overrides), Path(folder), where, progress, restart)["faults"]
+    return run_study(fault_study(quick, robot, overrides), Path(folder), workers, progress, restart)["faults"]
 
 
 def fault_row(fault: Fault, motion: str) -> Row:
-    """Runs a fault, of `fault.FAULTS` or of the caller's own, during a motion of `fault.MOTIONS`."""
-    plan = FaultPlan.of([(fault, motion)])
-    function, arguments = plan.work_item(0)
-    return plan.tables([function(*arguments)])["faults"][1][0]
+    """Runs a fault, of `FAULTS` or of the caller's own, during a motion of `MOTIONS`."""
+    study = FaultStudy.of([(fault, motion)])
+    return study.tables([execute(study.task(0))])["faults"][1][0]
 
 
 def measure_fault(log: SimulationLog, fault: Fault) -> Row:

@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,13 +16,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.campaigns.comparison_figures import measure_band, measure_run
-from stewart_drake.campaigns.comparison_table import BANDS, band_rows, sheets, table_columns, table_rows
-from stewart_drake.campaigns.one_run import Measure
-from stewart_drake.campaigns.plan import Plan, PlanFile, PlanName, vary
-from stewart_drake.campaigns.sized import sized
-from stewart_drake.campaigns.tables import Row
-from stewart_drake.campaigns.tune_options import TunedFile, TuneOptions
 from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
@@ -30,12 +23,24 @@ from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import NotNegative, Positive, Section, Seed, Text, to_plain
+from stewart_drake.section import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text, to_plain
+from stewart_drake.studies.comparison_table import (
+    BANDS,
+    PICTURES,
+    band_rows,
+    measure_band,
+    measure_run,
+    sheets,
+    table_columns,
+    table_rows,
+)
+from stewart_drake.studies.robots import sized
+from stewart_drake.studies.runs import Measure, Row
+from stewart_drake.studies.study import Study, StudyFile, StudyName, vary
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
-PICTURES = ("rmse", "error", "bands")
 AXIS_NUMBERS = {"roll": 0, "pitch": 1, "yaw": 2, "X": 3, "Y": 4, "Z": 5}
 _QUICK_FREQUENCIES = 2
 _KINDS = ("controllers", "references", "conditions")
@@ -79,10 +84,60 @@ class Bands(Section):
     """[s] of the fit at least, in whole periods."""
 
 
-class CompareFile(PlanFile):
+class TuneOptions(Section, key="tune"):
+    """Keys of controllers, searched by CMA-ES in their logarithms for the least cost over the comparison's own runs."""
+
+    controllers: dict[Text, dict[Text, PositivePair]]
+    """Name -> (scenario key -> lowest and highest value). The search starts from what the controller has."""
+    generations: Annotated[Count, Field(ge=1, le=10_000)] = 12
+    """Most of them, each of `population` settings; fewer where the search has converged."""
+    population: Annotated[Count, Field(ge=4, le=1000)] = 8
+    """Settings of a generation, the same for all controllers."""
+    spread: Fraction = 0.2
+    """Standard deviation of the first generation, as a share of the way from lowest to highest."""
+    seed: Annotated[Seed, Field(lt=2**32)] = 1
+    """Of the search."""
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
+    """In place of the comparison's own: of the noise in the runs of the search."""
+    set: dict[Text, Any] = Field(default_factory=dict)
+    """Scenario key -> value, in the runs of the search alone."""
+
+    def rules(self) -> None:
+        if not self.controllers:
+            raise ConfigurationError("controllers", {}, "at least one name, with the keys to search")
+        for name, keys in self.controllers.items():
+            if not keys:
+                allowed = "at least one scenario key, with its lowest and highest value"
+                raise ConfigurationError(f"controllers.{name}", {}, allowed)
+            for key, (low, high) in keys.items():
+                if not low < high:
+                    raise ConfigurationError(f"controllers.{name}.{key}", [low, high], "a lowest below a highest value")
+
+
+class TunedFile(Section, key=""):
+    """What a search has found."""
+
+    name: Text
+    """Of the comparison."""
+    controllers: dict[Text, dict[Text, Positive]]
+    """Name -> (scenario key -> value)."""
+
+    @classmethod
+    def load(cls, path: Path, names: Collection[str]) -> dict[str, dict[str, float]]:
+        """Values by controller and key; ConfigurationError for a controller that is not among `names`."""
+        if not path.is_file():
+            raise ConfigurationError("tuned", str(path), "a file as `stewart-drake tune` writes it")
+        found = cls.from_dict(read_mapping("tuned", path, 80), "tuned").controllers
+        for name in found:
+            if name not in names:
+                raise ConfigurationError("tuned.controllers", name, f"one of {', '.join(names)}")
+        return found
+
+
+class CompareFile(StudyFile):
     """Keys of a comparison file."""
 
-    name: PlanName = "comparison"
+    name: StudyName = "comparison"
     controllers: dict[Text, dict[Text, Any]]
     """Name -> (scenario key -> value)."""
     references: dict[Text, dict[Text, Any]]
@@ -140,7 +195,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Plan):
+class Comparison(Study):
     """What is compared.
 
     Attributes:
@@ -160,16 +215,13 @@ class Comparison(Plan):
     def from_dict(
         cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
     ) -> Comparison:
-        """A comparison from plain values, as YAML gives them; every scenario of it is checked.
+        """A comparison from plain values, see `CompareFile`; every scenario of it is checked.
 
         Args:
-            data: See `CompareFile`.
+            data: Keys and values.
             folder: Paths in `data` are relative to it; None for the current folder.
             quick: Shorter, see `CompareFile.quick`.
             robot: Name or YAML file: all motions and loads in its size, see `sized`; None for the file's own.
-
-        Raises:
-            ConfigurationError: Names the key, the value and what is allowed.
         """
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in _KINDS}
@@ -199,26 +251,22 @@ class Comparison(Plan):
         return self.file.traced or self.cells[0].reference
 
     def run_seed(self, index: int) -> int:
-        """See `Plan.run_seed`."""
         return self.cells[index].seed
 
     def draw(self, index: int) -> dict[str, Any]:
-        """See `Plan.draw`."""
         return {"run": index}
 
     def changes(self, drawn: Mapping[str, Any]) -> Mapping[str, Any]:
-        """See `Plan.changes`."""
         return self.cells[drawn["run"]].changes
 
     def measure(self, index: int) -> Measure:
-        """See `Plan.measure`."""
         cell = self.cells[index]
         if cell.frequency is None:
             return partial(measure_run, band=self.file.band, scales=self.file.cost)
         return partial(measure_band, frequency=cell.frequency, axis=AXIS_NUMBERS[cell.reference], window=cell.window)
 
     def variants(self) -> list[Scenario]:
-        """See `Plan.variants`: one for each setting of what can name a file, in which times and numbers differ."""
+        """One for each setting of what can name a file, in which times and numbers differ."""
         different: dict[str, int] = {}
         for index, cell in enumerate(self.cells):
             named = {key: value for key, value in cell.changes.items() if not isinstance(value, (int, float))}
@@ -226,7 +274,6 @@ class Comparison(Plan):
         return [self.scenario(index) for index in different.values()]
 
     def tables(self, rows: Sequence[Row]) -> dict[str, tuple[Sequence[Column], list[Row]]]:
-        """See `Plan.tables`."""
         columns = table_columns(*self.variants(), cost=self.file.cost is not None)
         return {
             "comparison": (columns, table_rows(self, rows)),
@@ -234,7 +281,6 @@ class Comparison(Plan):
         }
 
     def page(self, tables: Mapping[str, list[Row]]) -> str:
-        """See `Plan.page`."""
         return "\n".join(sheet.markdown() for sheet in sheets(self, tables["comparison"], tables["bands"]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -250,17 +296,7 @@ class Comparison(Plan):
 def load_comparison(
     path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
 ) -> Comparison:
-    """Reads a comparison file.
-
-    Args:
-        path: YAML file, or the name of a comparison of the package such as `tracking`.
-        quick: See `Comparison.from_dict`.
-        robot: Likewise.
-        trust_code: See `load_scenario`.
-
-    Raises:
-        ConfigurationError: Missing, unreadable or malformed file; unknown key; value not allowed.
-    """
+    """Reads a comparison file, or a comparison of the package by its name; see `Comparison.from_dict`."""
     path = find_file("comparison", path)
     data = read_mapping("comparison", path, 80)
     with trusting_code(trust_code):
@@ -271,8 +307,6 @@ _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 def _check_names(file: CompareFile, parts: _Parts) -> None:
-    """Refuses names that nothing has, before anything is run."""
-
     def known(where: str, names: Sequence[str], kind: str, others: Sequence[str] = ()) -> None:
         allowed = [*parts[kind], *others]
         for name in names:

@@ -1,1 +1,0 @@
-"""Many runs: sweeps, comparisons, the fault table."""

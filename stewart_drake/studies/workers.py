@@ -1,0 +1,245 @@
+"""Where the runs of a study go: processes of this machine (joblib's loky), a Dask cluster, or this very process."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import ExitStack, closing
+from functools import lru_cache
+from typing import Any, Self, TypeVar
+
+from joblib import Parallel, delayed
+from joblib.externals.loky import get_reusable_executor
+from joblib.externals.loky.backend import context
+
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
+from stewart_drake.logs import versions
+from stewart_drake.logs.metric_table import METRICS
+from stewart_drake.runs.terminal import quiet_libraries
+
+K = TypeVar("K", bound=Hashable)
+Work = tuple[Callable[..., Any], tuple[Any, ...]]
+"""A function that the workers can import, and its arguments."""
+
+CONNECT_TIMEOUT = 20.0
+"""[s] that a scheduler has to answer."""
+NO_WORKERS_TIMEOUT = 60.0
+"""[s] that a cluster may be without workers as work is handed to it."""
+WORN = 200
+"""Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake."""
+WORKER_GONE = (
+    "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
+    ' which must be a file with the call under `if __name__ == "__main__":`'
+)
+DEAD = "its worker process died twice, the second time with this run alone in it: killed, out of memory, or a crash"
+_QUIET = ExitStack()
+
+
+class Workers:
+    """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
+
+    Args:
+        count: Processes; None for one per core, at most 8; 0 for this very process.
+        scheduler: Address of a Dask scheduler, such as tcp://host:8786, whose cluster is used instead.
+        worn: Runs after which a process is replaced; None for never.
+
+    Raises:
+        ConfigurationError: `dask.distributed` is not installed, or the scheduler does not answer.
+    """
+
+    def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
+        self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
+        self.worn, self._done = worn, 0
+        self._client = None if scheduler is None else _connected(scheduler)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._client is not None:
+            self._client.close()
+
+    @property
+    def room(self) -> int | None:
+        """Runs that the processes have left before they are replaced; None for any number."""
+        return None if self.worn is None else max(1, self.count * self.worn - self._done)
+
+    def results(self, jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
+        """What joblib's delayed calls give, in any order; `alone` for one after the other."""
+        ahead = 1 if alone or self.count == 1 else "n_jobs + 1"
+        options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1, "pre_dispatch": ahead}
+        if self._client is not None:
+            return iter(Parallel(n_jobs=-1, backend=_dask_backend(self._client), **options)(jobs))
+        # With one, joblib would work in this process, which a crash must not end.
+        options |= {"n_jobs": max(2, self.count), "initializer": start_worker, "initargs": (os.getpid(),)}
+        # Ctrl-C is not for the workers: this process ends them, without a traceback from each.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        context.set_start_method("loky_init_main", force=True)
+        try:
+            return iter(Parallel(backend="loky", max_nbytes=None, **options)(jobs))
+        finally:
+            context.set_start_method(None, force=True)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+    def wear(self, runs: int) -> None:
+        """Counts what was run, and ends processes that are worn: the next run starts others."""
+        self._done += runs
+        if self._client is None and self.worn is not None and self._done >= self.count * self.worn:
+            get_reusable_executor().shutdown(wait=True)
+            self._done = 0
+
+
+def run_jobs(
+    keys: Iterable[K],
+    work: Callable[[K], Work],
+    keep: Callable[[K, Any], None],
+    workers: Workers | None = None,
+    died: Callable[[K], Any] | None = None,
+) -> None:
+    """Does pieces of work, each known by its key, in any order.
+
+    Where a worker process dies, what was under way is done again, one piece at a time.
+
+    Args:
+        keys: What is to be done.
+        work: What a key stands for.
+        keep: Called in this process with each result as it comes.
+        workers: Where the work goes; None for processes of this machine.
+        died: The result of work whose process dies twice; None ends it all.
+
+    Raises:
+        StewartDrakeError: Workers cannot start, have another version of this package, or the cluster is gone.
+        BaseException: Whatever a piece of work raises.
+    """
+    workers = workers or Workers()
+    if workers.count == 0:
+        for key in keys:
+            function, arguments = work(key)
+            keep(key, function(*arguments))
+        return
+    waiting, suspects = deque(keys), deque[K]()
+    while waiting or suspects:
+        alone, queue = not waiting, waiting or suspects
+        most = 1 if alone else workers.room or len(queue)
+        batch = {key: work(key) for key in (queue.popleft() for _ in range(min(most, len(queue))))}
+        left = _work_through(batch, keep, workers, alone)
+        waiting.extendleft(key for key in reversed(batch) if left.get(key) is False)
+        if not alone:
+            suspects += [key for key, started in left.items() if started]
+        elif left:
+            # Where not even nothing can be done, no work is to blame.
+            if _work_through({None: (int, ())}, lambda *_: None, workers, True) or died is None:
+                raise StewartDrakeError(WORKER_GONE)
+            for key in left:
+                keep(key, died(key))
+
+
+def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
+    """Does a batch as far as the workers live; what is not done, and whether it was under way."""
+    left = dict.fromkeys(batch, False)
+    setup = str(versions.source_digest()), [metric.name for metric in METRICS]
+
+    def jobs() -> Iterator[Any]:
+        for key, (function, arguments) in batch.items():
+            left[key] = True
+            yield delayed(_do)(key, setup, function, arguments)
+
+    try:
+        with closing(workers.results(jobs(), alone)) as results:  # type: ignore[type-var]
+            for key, result in results:
+                del left[key]
+                keep(key, result)
+    except BrokenExecutor:
+        pass  # what is left says how far it came
+    workers.wear(len(batch) - len(left))
+    return left
+
+
+def _do(key: K, setup: tuple[str, Sequence[str]], function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """What a worker does."""
+    check_worker(*setup)
+    return key, function(*arguments)
+
+
+def check_worker(source: str, metrics: Iterable[str]) -> None:
+    """Refuses to work with another source of the package, or without a metric, as they stand where the study is."""
+    if _own_source() != source:
+        raise StewartDrakeError(
+            "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
+            "its files alone while a study runs"
+        )
+    missing = set(metrics) - {metric.name for metric in METRICS}
+    if missing:
+        raise StewartDrakeError(
+            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
+            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
+        )
+
+
+@lru_cache(maxsize=1)
+def _own_source() -> str:
+    return versions.source_digest()  # once a process: what is loaded does not change
+
+
+def start_worker(parent: int) -> None:
+    """Keeps libraries quiet in this worker, and ends it once the process that started it is gone."""
+    _QUIET.enter_context(quiet_libraries())
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.3)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _connected(address: str) -> Any:
+    """A client of a Dask cluster."""
+    try:
+        import distributed
+    except ImportError:
+        allowed = "an installation with Dask: pip install 'stewart-drake[dask]'"
+        raise ConfigurationError("--scheduler", address, allowed) from None
+    client: Any = distributed.Client  # untyped in parts
+    # What it logs of a cluster that goes away, with tracebacks, is told by one line of ours.
+    for name in ("distributed", "tornado"):
+        for logger in [each for each in logging.root.manager.loggerDict if each.partition(".")[0] == name]:
+            logging.getLogger(logger).disabled = True
+    try:
+        return client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except Exception as error:  # of what is no scheduler, whatever its first words are taken for
+        why = " ".join(str(error).split()) or type(error).__name__
+        allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
+        raise ConfigurationError("--scheduler", address, allowed) from None
+
+
+def _dask_backend(client: Any) -> Any:
+    """joblib's, which hears of results alone, made to hear of work that has killed its workers too."""
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):
+        def submit(self, func: Any, callback: Any = None) -> Any:
+            future = super().submit(func, callback)
+            future.add_done_callback(lambda done: done.exception() and callback(done.exception()))
+            return future
+
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # With one, joblib would work in this process.
+            return max(2, int(super().effective_n_jobs(n_jobs)))
+
+        def retrieve_result_callback(self, out: Any) -> Any:
+            if not isinstance(out, BaseException):
+                return super().retrieve_result_callback(out)
+            if type(out).__name__ == "KilledWorker":
+                raise BrokenExecutor from out
+            if type(out).__module__.partition(".")[0] in ("distributed", "asyncio", "concurrent"):
+                raise StewartDrakeError(f"the Dask cluster failed: {type(out).__name__}: {out}; rows done are kept")
+            raise out
+
+    return Backend(client=client, wait_for_workers_timeout=NO_WORKERS_TIMEOUT, retries=0)
