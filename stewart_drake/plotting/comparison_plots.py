@@ -102,7 +102,7 @@ def plot_error(rows: Sequence[Mapping[str, Any]], band: float) -> Figure:
     """Size of the pose error over time on one reference, a panel a condition, logarithmic.
 
     Args:
-        rows: With `trace`, see `comparison_figures.measure_run`.
+        rows: With `trace`, see `comparison_table.measure_run`.
         band: [mm] drawn as the band within which a run counts as settled.
     """
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
