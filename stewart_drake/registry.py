@@ -21,6 +21,7 @@ REFERENCES = Family(
         "sum": "references.combined:SumReference",
         "adjusted": "references.combined:AdjustedReference",
     },
+    default="sine",
     own="references.user_reference:UserReference",
     methods=("evaluate",),
 )
@@ -43,9 +44,11 @@ TUNERS = Family(
         "policy": "control.tuners:PolicyTuner",
         "schedule": "control.tuners:ScheduleTuner",
     },
-    older={"ann": "paper"},
+    default="paper",
 )
-SENSORS = Family({"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"})
+SENSORS = Family(
+    {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"}, default="ideal"
+)
 ESTIMATORS = Family(
     {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",

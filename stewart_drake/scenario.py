@@ -10,12 +10,26 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
+from stewart_drake.config import (
+    NAME,
+    NAME_WORDS,
+    Count,
+    NotNegative,
+    Positive,
+    Section,
+    Text,
+    Vector6,
+    by_default,
+    is_finite,
+    keys_of,
+    shown,
+)
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family, given_again, place_users
+from stewart_drake.families import Family, given_again, json_schema, place_users
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.named_files import ROBOT_KEYS, anchored
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
@@ -26,7 +40,6 @@ from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.keys import set_component
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.older import warn_of_compiled, without_compiled
 from stewart_drake.planning.bounds import Bounds
 from stewart_drake.planning.limits import Limits
 from stewart_drake.plant.plant_options import PlantOptions
@@ -38,20 +51,6 @@ from stewart_drake.robot.robot_files import AnyRobot, robot_section
 from stewart_drake.robot.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
 from stewart_drake.sampling import steps_per
-from stewart_drake.schema import json_schema
-from stewart_drake.section import (
-    NAME,
-    NAME_WORDS,
-    Count,
-    NotNegative,
-    Positive,
-    Section,
-    Text,
-    Vector6,
-    by_default,
-    is_finite,
-)
-from stewart_drake.wording import keys_of, shown
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
 
@@ -114,8 +113,11 @@ class Scenario(Section):
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
     @classmethod
-    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """See `Section.from_older`."""
+    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """With those defaults that come from the robot."""
+        for key, section in (("compiled", data), ("controller.compiled", data.get("controller"))):
+            if isinstance(section, Mapping) and "compiled" in section:
+                raise ConfigurationError(key, section["compiled"], "no such key: everything is compiled, remove it")
         data = _spelled(data)
         try:
             robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
@@ -128,13 +130,7 @@ class Scenario(Section):
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
-        """See `Section.from_dict`.
-
-        Args:
-            data: Keys and values.
-            key: Goes before the key in messages.
-            trust_code: Trust the code that it names by import paths, now and whenever it is the same.
-        """
+        """See `Section.from_dict`; with `trust_code`, code that it names is trusted now and whenever it is the same."""
         with trusting_code(trust_code):
             return super().from_dict(data, key)
 
@@ -276,8 +272,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
 
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:
-    """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
-    data = without_compiled(data)
+    """A scenario with sections of a family in full, see `Family.spelled`."""
     return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 
@@ -347,9 +342,6 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key in ("compiled", "controller.compiled"):
-        warn_of_compiled()
-        return
     *parents, last = key.split(".")
     if not parents:
         data.update(_own(_spelled({key: value})))

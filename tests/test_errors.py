@@ -67,7 +67,7 @@ def test_every_error_of_the_module_has_a_stable_reason_of_its_own():
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (ConfigurationError("robot.branch", 2, "-1 or 1"), ["robot.branch: got 2; allowed: -1 or 1"]),
+        (ConfigurationError("robot.branch", 2, "-1 or 1"), ["robot.branch: expected -1 or 1"]),
         (
             InfeasibleReferenceError("conditioning", 0.25, 3, -0.01, "sigma >= 0.05"),
             ["reference", "conditioning", "0.250 s", "leg 3", "-0.01", "sigma >= 0.05"],

@@ -9,11 +9,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from stewart_drake.config import keys_of
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.controller import Controller
-from stewart_drake.errors import ConfigurationError, OlderFileWarning
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import MAX_BYTES, find_file, shipped_folder
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.references import HoldReference, SineReference
@@ -25,7 +26,6 @@ from stewart_drake.scenario import (
     load_scenario,
     scenario_schema,
 )
-from stewart_drake.wording import keys_of
 
 KEYS_OF_ALL = keys_of(Scenario)
 SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
@@ -561,30 +561,13 @@ def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_ha
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
 
 
-NOTE = "the key `compiled` has no effect: everything is compiled; remove it"
-
-
-@pytest.mark.parametrize("older", ["compiled: true", "controller: {compiled: false}"])
-def test_the_key_compiled_of_older_files_has_no_effect_and_one_line_says_so(tmp_path, older):
-    path = tmp_path / "older.yaml"
-    path.write_text(f"name: scenario\nduration: 0.1\n{older}\n")
-    with pytest.warns(OlderFileWarning, match=NOTE) as caught:
-        assert load_scenario(path) == Scenario(duration=0.1)
-    assert len(caught) == 1
-    path.write_text("name: scenario\nduration: 0.1\n")
-    for key in ("compiled", "controller.compiled"):
-        with pytest.warns(OlderFileWarning, match=NOTE):
-            assert load_scenario(path, [f"{key}=true"]) == Scenario(duration=0.1)
-        with pytest.warns(OlderFileWarning, match=NOTE):
-            assert Scenario(duration=0.1).replace({key: True}) == Scenario(duration=0.1)
-
-
-def test_a_controller_of_an_older_comparison_may_bring_its_compiled_along():
-    controller = {"kind": "lqi", "solver": "split", "compiled": True}
-    with pytest.warns(OlderFileWarning, match=NOTE):
-        made = Scenario(duration=0.1).replace({"controller": controller})
-    assert made.controller.solver == "split"
-    assert "compiled" not in made.to_yaml()
+@pytest.mark.parametrize("key", ["compiled", "controller.compiled"])
+def test_the_key_compiled_is_refused_and_a_line_says_what_to_do(key):
+    *section, last = key.split(".")
+    data = {"controller": {last: True}} if section else {last: True}
+    for make in (lambda: Scenario.from_dict(data), lambda: load_scenario("paper_fig7", [f"{key}=true"])):
+        with pytest.raises(ConfigurationError, match=f"^{key}: no such key: everything is compiled, remove it$"):
+            make()
 
 
 def test_a_change_leaves_what_it_was_given_as_it_was():

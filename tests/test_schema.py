@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stewart_drake.config import Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import code_rule
 from stewart_drake.scenario import Scenario, scenario_schema
-from stewart_drake.section import Section
 
 VALIDATOR = jsonschema.Draft202012Validator(scenario_schema())
 DOCUMENTS = [

@@ -70,7 +70,7 @@ class Fault(Section):
     and the robot take to show it."""
 
     @classmethod
-    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
         """The file has a name for the time `within`."""
         return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
 

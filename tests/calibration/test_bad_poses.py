@@ -75,12 +75,12 @@ def test_columns_that_are_missing_or_there_twice(refused, good):
     names = ["yaw_turns" if name == "pose_yaw_rad" else name for name in COLUMNS]
     assert "column of pose_yaw: got 'none among" in refused(names, table_of(good))
     twice = [*COLUMNS[:-1], "crank_angle_4_deg"]
-    assert "column of crank_angle_4: got 'crank_angle_4_rad, crank_angle_4_deg'; allowed: one of" in refused(twice, table_of(good))
+    assert "column of crank_angle_4: expected one of" in refused(twice, table_of(good))
 
 
 def test_too_few_poses(refused, good):
     text = refused(COLUMNS, table_of(good)[:11])
-    assert "got '11 rows'; allowed: at least 12 poses for 66 unknown numbers" in text
+    assert "expected at least 12 poses for 66 unknown numbers, got '11 rows'" in text
 
 
 @pytest.mark.parametrize(("columns", "what"), [(slice(0, 12), "row"), (slice(0, 6), "pose")])
@@ -154,7 +154,7 @@ def test_an_absurd_cell_is_refused_after_one_fit_of_the_other_rows(refused, good
 def test_a_position_beyond_all_trackers_is_named_by_its_cell(refused, good, fits, value):
     table = table_of(good)
     table[17, 5] = value
-    assert f"row 18, pose_z: got {value}; allowed: metres" in refused(COLUMNS, table)
+    assert "row 18, pose_z: expected metres" in refused(COLUMNS, table)
     assert fits == []
 
 
@@ -173,17 +173,17 @@ def test_a_row_that_only_looks_astray_is_kept(good, monkeypatch):
 
 def test_another_branch_is_named(good):
     guess = ROBOT.replace(legs=[{"branch": 1 if leg == 2 else -1} for leg in range(6)])
-    with pytest.raises(ConfigurationError, match=r"robot.legs.2.branch: got 1; allowed: -1"):
+    with pytest.raises(ConfigurationError, match=r"robot.legs.2.branch: expected -1"):
         calibrate(guess, good)
 
 
 def test_words_that_are_none(good):
-    with pytest.raises(ConfigurationError, match="known_frames: got 'world'; allowed: some of base, platform"):
+    with pytest.raises(ConfigurationError, match="known_frames: expected some of base, platform"):
         calibrate(ROBOT, good, known_frames=("world",))
     with pytest.raises(ConfigurationError, match="hold: got 'mass'"):
         calibrate(ROBOT, good, hold=("mass",))
 
 
 def test_arrays_of_another_shape():
-    with pytest.raises(ConfigurationError, match=r"poses: angles: got \(3, 5\); allowed: numbers of shape \(n, 6\)"):
+    with pytest.raises(ConfigurationError, match=r"poses: angles: expected numbers of shape \(n, 6\)"):
         Measurements(np.zeros((3, 6)), np.zeros((3, 5)))

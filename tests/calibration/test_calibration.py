@@ -237,7 +237,7 @@ def test_no_exchange_of_a_pose_makes_a_plan_better():
 
 
 def test_a_plan_of_what_cannot_be():
-    with pytest.raises(ConfigurationError, match="--plan: got 11; allowed: a number of poses from 12"):
+    with pytest.raises(ConfigurationError, match="--plan: expected a number of poses from 12"):
         plan_poses(ROBOT, 11)
     with pytest.raises(ConfigurationError, match="a limit conditioning of which home takes"):
         plan_poses(ROBOT, 20, Limits(conditioning=0.9))

@@ -184,21 +184,21 @@ def searched(**keys):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"tune": None}, r"^tune: got None"),
-        ({"cost": None}, r"^cost: got None"),
+        ({"tune": None}, r"^tune: expected .*, got None"),
+        ({"cost": None}, r"^cost: expected .*, got None"),
         ({"cost": {"position": -1.0}}, r"^cost\.position: got -1"),
         (tune_changed(controllers={}), r"^tune\.controllers: got \{\}"),
-        (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: got \{\}; allowed: at least one"),
+        (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: expected at least one"),
         (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: got 'none'"),
         (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
         (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: got \[9"),
-        (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: got 0"),
-        (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: got 4"),
+        (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: expected .*, got 0"),
+        (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: expected .*, got 4"),
         (searched(tuner=[5, 9]), r"^tune\.controllers\.pid: tuner"),
-        (searched(duration=[0.1, 1e9]), r"^tune\.controllers\.pid: duration: got 1"),
+        (searched(duration=[0.1, 1e9]), r"^tune\.controllers\.pid: duration: expected .*, got 1"),
         (tune_changed(set={"plant.engin": "reduced"}), r"^tune: set\.plant\.engin"),
         (tune_changed(generation=2), r"^tune\.generation: .*did you mean generations"),
-        (tune_changed(population=1), r"^tune\.population: got 1"),
+        (tune_changed(population=1), r"^tune\.population: expected .*, got 1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_searched_is_refused_in_a_line(changes, message):
@@ -208,16 +208,16 @@ def test_what_cannot_be_searched_is_refused_in_a_line(changes, message):
 
 
 def test_what_the_command_line_asks_is_refused_in_a_line():
-    with pytest.raises(ConfigurationError, match=r"^--controller: got 'other'; allowed: one of pid, torque"):
+    with pytest.raises(ConfigurationError, match=r"^--controller: expected one of pid, torque"):
         tuning(controllers=("other",))
-    with pytest.raises(ConfigurationError, match=r"^--budget: got 4; allowed: at least 5"):
+    with pytest.raises(ConfigurationError, match=r"^--budget: expected at least 5"):
         tuning(budget=4)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "^tuned: got .*; allowed: a file"),
+        (None, "^tuned: expected a file"),
         ("controllers: {nobody: {controller.kp: 1.0}}", r"^tuned\.controllers: got 'nobody'"),
         ("controllers: {pid: {controller.kp: -1.0}}", r"^tuned\.controllers\.pid.*: got -1"),
         ("controllers: {pid: {controller.kq: 1.0}}", r"^pid, off, noise: controller\.kq"),

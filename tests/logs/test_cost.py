@@ -49,5 +49,5 @@ def test_the_mean_grows_as_each_cost_does(costs, factor):
 
 
 def test_a_scale_of_nothing_is_refused():
-    with pytest.raises(ConfigurationError, match=r"^cost\.position: got 0"):
+    with pytest.raises(ConfigurationError, match=r"^cost\.position: expected .*, got 0"):
         CostScales(position=0.0)

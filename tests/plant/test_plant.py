@@ -338,7 +338,7 @@ def test_platform_joint_damping_is_stable_up_to_its_limit(rod_joint, time_step):
     run = Run(HOME, RATE, gravity=0.0, rod_joint=rod_joint, time_step=time_step, platform_joint_damping=limit)
     energies = [run.kinetic_energy, *(run.to(time).kinetic_energy for time in np.arange(1, 11) * 0.005)]
     assert np.all(np.diff(energies) < 0.0)
-    with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: got .*; allowed: at most"):
+    with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: expected at most"):
         built(rod_joint, time_step=time_step, platform_joint_damping=1.01 * limit)
 
 

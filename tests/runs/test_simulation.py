@@ -325,7 +325,7 @@ def test_the_check_can_be_left_out():
 
 
 def test_a_run_that_does_not_fit_into_memory_is_refused_before_it():
-    with pytest.raises(ConfigurationError, match=r"duration: got 2001.0; allowed: at most 2000 s at a plant.time_step"):
+    with pytest.raises(ConfigurationError, match=r"duration: expected at most 2000 s at a plant.time_step"):
         run(scenario(duration=2001.0, log_period=1.0))
 
 
