@@ -268,7 +268,7 @@ def chosen(given: Any, choices: Sequence[str]) -> str:
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
     context = {"key": error.key, "got": error.value, "allowed": error.allowed, "reason": error.reason}
-    return PydanticCustomError("rule", "a rule", context)
+    return PydanticCustomError("rule", "expected {allowed}", context)
 
 
 def _told(error: ValidationError, section: str) -> ConfigurationError:
@@ -300,7 +300,7 @@ def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationEr
         if any(len(at) > len(location) and at[: len(location)] == location for at in places):
             continue
         if kind == "rule":
-            problem = PydanticCustomError("rule", "a rule", report["ctx"])
+            problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
         else:
             if kind.startswith("missing") and isinstance(location[-1], int):
                 kind, location = "too_short", location[:-1]

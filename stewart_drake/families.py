@@ -208,7 +208,7 @@ class Family(Table):
             kinds = [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
             if kinds and not deeper and context["allowed"].startswith("no such key"):
                 context = {**context, "allowed": f"{context['allowed']}. It is a key of kind {either(kinds)}"}
-            problem = PydanticCustomError("rule", "a rule", context)
+            problem = PydanticCustomError("rule", "expected {allowed}", context)
             lines.append(InitErrorDetails(type=problem, loc=report["loc"], input=report["input"]))
         return ValidationError.from_exception_data("section", lines)
 

@@ -203,15 +203,15 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("a, b\n1, 2", r"header: got 'without shaft_x, .*joint_z'"),
+        ("a, b\n1, 2", r"header: expected .*got 'without shaft_x, .*joint_z'"),
         (f"{', '.join(NAMES)}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
         (f"{', '.join(NAMES)}\n1, 2\n", r"leg 0: expected 6, one a column"),
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: expected a number"),
         (f"{', '.join(NAMES)}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: expected 6 rows, one a leg"),
-        ("", r"header: got 'without shaft_x"),
+        ("", r"header: expected .*got 'without shaft_x"),
         (
             f"leg, {', '.join(NAMES)}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
-            r"leg: got '3, 1'; .*first row is leg 0",
+            r"leg: expected .*first row is leg 0, got '3, 1'",
         ),
     ],
 )

@@ -140,7 +140,7 @@ def test_short_keys_and_the_section_say_the_same():
     [
         ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: expected at least"),
         ({"friction": {"coulomb": -0.1}}, "plant.friction.coulomb: expected a number from 0 to 1e"),
-        ({"friction": {"coulomb": [0.1, 0.1]}}, r"plant.friction.coulomb: expected a list of 6"),
+        ({"friction": {"coulomb": [0.1, 0.1]}}, r"plant.friction.coulomb: expected .*a list of 6"),
         ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: expected 0 where `friction`"),
         ({"friction": {"stribeck": 0.1}}, "plant.friction.stribeck: .*did you mean stribeck_velocity"),
     ],
