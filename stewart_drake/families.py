@@ -26,8 +26,7 @@ OWN = "module:Class"
 class Table:
     """Objects by name, in `Annotated` the type of a key that holds such a name.
 
-    Args:
-        lines: Name -> `module:name` in this package, imported when it is asked for, or the object itself.
+    `lines`: name -> `module:name` in this package, imported when it is asked for, or the object itself.
     """
 
     def __init__(self, lines: dict[str, Any]) -> None:
@@ -57,9 +56,9 @@ class Table:
         """
         found: dict[str, str] = {}
         for kind, line in self._lines.items():
-            for part in line if isinstance(line, tuple) else (line,):
-                module = getattr(part, "__module__", None)
-                if module is not None and module.partition(".")[0] != _PACKAGE:
+            parts = line if isinstance(line, tuple) else (line,)
+            for part, module in ((part, getattr(part, "__module__", _PACKAGE)) for part in parts):
+                if module.partition(".")[0] != _PACKAGE:
                     found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
         return found
 
@@ -117,13 +116,10 @@ class Family(Table):
         return [*self.kinds, *self._paths, *([OWN] if self._own else [])]
 
     def add(self, section: type[Section]) -> None:  # type: ignore[override]
-        """Adds a kind: its section, whose `kind` has its name as the default.
-
-        A section that was added before may be added again, as a cell of a notebook does.
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does.
 
         Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already; it lacks a
-                method that its base asks for, such as `parts`.
+            ConfigurationError: No such default, or one of another kind; a method that its base asks for is missing.
         """
         field = getattr(section, "__pydantic_fields__", {}).get("kind")
         kind, key = getattr(field, "default", None), f"{section.__name__}.kind"
@@ -301,22 +297,14 @@ class UserMade(Section):
         return f"{vars(self).get('place', self.section_key)}.{self.path_key}"
 
     def load(self) -> Any:
-        """The class; it is not called.
-
-        Raises:
-            ConfigurationError: See `CodePath.load`; it is not a class.
-        """
+        """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
         found = self.code.load(self.code_key)
         if not isinstance(found, type) and self.code.given is None:
             raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(found).__name__}")
         return found if isinstance(found, type) else type(found)
 
     def construct(self, offered: Mapping[str, Any]) -> Any:
-        """The object: made with `arguments` and with those of `offered` that the constructor names, or as it was given.
-
-        Raises:
-            ConfigurationError: See `load`; the constructor raises.
-        """
+        """The object: made with `arguments` and what the constructor names of `offered`, or as it was given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -330,11 +318,7 @@ class UserMade(Section):
 
     @cached_property
     def made(self) -> Any:
-        """The object.
-
-        Raises:
-            ConfigurationError: See `construct`; it does not have the method.
-        """
+        """The object; a `ConfigurationError` where it does not have the method."""
         made = self.construct({})
         method = self.asked.partition("(")[0]
         if not callable(getattr(made, method, None)):
@@ -346,11 +330,7 @@ class UserMade(Section):
         return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {found}")
 
     def numbers(self, answer: Any) -> np.ndarray:
-        """An answer of the object as an array.
-
-        Raises:
-            ConfigurationError: It is not one.
-        """
+        """An answer of the object as an array, else a `ConfigurationError`."""
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
@@ -367,11 +347,7 @@ def given_again(section: Any) -> Any:
 
 
 def refuse_given(section: Any) -> None:
-    """Refuses what was given in Python as a class or an object, where results are kept and known again by content.
-
-    Raises:
-        ConfigurationError: There is such a part.
-    """
+    """Refuses what was given in Python as a class or an object, where results are kept and known again by content."""
     for part in user_parts(section):
         if part.code.given is not None:
             raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")

@@ -143,11 +143,11 @@ def changed(name, row, value):
 
 
 BAD = {
-    "missing column": (lambda: table().drop_columns(["yaw"]), "got \'none among time, roll"),
-    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "got \'none among"),
+    "missing column": (lambda: table().drop_columns(["yaw"]), "got 'none among time, roll"),
+    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "got 'none among"),
     "nan": (lambda: changed("x", 4, math.nan), "pose_x: expected finite numbers"),
-    "infinite": (lambda: changed("roll", 4, math.inf), "got \'inf in row 5'"),
-    "empty cell": (lambda: changed("z", 0, None), "got \'nan in row 1'"),
+    "infinite": (lambda: changed("roll", 4, math.inf), "got 'inf in row 5'"),
+    "empty cell": (lambda: changed("z", 0, None), "got 'nan in row 1'"),
     "time stands": (lambda: changed("time", 3, 0.04), "time: expected ascending"),
     "time goes back": (lambda: changed("time", 150, 0.0), "'0 after 2.98 in row 151'"),
     "three rows": (lambda: table(TIMES[:3]), "expected at least 4 rows"),
@@ -174,7 +174,7 @@ def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, rows, suffi
         ("motion.csv", None, "No such file"),
         ("motion.csv", b"", "no columns"),
         ("motion.csv", b"\xff\xfe\x00", "expected a table"),
-        ("motion.csv", b"time,roll\n1,2,3\n", "got \'none among"),
+        ("motion.csv", b"time,roll\n1,2,3\n", "got 'none among"),
         ("motion.parquet", b"time,roll\n1,2\n", "a table of numbers"),
         ("motion.parquet", b"", "a table of numbers"),
         ("motion.txt", b"", "ends in .csv or .parquet"),
@@ -196,7 +196,7 @@ def test_a_folder_and_a_twofold_column_are_refused(tmp_path):
         load_recording(tmp_path / "folder.csv")
     twice = ",".join((*COLUMNS, "x")) + "\n" + "0,0,0,0,0,0,0,0\n" * 5
     (tmp_path / "twice.csv").write_text(twice)
-    with pytest.raises(ConfigurationError, match="got \'x, x'"):
+    with pytest.raises(ConfigurationError, match="got 'x, x'"):
         load_recording(tmp_path / "twice.csv")
 
 
