@@ -1,8 +1,7 @@
 """Typed sections of scenarios, sweeps and comparisons, on pydantic; and what is wrong with one, a line a problem.
 
-Constraints stand in the fields: types, bounds, choices, lengths. They refuse values and make the JSON schema, and the
-words of a message come from that schema. A rule between fields is in the section's `rules`. A text under a field begins
-with its unit in brackets.
+Constraints stand in the fields and make the JSON schema, and the words of a message come from that schema. A rule
+between fields is in the section's `rules`. A text under a field begins with its unit in brackets.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from typing import Annotated, Any, ClassVar, Self, dataclass_transform
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, Strict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
 
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
@@ -68,10 +68,7 @@ class Section:
     """Base of the sections: frozen, hashable, made by keywords; `SomeSection(...)` and `from_dict` obey the same rules.
 
     A subclass is a pydantic dataclass without a decorator; the texts under its fields reach `help()`. Lists and numbers
-    of numpy are taken as tuples and numbers.
-
-    Args of a subclass:
-        key: Where it stands in a file, for messages of what is made in Python.
+    of numpy are taken as tuples and numbers. `key` is where it stands in a file, for messages of what Python makes.
 
     Raises:
         ConfigurationError: A value outside what its field says.
@@ -445,4 +442,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 @lru_cache(maxsize=256)
 def schema_of(kind: Any) -> dict[str, Any]:
     """JSON schema of a type, in which a family of kinds is but its words and `family`, the `families.Family` itself."""
-    return _adapter(kind).json_schema()
+    try:
+        return _adapter(kind).json_schema()
+    except PydanticInvalidForJsonSchema:  # a user's own section may have what JSON has not
+        return {}

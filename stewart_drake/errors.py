@@ -105,14 +105,11 @@ class InfeasibleReferenceError(ConfigurationError):
     def __init__(self, limit: str, time: float, leg: int | None, margin: float, allowed: str) -> None:
         self.limit, self.time, self.leg, self.margin = limit, time, leg, margin
         where = "the platform" if leg is None else f"leg {leg}"
-        super().__init__("reference", f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}", allowed)
+        self.found = f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}"
+        super().__init__("reference", self.found, allowed)
 
     def __str__(self) -> str:
-        where = "the platform" if self.leg is None else f"leg {self.leg}"
-        return (
-            f"reference: breaks the limit {self.limit} at t = {self.time:.3f} s, {where}, "
-            f"margin {self.margin:.4g}; allowed: {self.allowed}"
-        )
+        return f"reference: breaks the limit {self.found}; expected {self.allowed}"
 
 
 class RunFailure(StewartDrakeError, RuntimeError):

@@ -59,9 +59,7 @@ MAX_STEPS = 10**9
 
 
 class Scenario(Section):
-    """Everything that one run depends on.
-
-    `Scenario(...)` and `Scenario.from_dict` check the same rules; `load_scenario` reads a file.
+    """Everything that one run depends on; `load_scenario` reads a file.
 
     Raises:
         ConfigurationError: Names the key, the value and what is allowed.
@@ -137,14 +135,12 @@ class Scenario(Section):
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
-        another `robot`, not with single keys of it, or another latency of the commands, what was but a default for the
-        old one is that for the new one.
+        Another `kind` drops the keys that only the old kind has. With another `robot`, not with single keys of it, or
+        another latency of the commands, what was but a default for the old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
-                `initial_offset[5]` or `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`,
-                or is a class or an object.
+                `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
 
         Raises:
             ConfigurationError: As for the class.
@@ -224,17 +220,18 @@ class Scenario(Section):
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
             self.safety.check_against(self.believed_robot, self.controller.period)
-        if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):
-            allowed = f"at most {MAX_STEPS * self.plant.time_step:g} s, which are 1e9 steps of the plant"
+        largest = MAX_STEPS * self.plant.time_step
+        if self.duration > largest * (1.0 + 1e-9):
+            raise ConfigurationError(
+                "duration", self.duration, f"at most {largest:g} s, which are 1e9 steps of the plant"
+            )
+        if self.duration < self.controller.period:
+            allowed = f"at least one control period, {self.controller.period:g} s"
             raise ConfigurationError("duration", self.duration, allowed)
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
-        if self.duration < self.controller.period:
-            raise ConfigurationError(
-                "duration", self.duration, f"at least one control period, {self.controller.period:g} s"
-            )
-        if self.log_period is not None and self.log_period > self.duration:
-            raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
+            if self.log_period > self.duration:
+                raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
@@ -243,9 +240,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
     Args:
         path: YAML file; `weights_file`, `motion_file` and files with code in it are relative to its folder. A bare name
             such as `paper_fig7` is looked up among the scenarios of the package.
-        overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
-            others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
-            keys that only the old kind has. Components of lists come last, see `Scenario.replace`.
+        overrides: `key=value` texts, keys dotted, values as YAML, see `Scenario.replace`; files among them are relative
+            to the current folder.
         trust_code: Trust the code that is named in it, and in `overrides`, now and whenever it is the same.
 
     Raises:
@@ -300,8 +296,6 @@ _FAMILIES: Mapping[str, Family] = {
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
-
-
 _OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.kind", "estimator.delay")
 
 

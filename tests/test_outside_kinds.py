@@ -129,33 +129,6 @@ def test_a_disturbance_adds_to_the_others(tmp_path):
     np.testing.assert_allclose(log["disturbance"][:, 5], 0.5 + 3.0 * log.time, rtol=1e-6)
 
 
-CODE = """
-class Rise:
-    def __init__(self, height):
-        self.height = height
-
-    def evaluate(self, t):
-        return [0, 0, 0, 0, 0, 0.3 + self.height * t], [0, 0, 0, 0, 0, self.height], [0] * 6
-"""
-
-
-def test_a_file_beside_the_scenario_is_run_by_its_path(tmp_path):
-    (tmp_path / "deep").mkdir()
-    (tmp_path / "deep" / "mine.py").write_text(CODE)
-    file = tmp_path / "scenario.yaml"
-    text = (
-        "duration: 0.1\ntuner: {{kind: fixed}}\nreference: {{kind: 'deep/mine.py:Rise', arguments: {{height: {}}}}}\n"
-    )
-    file.write_text(text.format(0.002))
-    scenario = load_scenario(file, trust_code=True)
-    assert "made" not in vars(scenario.reference)
-    assert str(scenario.reference.kind) == f"{tmp_path / 'deep' / 'mine.py'}:Rise"
-    checked_logged_and_plotted(scenario, tmp_path)
-    file.write_text(text.format(".nan"))
-    with pytest.raises(ConfigurationError, match=r"^reference\.arguments"):
-        load_scenario(file)
-
-
 class ToySensorOptions(SensorOptions):
     """A sensor that is off along Z."""
 
@@ -368,13 +341,6 @@ def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts,
     metric = Metric("mine", "1", "a number", of, "steps", parts=parts, kind=kind)
     with pytest.raises(MetricError, match=f"^metric mine: `of` returned .*{words}"):
         run(Scenario(**SHORT, metrics=[metric]))
-
-
-def test_a_metric_may_return_what_numpy_has():
-    numbers = Metric("mine", "m", "a point", lambda _: np.arange(2.0), "steps", parts=("mine_x", "mine_y"))
-    whole = Metric("count", "", "of steps", lambda t: np.int64(t.steps), "steps", kind="whole")
-    metrics = run_metrics(run(Scenario(**SHORT, metrics=[numbers, whole])))
-    assert (metrics["mine"], type(metrics["count"])) == ([0.0, 1.0], int)
 
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():

@@ -186,12 +186,12 @@ def searched(**keys):
     [
         ({"tune": None}, r"^tune: expected .*, got None"),
         ({"cost": None}, r"^cost: expected .*, got None"),
-        ({"cost": {"position": -1.0}}, r"^cost\.position: got -1"),
-        (tune_changed(controllers={}), r"^tune\.controllers: got \{\}"),
+        ({"cost": {"position": -1.0}}, r"^cost\.position: expected .*got -1"),
+        (tune_changed(controllers={}), r"^tune\.controllers: expected .*got \{\}"),
         (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: expected at least one"),
-        (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: got 'none'"),
+        (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: expected .*got 'none'"),
         (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
-        (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: got \[9"),
+        (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: expected .*got \[9"),
         (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: expected .*, got 0"),
         (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: expected .*, got 4"),
         (searched(tuner=[5, 9]), r"^tune\.controllers\.pid: tuner"),
@@ -218,10 +218,10 @@ def test_what_the_command_line_asks_is_refused_in_a_line():
     ("text", "message"),
     [
         (None, "^tuned: expected a file"),
-        ("controllers: {nobody: {controller.kp: 1.0}}", r"^tuned\.controllers: got 'nobody'"),
-        ("controllers: {pid: {controller.kp: -1.0}}", r"^tuned\.controllers\.pid.*: got -1"),
+        ("controllers: {nobody: {controller.kp: 1.0}}", r"^tuned\.controllers: expected .*got 'nobody'"),
+        ("controllers: {pid: {controller.kp: -1.0}}", r"^tuned\.controllers\.pid.*: expected .*got -1"),
         ("controllers: {pid: {controller.kq: 1.0}}", r"^pid, off, noise: controller\.kq"),
-        ("[1, 2]", "^tuned file .*: got"),
+        ("[1, 2]", "^tuned file .*: expected .*got"),
     ],
 )
 def test_a_tuned_file_that_does_not_fit_is_refused(tmp_path, text, message):

@@ -62,7 +62,7 @@ def test_from_a_log_to_a_robot(call, tmp_path, truth):
         ((*GOOD, "--validate", "none.csv"), "No such file"),
         (("identify", "log.csv", "--robot", "nobody"), "robot"),
         (("identify", "log.csv", "--robot", "reachy_mini"), "expected a log of the robot that is guessed"),
-        (("excite", "--robot", "paper", "--set", "limits.torque_fraction=1e-4"), "limits: got 'no motion within them'"),
+        (("excite", "--robot", "paper", "--set", "limits.torque_fraction=1e-4"), "limits: expected "),
         (("excite", "--robot", "paper", "--duration", "1"), "--duration"),
     ],
 )

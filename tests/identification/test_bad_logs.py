@@ -62,7 +62,7 @@ def test_an_encoder_that_was_homed_a_turn_away_is_the_same_log():
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (slice(0, 7), "column of torque_0: got 'none among time_s, crank_angle_0_rad"),
+        (slice(0, 7), "column of torque_0: expected "),
         (slice(0, 12), "column of torque_5"),
         (slice(1, 13), "column of time"),
     ],
@@ -83,7 +83,7 @@ def test_a_file_that_is_no_table(tmp_path):
 def test_torques_that_nobody_measured():
     still = LOG.torque.copy()
     still[:, 2] = 0.0
-    with pytest.raises(ConfigurationError, match="torque_2: got '0 in all rows'"):
+    with pytest.raises(ConfigurationError, match=r"torque_2: expected .*got '0 in all rows'"):
         changed(torque=still)
 
 
@@ -147,7 +147,7 @@ def test_a_motion_that_tells_no_inertia():
 
 
 def test_unknown_kinds_and_no_logs():
-    assert "hold: got 'mass'" in refused(LOG, hold=["mass"])
+    assert "hold: expected " in refused(LOG, hold=["mass"])
     with pytest.raises(ConfigurationError, match="at least one log"):
         identify(ROBOT, [])
 
