@@ -48,6 +48,7 @@ class Table:
         if name in self._lines:
             raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
         self._lines[name] = made
+        schema_of.cache_clear()
 
     def added_code(self) -> dict[str, str]:
         """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
@@ -131,6 +132,7 @@ class Family(Table):
         if missing:
             raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
         self._lines[kind] = section
+        schema_of.cache_clear()
 
     def register(self, name: str, path: str) -> None:
         """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
@@ -139,6 +141,7 @@ class Family(Table):
         if name in self._lines:
             raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.kinds)}")
         self._paths[name] = path
+        schema_of.cache_clear()
 
     def section(self, kind: Any) -> Any:
         """Class of a kind's section; None for no such kind."""
