@@ -48,14 +48,14 @@ class StewartDrakeError(Exception):
 
 
 class ConfigurationError(StewartDrakeError):
-    """A value that the user gave is not usable.
+    """A value that the user gave is not usable: `KEY: expected WHAT, got VALUE; HINT`.
 
     Not a ValueError: pydantic would wrap that into an error of its own.
 
     Attributes:
         key: Dotted name of the scenario key, parameter or file.
         value: What was given.
-        allowed: What would have been accepted.
+        allowed: What would have been accepted, after `; ` a hint. With `no such` it begins where the key is wrong.
         others: Further problems of the same file or section; each has a line of its own in the message.
     """
 
@@ -68,7 +68,9 @@ class ConfigurationError(StewartDrakeError):
         shown = " ".join(_SHORT.repr(value).split())
         if len(shown) > 120:
             shown = shown[:117] + "..."
-        super().__init__(f"{key}: got {shown}; allowed: {allowed}")
+        expected, semicolon, hint = allowed.partition("; ")
+        text = allowed if allowed.startswith("no such") else f"expected {expected}, got {shown}{semicolon}{hint}"
+        super().__init__(f"{key}: {text}")
 
     def __str__(self) -> str:
         own = " ".join(super().__str__().split())
@@ -103,14 +105,11 @@ class InfeasibleReferenceError(ConfigurationError):
     def __init__(self, limit: str, time: float, leg: int | None, margin: float, allowed: str) -> None:
         self.limit, self.time, self.leg, self.margin = limit, time, leg, margin
         where = "the platform" if leg is None else f"leg {leg}"
-        super().__init__("reference", f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}", allowed)
+        self.found = f"{limit} at t = {time:.3f} s, {where}, margin {margin:.4g}"
+        super().__init__("reference", self.found, allowed)
 
     def __str__(self) -> str:
-        where = "the platform" if self.leg is None else f"leg {self.leg}"
-        return (
-            f"reference: breaks the limit {self.limit} at t = {self.time:.3f} s, {where}, "
-            f"margin {self.margin:.4g}; allowed: {self.allowed}"
-        )
+        return f"reference: breaks the limit {self.found}; expected {self.allowed}"
 
 
 class RunFailure(StewartDrakeError, RuntimeError):
@@ -134,12 +133,7 @@ class RunFailure(StewartDrakeError, RuntimeError):
 
 
 class UnreachablePoseError(RunFailure):
-    """A rod cannot span from its crank circle to its platform joint.
-
-    Attributes:
-        pose: (6,) [rad, m] the pose asked for.
-        margin: 1 - |C| / sqrt(A^2 + B^2) of the worst leg [-]; negative, zero at the edge.
-    """
+    """A rod cannot span from its crank circle to its platform joint; `margin` is that of the worst leg, negative."""
 
     reason = "unreachable_pose"
 
@@ -152,13 +146,10 @@ class UnreachablePoseError(RunFailure):
 
 
 class SingularPoseError(RunFailure):
-    """The map between motor torques and platform wrench, or a joint's coordinates, lose rank at this pose.
+    """A pose at which a map loses rank.
 
-    Attributes:
-        kind: `serial` (a crank at its dead centre), `parallel` (the rods' lines lose rank) or `rod_joint` (a rod turned
-            by 90 deg in its joint at the crank, where the joint's angles mean nothing).
-        pose: (6,) [rad, m].
-        margin: The measure that fell below its limit [-].
+    `kind` is `serial` (a crank at its dead centre), `parallel` (the rods' lines) or `rod_joint` (a rod turned by 90 deg
+    in its joint at the crank, whose angles mean nothing there); `margin` is the measure that fell below its limit [-].
     """
 
     def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
@@ -178,12 +169,7 @@ class SingularPoseError(RunFailure):
 
 
 class ForwardKinematicsError(RunFailure):
-    """Newton's method on the loop closure did not converge.
-
-    Attributes:
-        residual: [m] largest rod-length error at the last iterate.
-        iterations: Iterations spent.
-    """
+    """Newton's method on the loop closure did not converge; `residual` [m] is the largest rod-length error."""
 
     reason = "forward_kinematics"
 
@@ -196,12 +182,7 @@ class ForwardKinematicsError(RunFailure):
 
 
 class AssemblyModeError(RunFailure):
-    """Forward kinematics has found another assembly mode than the one that the robot stood in.
-
-    Attributes:
-        pose: (6,) [rad, m] found.
-        last: (6,) [rad, m] of the tick before.
-    """
+    """Forward kinematics has found another assembly mode than that of `last`, the pose of the tick before."""
 
     reason = "assembly_mode"
 
@@ -220,11 +201,7 @@ class RiccatiError(RunFailure):
 
 
 class NotFiniteError(RunFailure):
-    """A signal in the loop is NaN or infinite.
-
-    Attributes:
-        signal: Name of the signal.
-    """
+    """A signal in the loop is NaN or infinite."""
 
     reason = "not_finite"
 
@@ -240,12 +217,7 @@ class DrakeCheckError(RunFailure):
 
 
 class SafetyStop(RunFailure):
-    """The safety layer has ended the run; `reason` is the monitor's name.
-
-    Attributes:
-        reason: See `safety.MONITORS`.
-        trip: The first trip of the run, see `safety.first_trip`.
-    """
+    """The safety layer has ended the run; `reason` is the monitor's name, `trip` the first trip of the run."""
 
     def __init__(self, monitor: str, message: str, leg: int | None, trip: dict[str, Any] | None) -> None:
         self.reason, self.trip = monitor, trip
@@ -267,10 +239,6 @@ FAILURES = (
 """Reasons for which a tick may fail, counted from 1 in signals; 1 stands for any other."""
 
 
-class OlderFileWarning(FutureWarning):
-    """A file of an older version that is read all the same."""
-
-
 def failure_code(reason: str) -> int:
     """Number of a reason, see `FAILURES`."""
     return 1 + (FAILURES.index(reason) if reason in FAILURES else 0)
@@ -286,14 +254,7 @@ def raised_at(error: BaseException) -> str:
 
 @contextmanager
 def drake_guard(doing: str) -> Iterator[None]:
-    """Turns what a failed Drake check raises (`SystemExit`, `RuntimeError`) into `DrakeCheckError`.
-
-    Args:
-        doing: What was being done, for the message.
-
-    Raises:
-        DrakeCheckError: In place of Drake's own. Errors of this package pass unchanged.
-    """
+    """Turns what a failed Drake check raises (`SystemExit`, `RuntimeError`) into a `DrakeCheckError` with `doing`."""
     try:
         yield
     except StewartDrakeError:

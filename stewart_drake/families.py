@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
@@ -13,159 +12,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, ValidationError, core_schema
 
-from stewart_drake.errors import ConfigurationError, OlderFileWarning
-from stewart_drake.files.code_path import CodePath, UserCodePath, path_of, source_of
-from stewart_drake.section import Section, check_plain, to_plain
-from stewart_drake.wording import OWN, as_problem, chosen, either
+from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.files.code_path import CLASS_PATH, CodePath, UserCodePath, path_of, source_of
 
 _PACKAGE = __name__.partition(".")[0]
-
-
-class Family:
-    """The kinds of one part of a scenario, told apart by the key `kind`; in `Annotated`, the type of such a part.
-
-    Args:
-        lines: Kind -> its section: `module:name` in this package, or the class itself.
-        default: Kind where the key is absent; None where it is required.
-        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
-        methods: What an object of the user's own has one of; none for classes alone.
-        without: Kinds that are not taken here.
-        older: Names that kinds had in older files -> their names.
-    """
-
-    def __init__(
-        self,
-        lines: dict[str, Any],
-        default: str | None = None,
-        own: str | None = None,
-        methods: tuple[str, ...] = (),
-        without: tuple[str, ...] = (),
-        older: Mapping[str, str] | None = None,
-    ) -> None:
-        self.default = default
-        self._lines, self._own, self._methods, self._without = lines, own, methods, without
-        self._older = older or {}
-
-    def but(self, *kinds: str) -> Family:
-        """The same kinds, without some."""
-        return Family(self._lines, self.default, self._own, self._methods, (*self._without, *kinds), self._older)
-
-    @property
-    def kinds(self) -> list[str]:
-        """Names of the kinds."""
-        return [kind for kind in self._lines if kind not in self._without]
-
-    @property
-    def words(self) -> list[str]:
-        """The kinds, and how a user's own is written."""
-        return self.kinds if self._own is None else [*self.kinds, OWN]
-
-    def add(self, section: type[Section]) -> None:
-        """Adds a kind: its section, whose `kind` has its name as the default.
-
-        A section that was added before may be added again, as a cell of a notebook does.
-
-        Raises:
-            ConfigurationError: The section has no such default, or a kind of that name is there already; it lacks a
-                method that its base asks for, such as `parts`.
-        """
-        field = getattr(section, "__pydantic_fields__", {}).get("kind")
-        kind = None if field is None else field.default
-        if not isinstance(kind, str):
-            raise ConfigurationError(
-                f"{section.__name__}.kind", None, 'a name as its default, such as kind: str = "own"'
-            )
-        before = self.section(kind) if kind in self._lines else section
-        if path_of(before) != path_of(section):
-            raise ConfigurationError(
-                f"{section.__name__}.kind", kind, f"a name that no kind has, unlike {either(self.kinds)}"
-            )
-        missing = sorted(getattr(section, "__abstractmethods__", ()))
-        if missing:
-            raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
-        self._lines[kind] = section
-
-    def added_code(self) -> dict[str, str]:
-        """See `added_code`."""
-        return added_code(self._lines)
-
-    def section(self, kind: Any) -> Any:
-        """Class of a kind's section; None for no such kind."""
-        known = isinstance(kind, str) and kind in self._lines and kind not in self._without
-        return _loaded(self._lines, kind) if known else None
-
-    def spelled(self, data: Any) -> Any:
-        """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
-        kind = data.get("kind") if isinstance(data, Mapping) else data
-        if isinstance(kind, str) and kind in self._older:
-            warnings.warn(f"the kind `{kind}` is named `{self._older[kind]}` now", OlderFileWarning, stacklevel=3)
-        return self._spelled(data)
-
-    def _spelled(self, data: Any) -> Any:
-        if isinstance(data, str) and (self._is_own(data) or data in self.kinds or data in self._older):
-            data = {"kind": data}
-        kind = data.get("kind") if isinstance(data, Mapping) else None
-        return {**data, "kind": self._older[kind]} if isinstance(kind, str) and kind in self._older else data
-
-    def section_of(self, data: Any) -> Any:
-        """Class of a section that is written, or made; None where it is not one of these."""
-        data = self._spelled(data)
-        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
-        found = self._own_section if self._is_own(kind) else self.section(kind)
-        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
-
-    @property
-    def _own_section(self) -> Any:
-        return None if self._own is None else _import(self._own)
-
-    def _is_own(self, kind: Any) -> bool:
-        """Whether a kind is a user's import path, class or object."""
-        if self._own is None or kind is None or isinstance(kind, Section):
-            return False
-        if isinstance(kind, str):
-            return ":" in kind
-        return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
-
-    def _validate(self, value: Any) -> Any:
-        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
-            value = value()
-        elif not isinstance(value, (Mapping, Section, str)) and self._is_own(value):
-            value = {"kind": value}
-        value = self.spelled(value)
-        section = self.section_of(value)
-        if isinstance(value, Mapping):
-            if section is not None and self._is_own(value.get("kind")):
-                rest = {key: each for key, each in value.items() if key != "kind"}
-                value = {section.path_key: CodePath.of(value["kind"]), **rest}
-            if section is not None:
-                return section.__pydantic_validator__.validate_python(value)
-            missing = "kind" not in value
-            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
-            raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
-        if section is not None:
-            return value
-        if isinstance(value, Section):
-            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
-        if isinstance(value, str):
-            raise as_problem(ConfigurationError("", value, chosen(value, self.words)))
-        raise PydanticCustomError("section", "a section")
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self._validate)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        # What `json_schema` makes references of: pydantic knows only those that it made itself.
-        kinds = {kind: self.section(kind) for kind in self.kinds}
-        return {"kinds": kinds, "default kind": self.default, "own": self._own_section}
+OWN = "module:Class"
+"""How a kind of a user's own is written, among the `words` of a family."""
 
 
 class Table:
     """Objects by name, in `Annotated` the type of a key that holds such a name.
 
-    Args:
-        lines: Name -> `module:name` in this package, or the object itself.
+    `lines`: name -> `module:name` in this package, imported when it is asked for, or the object itself.
     """
 
     def __init__(self, lines: dict[str, Any]) -> None:
@@ -176,25 +37,31 @@ class Table:
         """In the order of the lines."""
         return list(self._lines)
 
-    words = names
-
     def __getitem__(self, name: str) -> Any:
         """The object of a name."""
-        return _loaded(self._lines, name)
+        if isinstance(self._lines[name], str):
+            self._lines[name] = _import(self._lines[name])
+        return self._lines[name]
 
     def add(self, name: str, made: Any) -> None:
-        """Adds an object.
-
-        Raises:
-            ConfigurationError: The name means something already.
-        """
+        """Adds an object; a `ConfigurationError` where the name means something already."""
         if name in self._lines:
             raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.names)}")
         self._lines[name] = made
+        schema_of.cache_clear()
 
     def added_code(self) -> dict[str, str]:
-        """See `added_code`."""
-        return added_code(self._lines)
+        """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+
+        Results are kept under it: a kind with other code is another kind.
+        """
+        found: dict[str, str] = {}
+        for kind, line in self._lines.items():
+            parts = line if isinstance(line, tuple) else (line,)
+            for part, module in ((part, getattr(part, "__module__", _PACKAGE)) for part in parts):
+                if module.partition(".")[0] != _PACKAGE:
+                    found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
+        return found
 
     def _validate(self, value: Any) -> Any:
         if isinstance(value, str) and value in self._lines:
@@ -208,18 +75,196 @@ class Table:
         return {"enum": self.names, "type": "string"}
 
 
-def added_code(lines: Mapping[str, Any]) -> dict[str, str]:
-    """Kind -> source of what was added from outside of the package, and of the modules that it stands in.
+class Family(Table):
+    """The kinds of one part of a scenario: a union told apart by the key `kind`; in `Annotated`, the type of the part.
 
-    Results are kept under it: a kind with other code is another kind.
+    A text that is a kind stands for a section of nothing else.
+
+    Args:
+        lines: Kind -> its section: `module:name` in this package, or the class itself.
+        default: Kind where the key is absent; None where it is required.
+        own: Section for a user's own class, a `UserMade`, as `module:name`; None where there is none.
+        methods: What an object of the user's own has one of; none for classes alone.
+        without: Kinds that are not taken here.
     """
-    found: dict[str, str] = {}
-    for kind, line in lines.items():
-        for part in line if isinstance(line, tuple) else (line,):
-            module = getattr(part, "__module__", None)
-            if module is not None and module.partition(".")[0] != _PACKAGE:
-                found[kind] = f"{found.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
-    return found
+
+    def __init__(
+        self,
+        lines: dict[str, Any],
+        default: str | None = None,
+        own: str | None = None,
+        methods: tuple[str, ...] = (),
+        without: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(lines)
+        self.default, self._own, self._methods, self._without = default, own, methods, without
+        self._paths: dict[str, str] = {}
+
+    def but(self, *kinds: str) -> Family:
+        """The same kinds, without some and without a default."""
+        made = Family(self._lines, None, self._own, self._methods, (*self._without, *kinds))
+        made._paths = self._paths
+        return made
+
+    @property
+    def kinds(self) -> list[str]:
+        """Names of the kinds."""
+        return [kind for kind in self._lines if kind not in self._without]
+
+    @property
+    def words(self) -> list[str]:
+        """The kinds, and how a user's own is written."""
+        return [*self.kinds, *self._paths, *([OWN] if self._own else [])]
+
+    def add(self, section: type[Section]) -> None:  # type: ignore[override]
+        """Adds a kind: its section, whose `kind` has its name as the default; again too, as a cell of a notebook does.
+
+        Raises:
+            ConfigurationError: No such default, or one of another kind; a method that its base asks for is missing.
+        """
+        field = getattr(section, "__pydantic_fields__", {}).get("kind")
+        kind, key = getattr(field, "default", None), f"{section.__name__}.kind"
+        if not isinstance(kind, str):
+            raise ConfigurationError(key, None, 'a name as its default, such as kind: str = "own"')
+        if path_of(self[kind] if kind in self._lines else section) != path_of(section):
+            raise ConfigurationError(key, kind, f"a name that no kind has, unlike {either(self.kinds)}")
+        missing = sorted(getattr(section, "__abstractmethods__", ()))
+        if missing:
+            raise ConfigurationError(section.__name__, None, f"a section with {', '.join(missing)}")
+        self._lines[kind] = section
+        schema_of.cache_clear()
+
+    def register(self, name: str, path: str) -> None:
+        """Lets a name stand for the import path of a user's own class, `module:Class`, wherever a kind does."""
+        if self._own is None or ":" not in path:
+            raise ConfigurationError(name, path, "module:Class, of a part that may be a class of your own")
+        if name in self._lines:
+            raise ConfigurationError("kind", name, f"a name that no kind has, unlike {either(self.kinds)}")
+        self._paths[name] = path
+        schema_of.cache_clear()
+
+    def section(self, kind: Any) -> Any:
+        """Class of a kind's section; None for no such kind."""
+        return self[kind] if isinstance(kind, str) and kind in self._lines and kind not in self._without else None
+
+    def spelled(self, data: Any) -> Any:
+        """A section as written, in full: a text that is a kind stands for a section of it; anything else as it is."""
+        if isinstance(data, str) and (self._is_own(data) or data in self.kinds):
+            data = {"kind": data}
+        kind = data.get("kind") if isinstance(data, Mapping) else None
+        return {**data, "kind": self._paths[kind]} if isinstance(kind, str) and kind in self._paths else data
+
+    def section_of(self, data: Any) -> Any:
+        """Class of a section that is written, or made; None where it is not one of these."""
+        data = self.spelled(data)
+        kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
+        found = self._own_section if self._is_own(kind) else self.section(kind)
+        return found if isinstance(data, Mapping) or (found is not None and isinstance(data, found)) else None
+
+    @property
+    def _own_section(self) -> Any:
+        return None if self._own is None else _import(self._own)
+
+    def _is_own(self, kind: Any) -> bool:
+        """Whether a kind is a user's import path, class or object."""
+        if self._own is None or kind is None or isinstance(kind, Section):
+            return False
+        if isinstance(kind, str):
+            return ":" in kind or kind in self._paths
+        return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
+
+    def _validate(self, value: Any) -> Any:
+        if isinstance(value, type) and issubclass(value, Section) and value is not Section:
+            value = value()
+        elif not isinstance(value, (Mapping, Section, str)) and self._is_own(value):
+            value = {"kind": value}
+        value = self.spelled(value)
+        section = self.section_of(value)
+        if isinstance(value, Mapping) and section is not None:
+            if self._is_own(value.get("kind")):
+                rest = {key: each for key, each in value.items() if key != "kind"}
+                value = {section.path_key: CodePath.of(value["kind"]), **rest}
+            try:
+                return section.__pydantic_validator__.validate_python(value)
+            except ValidationError as error:
+                raise self._told(error) from None
+        if isinstance(value, Mapping):
+            missing = "kind" not in value
+            allowed = f"{either(self.words)}; this key is required" if missing else chosen(value["kind"], self.words)
+            raise as_problem(ConfigurationError("kind", value.get("kind"), allowed))
+        if section is not None:
+            return value
+        if isinstance(value, Section):
+            raise as_problem(ConfigurationError("kind", getattr(value, "kind", None), either(self.words)))
+        allowed = chosen(value, self.words) if isinstance(value, str) else self._text
+        raise as_problem(ConfigurationError("", value, allowed))
+
+    def _told(self, error: ValidationError) -> ValidationError:
+        """The same problems; of a key that this kind does not have, which kinds have it."""
+        lines: list[InitErrorDetails] = []
+        for report in error.errors(include_url=False):
+            (key, *deeper), context = report["loc"] or ("",), report["ctx"]
+            kinds = [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
+            if kinds and not deeper and context["allowed"].startswith("no such key"):
+                context = {**context, "allowed": f"{context['allowed']}. It is a key of kind {either(kinds)}"}
+            problem = PydanticCustomError("rule", "expected {allowed}", context)
+            lines.append(InitErrorDetails(type=problem, loc=report["loc"], input=report["input"]))
+        return ValidationError.from_exception_data("section", lines)
+
+    @property
+    def _text(self) -> str:
+        return f"a section, with kind: {either(self.words)}, or a kind by itself"
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        # Pydantic makes references only of what it has made itself; `json_schema` does.
+        return {"$comment": self._text, "family": self}
+
+    def ways(self, reference: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
+        """What a JSON schema takes, given how it refers to a section."""
+        needed = [] if self.default is None else [self.default]
+        found = [{**reference(self[kind]), **({} if kind in needed else {"required": ["kind"]})} for kind in self.kinds]
+        fields = {kind: self[kind].__pydantic_fields__.values() for kind in self.kinds}
+        alone = [kind for kind in self.kinds if not any(field.is_required() for field in fields[kind])]
+        found += [{"enum": [*alone, *self._paths]}] if alone or self._paths else []
+        if self._own is not None:
+            found.append(reference(self._own_section, by_path=self._own_section.path_key != "kind"))
+            found.append({"type": "string", "pattern": CLASS_PATH})
+        return found
+
+
+def json_schema(root: Any) -> dict[str, Any]:
+    """JSON schema of a section for editors, with every kind of its families among the definitions."""
+    definitions: dict[str, Any] = {}
+
+    def complete(part: Any) -> Any:
+        if isinstance(part, list):
+            return [complete(each) for each in part]
+        if not isinstance(part, dict):
+            return part
+        found = {key: complete(each) for key, each in part.items() if key not in ("$defs", "family")}
+        return found | {"anyOf": part["family"].ways(reference)} if "family" in part else found
+
+    def whole(kind: Any) -> Any:
+        made = schema_of(kind)
+        for name, each in made.get("$defs", {}).items():
+            if name not in definitions:
+                definitions[name] = {}
+                definitions[name] = complete(each)
+        return complete(made)
+
+    def reference(section: Any, by_path: bool = False) -> dict[str, Any]:
+        """By path: the section of a user's class whose path stands under `kind`, not under a key of its own."""
+        name = section.__name__ + "ByPath" * by_path
+        if name not in definitions:
+            definitions[name] = {}
+            definitions[name] = whole(section)
+            if by_path:
+                properties = definitions[name]["properties"]
+                properties["kind"] = properties.pop(section.path_key)
+                definitions[name]["required"] = ["kind"]
+        return {"$ref": f"#/$defs/{name}"}
+
+    return {**whole(root), "$defs": definitions}
 
 
 class UserMade(Section):
@@ -255,22 +300,14 @@ class UserMade(Section):
         return f"{vars(self).get('place', self.section_key)}.{self.path_key}"
 
     def load(self) -> Any:
-        """The class; it is not called.
-
-        Raises:
-            ConfigurationError: See `CodePath.load`; it is not a class.
-        """
+        """The class, not called; a `ConfigurationError` where it is none, or cannot be loaded."""
         found = self.code.load(self.code_key)
         if not isinstance(found, type) and self.code.given is None:
             raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(found).__name__}")
         return found if isinstance(found, type) else type(found)
 
     def construct(self, offered: Mapping[str, Any]) -> Any:
-        """The object: made with `arguments` and with those of `offered` that the constructor names, or as it was given.
-
-        Raises:
-            ConfigurationError: See `load`; the constructor raises.
-        """
+        """The object: made with `arguments` and what the constructor names of `offered`, or as it was given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
             return given
@@ -284,11 +321,7 @@ class UserMade(Section):
 
     @cached_property
     def made(self) -> Any:
-        """The object.
-
-        Raises:
-            ConfigurationError: See `construct`; it does not have the method.
-        """
+        """The object; a `ConfigurationError` where it does not have the method."""
         made = self.construct({})
         method = self.asked.partition("(")[0]
         if not callable(getattr(made, method, None)):
@@ -300,11 +333,7 @@ class UserMade(Section):
         return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {found}")
 
     def numbers(self, answer: Any) -> np.ndarray:
-        """An answer of the object as an array.
-
-        Raises:
-            ConfigurationError: It is not one.
-        """
+        """An answer of the object as an array, else a `ConfigurationError`."""
         try:
             return np.asarray(answer, dtype=float)
         except (TypeError, ValueError):
@@ -321,11 +350,7 @@ def given_again(section: Any) -> Any:
 
 
 def refuse_given(section: Any) -> None:
-    """Refuses what was given in Python as a class or an object, where results are kept and known again by content.
-
-    Raises:
-        ConfigurationError: There is such a part.
-    """
+    """Refuses what was given in Python as a class or an object, where results are kept and known again by content."""
     for part in user_parts(section):
         if part.code.given is not None:
             raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
@@ -346,13 +371,6 @@ def place_users(section: Any, place: str = "") -> None:
         named = vars(section).items() if isinstance(section, Section) else enumerate(section)
         for name, part in list(named):
             place_users(part, f"{place}.{name}" if place else str(name))
-
-
-def _loaded(lines: dict[str, Any], name: str) -> Any:
-    """What stands in a line, imported where that is `module:name`."""
-    if isinstance(lines[name], str):
-        lines[name] = _import(lines[name])
-    return lines[name]
 
 
 def _import(place: str) -> Any:

@@ -2,63 +2,48 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping
 from typing import Any
 
+from stewart_drake.config import meant, shown
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.wording import shown
 
 _KEY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[(?:0|[1-9]\d{0,5})\])*")
 
 
 def split_key(key: str) -> tuple[str | int, ...]:
-    """Parts of a key: names and indices.
-
-    Raises:
-        ConfigurationError: It is not such a key.
-    """
+    """Names and indices in a key such as `robot.rod_length` or `initial_offset[0]`; else a `ConfigurationError`."""
     if _KEY.fullmatch(key) is None:
         raise ConfigurationError(shown(key), key, "a key such as robot.rod_length or initial_offset[0]")
     return tuple(int(index) if index else name for name, index in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", key))
 
 
 def value_at(data: Mapping[str, Any], key: str) -> Any:
-    """Value of a key in a scenario, given in plain values.
-
-    Raises:
-        ConfigurationError: The scenario has no such key.
-    """
+    """Value of a key in a scenario, given in plain values; a `ConfigurationError` where it has no such key."""
     here: Any = data
     where: list[str] = []
     for part in split_key(key):
         inside = ".".join(where) or "the scenario"
         if isinstance(part, int):
             if not isinstance(here, list):
-                raise ConfigurationError(key, here, f"a key without [{part}]: {inside} is not a list")
+                raise ConfigurationError(key, here, f"a key without [{part}]; {inside} is not a list")
             if part >= len(here):
                 raise ConfigurationError(key, part, f"a component from 0 to {len(here) - 1}")
         elif not isinstance(here, dict):
             hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
-            raise ConfigurationError(key, here, f"a key in a section: {inside} is not a section{hint}")
+            raise ConfigurationError(key, here, f"a key in a section; {inside} is not a section{hint}")
         elif part not in here:
-            close = difflib.get_close_matches(part, here, n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
-            raise ConfigurationError(shown(key), part, f"{guess}{inside} has {', '.join(here)}")
+            guess = meant(part, here)
+            has = f"{' ' if guess else '; '}{inside} has {', '.join(here)}"
+            raise ConfigurationError(shown(key), part, f"no such key{guess}{has}")
         here = here[part]
         where.append(str(part))
     return here
 
 
 def set_component(data: Any, full: Any, key: str, value: Any) -> None:
-    """Sets what a key with indices names.
-
-    Args:
-        data: The scenario in plain values; changed.
-        full: The same with what its nulls stand for; what is null in `data` is filled from it as far as needed.
-        key: Such as `robot.legs[2].rod_length`.
-        value: Plain.
+    """Sets what a key with indices names in plain values; what is null in `data` is filled from `full` as needed.
 
     Raises:
         ConfigurationError: The scenario has no such key.

@@ -21,6 +21,7 @@ REFERENCES = Family(
         "sum": "references.combined:SumReference",
         "adjusted": "references.combined:AdjustedReference",
     },
+    default="sine",
     own="references.user_reference:UserReference",
     methods=("evaluate",),
 )
@@ -43,9 +44,11 @@ TUNERS = Family(
         "policy": "control.tuners:PolicyTuner",
         "schedule": "control.tuners:ScheduleTuner",
     },
-    older={"ann": "paper"},
+    default="paper",
 )
-SENSORS = Family({"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"})
+SENSORS = Family(
+    {"ideal": "hardware.sensors:IdealSensors", "encoders": "hardware.sensors:EncoderOptions"}, default="ideal"
+)
 ESTIMATORS = Family(
     {"difference": "hardware.estimator:DifferenceOptions", "observer": "hardware.observer:ObserverOptions"},
     default="difference",
@@ -65,34 +68,16 @@ DISTURBANCES = Family(
     own="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
 )
-ENCODER_FAULTS = Table(
-    {
-        "freeze": "hardware.faults:FREEZE",
-        "nan": "hardware.faults:NAN",
-        "jump": "hardware.faults:JUMP",
-        "late": "hardware.faults:LATE",
-        "drift": "hardware.faults:DRIFT",
-        "reversed": "hardware.faults:REVERSED",
-        "inverted": "hardware.faults:INVERTED",
-        "swapped": "hardware.faults:SWAPPED",
-    }
-)
-POSE_FAULTS = Table(
-    {
-        "freeze": "hardware.faults:FREEZE",
-        "nan": "hardware.faults:NAN",
-        "late": "hardware.faults:LATE",
-    }
-)
-COMMAND_FAULTS = Table(
-    {
-        "nan": "hardware.faults:NAN",
-        "inf": "hardware.faults:INF",
-        "offset": "hardware.faults:JUMP",
-        "chatter": "hardware.faults:CHATTER",
-    }
-)
-MOTOR_FAULTS = Table({"reversed": "hardware.faults:INVERTED", "swapped": "hardware.faults:SWAPPED"})
+
+
+def _faults(*kinds: str, **others: str) -> Table:
+    return Table({kind: f"hardware.faults:{others.get(kind, kind).upper()}" for kind in (*kinds, *others)})
+
+
+ENCODER_FAULTS = _faults("freeze", "nan", "jump", "late", "drift", "reversed", "inverted", "swapped")
+POSE_FAULTS = _faults("freeze", "nan", "late")
+COMMAND_FAULTS = _faults("nan", "inf", offset="jump", chatter="chatter")
+MOTOR_FAULTS = _faults(reversed="inverted", swapped="swapped")
 
 REGISTERED = [each for each in vars().copy().values() if isinstance(each, (Family, Table))]
 """All of them."""

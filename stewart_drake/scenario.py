@@ -10,35 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from stewart_drake.control.base import ControllerOptions
-from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.control.network import TunerNetwork
-from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family, given_again, place_users
-from stewart_drake.files.code_trust import trusting_code
-from stewart_drake.files.named_files import ROBOT_KEYS, anchored
-from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
-from stewart_drake.hardware.command_link import LinkOptions
-from stewart_drake.hardware.disturbances import AnyDisturbance
-from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
-from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
-from stewart_drake.keys import set_component
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.older import warn_of_compiled, without_compiled
-from stewart_drake.planning.limits import Bounds, Limits
-from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.references import AnyReference, SineReference
-from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST
-from stewart_drake.robot.robot_files import AnyRobot, robot_section
-from stewart_drake.robot.robot_scale import PAPER, fill, without_own
-from stewart_drake.safety import SafetyOptions
-from stewart_drake.sampling import steps_per
-from stewart_drake.schema import json_schema
-from stewart_drake.section import (
+from stewart_drake.config import (
     NAME,
     NAME_WORDS,
     Count,
@@ -49,8 +21,35 @@ from stewart_drake.section import (
     Vector6,
     by_default,
     is_finite,
+    keys_of,
+    shown,
 )
-from stewart_drake.wording import keys_of, shown
+from stewart_drake.control.base import ControllerOptions
+from stewart_drake.control.lqi import LqiOptions
+from stewart_drake.control.network import TunerNetwork
+from stewart_drake.control.tuners import AnnTuner, BlockTuner, FixedTuner, Tuner
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import Family, given_again, json_schema, place_users
+from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.named_files import ROBOT_KEYS, anchored
+from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
+from stewart_drake.hardware.command_link import LinkOptions
+from stewart_drake.hardware.disturbances import AnyDisturbance
+from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
+from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
+from stewart_drake.keys import set_component
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.planning.limits import Bounds, Limits
+from stewart_drake.plant.plant_options import PlantOptions
+from stewart_drake.references import AnyReference, SineReference
+from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.leg import LARGEST
+from stewart_drake.robot.robot_files import AnyRobot, robot_section
+from stewart_drake.robot.robot_scale import PAPER, fill, without_own
+from stewart_drake.safety import SafetyOptions
+from stewart_drake.sampling import steps_per
 
 __all__ = ["AnnTuner", "BlockTuner", "FixedTuner", "IdealSensors", "Scenario", "load_scenario", "scenario_schema"]
 
@@ -59,9 +58,7 @@ MAX_STEPS = 10**9
 
 
 class Scenario(Section):
-    """Everything that one run depends on.
-
-    `Scenario(...)` and `Scenario.from_dict` check the same rules; `load_scenario` reads a file.
+    """Everything that one run depends on; `load_scenario` reads a file.
 
     Raises:
         ConfigurationError: Names the key, the value and what is allowed.
@@ -113,8 +110,11 @@ class Scenario(Section):
     """[s] between log rows, a whole multiple of plant.time_step, at most duration; null takes controller.period."""
 
     @classmethod
-    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """See `Section.from_older`."""
+    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """With those defaults that come from the robot."""
+        for key, section in (("compiled", data), ("controller.compiled", data.get("controller"))):
+            if isinstance(section, Mapping) and "compiled" in section:
+                raise ConfigurationError(key, section["compiled"], "no such key: everything is compiled, remove it")
         data = _spelled(data)
         try:
             robot, believed = (_ROBOT.validate_python(data.get(key)) for key in ("robot", "model_robot"))
@@ -127,27 +127,19 @@ class Scenario(Section):
 
     @classmethod
     def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Scenario:
-        """See `Section.from_dict`.
-
-        Args:
-            data: Keys and values.
-            key: Goes before the key in messages.
-            trust_code: Trust the code that it names by import paths, now and whenever it is the same.
-        """
+        """See `Section.from_dict`; with `trust_code`, code that it names is trusted now and whenever it is the same."""
         with trusting_code(trust_code):
             return super().from_dict(data, key)
 
     def replace(self, changes: Mapping[str, Any]) -> Scenario:
         """A scenario with some keys changed, checked again.
 
-        Another `kind` of reference, tuner, sensors or controller drops the keys that only the old kind has. With
-        another `robot`, not with single keys of it, or another latency of the commands, what was but a default for the
-        old one is that for the new one.
+        Another `kind` drops the keys that only the old kind has. With another `robot`, not with single keys of it, or
+        another latency of the commands, what was but a default for the old one is that for the new one.
 
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
-                `initial_offset[5]` or `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`,
-                or is a class or an object.
+                `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
 
         Raises:
             ConfigurationError: As for the class.
@@ -247,17 +239,18 @@ class Scenario(Section):
             raise ConfigurationError("link.late_steps", self.link.late_steps, f"at most one control period, {steps}")
         if self.safety is not None:
             self.safety.check_against(self.believed_robot, self.controller.period)
-        if self.duration > MAX_STEPS * self.plant.time_step * (1.0 + 1e-9):
-            allowed = f"at most {MAX_STEPS * self.plant.time_step:g} s, which are 1e9 steps of the plant"
+        largest = MAX_STEPS * self.plant.time_step
+        if self.duration > largest * (1.0 + 1e-9):
+            raise ConfigurationError(
+                "duration", self.duration, f"at most {largest:g} s, which are 1e9 steps of the plant"
+            )
+        if self.duration < self.controller.period:
+            allowed = f"at least one control period, {self.controller.period:g} s"
             raise ConfigurationError("duration", self.duration, allowed)
         if self.log_period is not None:
             steps_per("log_period", self.log_period, self.plant.time_step)
-        if self.duration < self.controller.period:
-            raise ConfigurationError(
-                "duration", self.duration, f"at least one control period, {self.controller.period:g} s"
-            )
-        if self.log_period is not None and self.log_period > self.duration:
-            raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
+            if self.log_period > self.duration:
+                raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
@@ -266,9 +259,8 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
     Args:
         path: YAML file; `weights_file`, `motion_file` and files with code in it are relative to its folder. A bare name
             such as `paper_fig7` is looked up among the scenarios of the package.
-        overrides: `key=value` texts, keys dotted, values as YAML; for files among them the current folder is what for
-            others is the folder of the YAML file. Another `kind` of reference, tuner, sensors or controller drops the
-            keys that only the old kind has. Components of lists come last, see `Scenario.replace`.
+        overrides: `key=value` texts, keys dotted, values as YAML, see `Scenario.replace`; files among them are relative
+            to the current folder.
         trust_code: Trust the code that is named in it, and in `overrides`, now and whenever it is the same.
 
     Raises:
@@ -295,8 +287,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = (), trust_code: b
 
 
 def _spelled(data: dict[str, Any]) -> dict[str, Any]:
-    """Keys of a scenario as of now, sections of a family in full, see `Family.spelled`."""
-    data = without_compiled(data)
+    """A scenario with sections of a family in full, see `Family.spelled`."""
     return {key: _FAMILIES[key].spelled(value) if key in _FAMILIES else value for key, value in data.items()}
 
 
@@ -324,8 +315,6 @@ _FAMILIES: Mapping[str, Family] = {
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 _BELIEVED = {"controller", "tuner", "sensors", "safety"}
 """Sections that go by the robot as believed."""
-
-
 _OF_LATENCY = ("command_delay", "controller", "controller.period", "estimator", "estimator.kind", "estimator.delay")
 
 
@@ -366,9 +355,6 @@ _PARTS = {"parts": REFERENCES, "motion": REFERENCES}
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    if key in ("compiled", "controller.compiled"):
-        warn_of_compiled()
-        return
     *parents, last = key.split(".")
     if not parents:
         data.update(_own(_spelled({key: value})))

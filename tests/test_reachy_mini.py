@@ -159,7 +159,7 @@ def test_each_bad_command_is_named_by_the_limits_too():
     finite = np.isfinite(poses).all(axis=-1)
     assert (finite == (kinds != "not_finite")).all()
     for pose in poses[~finite][:100]:
-        with pytest.raises(ConfigurationError, match=r"pose: got .* finite"):
+        with pytest.raises(ConfigurationError, match=r"pose: expected .*finite"):
             inverse_kinematics(ROBOT, pose)
     still = np.zeros_like(poses[finite])
     margins = limit_margins(ROBOT, Limits(clearance=None), poses[finite], still, still, STANDARD_GRAVITY)

@@ -9,6 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from stewart_drake.config import keys_of
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.network import default_network_path, load_network
@@ -25,7 +26,6 @@ from stewart_drake.scenario import (
     load_scenario,
     scenario_schema,
 )
-from stewart_drake.wording import keys_of
 
 KEYS_OF_ALL = keys_of(Scenario)
 SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))

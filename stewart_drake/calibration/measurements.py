@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.calibration.frames import Frame
+from stewart_drake.config import Positive, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.tables import column_name, numbers_to_csv, read_numbers
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot.leg import LEGS
-from stewart_drake.section import Positive, Section
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
 _FARTHEST = 1e6

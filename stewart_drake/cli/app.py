@@ -218,7 +218,7 @@ def _lost_output(error: OSError) -> int:
     drop_output(sys.stdout)
     if error.errno == errno.EPIPE:
         return 0
-    return _tell(f"standard output: got {error.strerror}; allowed: one that can be written", EXIT_BAD_INPUT)
+    return _tell(f"standard output: expected one that can be written, got {error.strerror}", EXIT_BAD_INPUT)
 
 
 def _tell(text: str, status: int) -> int:

@@ -23,7 +23,7 @@ class OutPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """As `click.Path`."""
         if value == "":
-            self.fail("got an empty text; allowed: a path", param, ctx)
+            self.fail("expected a path, got an empty text", param, ctx)
         return super().convert(value, param, ctx)
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stewart_drake.config import Fraction, Positive, Section
 from stewart_drake.errors import NotFiniteError, RiccatiError, RunFailure, SingularPoseError, UnreachablePoseError
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
@@ -26,7 +27,6 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.part import Part, Setup
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import times
-from stewart_drake.section import Fraction, Positive, Section
 
 # --- options ---------------------------------------------------------------------------------------------------------
 

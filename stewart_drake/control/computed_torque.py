@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import NotNegative, Positive
 from stewart_drake.control.base import (
     FREQUENCY,
     TORQUE,
@@ -19,7 +20,6 @@ from stewart_drake.mechanics.dynamics_laws import motion_torque
 from stewart_drake.mechanics.kinematics_laws import LEGS, NOT_FINITE, OK, PARALLEL, robot_record
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import NotNegative, Positive
 
 
 class ComputedTorqueOptions(OwnControllerOptions):

@@ -6,9 +6,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import Window, check_value
 from stewart_drake.jit import fields, new_record, njit
 from stewart_drake.part import Part
-from stewart_drake.section import Window, check_value
 
 DensityKind = Literal["magnitude", "signed"]
 

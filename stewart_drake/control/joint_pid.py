@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import NotNegative, Positive
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -32,7 +33,6 @@ from stewart_drake.mechanics.kinematics_laws import (
 )
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import NotNegative, Positive
 
 
 class PidOptions(OwnControllerOptions):

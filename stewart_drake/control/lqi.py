@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Flag, Natural, Positive, PositivePair
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
@@ -48,7 +49,6 @@ from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
-from stewart_drake.section import Flag, Natural, Positive, PositivePair
 
 Feedforward = Literal["none", "gravity", "platform", "full"]
 NONE, GRAVITY, PLATFORM, FULL = range(4)

@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from stewart_drake.config import Real, Window, check_value
 from stewart_drake.control.base import all_finite
 from stewart_drake.control.density import DensityKind
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part
-from stewart_drake.section import Real, Window, check_value
 
 INPUTS, HIDDEN, OUTPUTS = 12, 10, 2
 FORMAT, VERSION = "stewart-drake tuner", 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stewart_drake.section import Positive, Section
+from stewart_drake.config import Positive, Section
 
 
 class CostScales(Section, key="cost"):

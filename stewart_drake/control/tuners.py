@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import NotNegative, Positive, Real, Section, Text, Window
 from stewart_drake.control.base import INTEGRAL_WEIGHT, POSE_WEIGHT, RATE_WEIGHT
 from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.network import (
@@ -30,7 +31,6 @@ from stewart_drake.control.policy import (
 )
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.part import Part
-from stewart_drake.section import NotNegative, Positive, Real, Section, Text, Window
 
 Decades = Annotated[Real, Field(ge=-3.0, le=3.0)]
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Positive
 from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.families import UserMade, user_parts
@@ -16,7 +17,6 @@ from stewart_drake.files.code_path import UserCodePath
 from stewart_drake.files.user_errors import ControllerError, UserCode
 from stewart_drake.jit import fields, new_record
 from stewart_drake.part import Part, Setup
-from stewart_drake.section import Positive
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
 FUNCTION_STATE = fields(torque=6, error=6, integral=6, health=2)

@@ -16,16 +16,16 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from stewart_drake.config import as_problem
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.files.code_trust import is_shipped, is_trusted, may_be_named
 from stewart_drake.files.user_errors import describe
 from stewart_drake.files.whole import digest, read_checked
-from stewart_drake.wording import as_problem
 
 MAX_BYTES = 1_000_000
 """Of a file with a class."""
@@ -215,11 +215,11 @@ class CodePath(os.PathLike[str]):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"type": "string", "pattern": CLASS_PATH}
+        return {"type": "string", "pattern": CLASS_PATH, "$comment": CLASS_WORDS}
 
 
-UserCodePath = Annotated[CodePath, CLASS_WORDS]
-"""Type of a key; the text is what messages call it."""
+UserCodePath = CodePath
+"""Type of a key."""
 
 
 def path_of(given: Any) -> str:

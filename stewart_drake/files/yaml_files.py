@@ -14,6 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
 from ruamel.yaml.representer import SafeRepresenter
 
+from stewart_drake.config import meant
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, read_checked
 
@@ -38,8 +39,9 @@ def find_file(kind: str, name: str | Path) -> Path:
             return shipped
     except OSError as error:
         raise ConfigurationError(what, str(name), f"a path that can be read ({error.strerror})") from None
-    known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
-    raise ConfigurationError(what, str(name), f"an existing file, or one of {known}")
+    known = sorted(p.stem for p in folder.glob("*.yaml"))
+    hint = meant(str(name), known)
+    raise ConfigurationError(what, str(name), f"an existing file, or one of {', '.join(known)}{hint}")
 
 
 def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:

@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Natural, NotNegative, Section, Seed, Share
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.hardware.faults import CommandFault, Signal, tick_numbers
 from stewart_drake.jit import fields, new_record
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Natural, NotNegative, Section, Seed, Share
 
 _STREAM = 3
 

@@ -12,10 +12,10 @@ from typing import Annotated, Literal, Protocol
 
 import numpy as np
 
+from stewart_drake.config import NotNegative, Positive, Real, Section, Seed, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.registry import DISTURBANCES
-from stewart_drake.section import NotNegative, Positive, Real, Section, Seed, Vector6
 
 _SINES = 64
 """Enough that the sum passes for noise: near-normal, and it repeats after hours. Assumed."""

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from stewart_drake.config import Section
 from stewart_drake.errors import (
     AssemblyModeError,
     ForwardKinematicsError,
@@ -34,7 +35,6 @@ from stewart_drake.mechanics.kinematics_laws import (
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Section
 
 TOLERANCE = 1e-12
 """[m] rod-length error at which Newton's method stops."""

@@ -14,11 +14,10 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import LegNumber, NotNegative, Positive, Real, Section, Text, describe, either
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Table
 from stewart_drake.registry import COMMAND_FAULTS, ENCODER_FAULTS, MOTOR_FAULTS, POSE_FAULTS
-from stewart_drake.section import LegNumber, NotNegative, Positive, Real, Section, Text
-from stewart_drake.wording import describe, either
 
 _BLOCK = 1024
 

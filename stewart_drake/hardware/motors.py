@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import LegNumber, Natural, NotNegative, Positive, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.faults import MotorFault, Signal
 from stewart_drake.jit import fields, new_record, njit, record
@@ -19,7 +20,6 @@ from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.friction_options import FrictionOptions
 from stewart_drake.robot.leg import SMALLEST
-from stewart_drake.section import LegNumber, Natural, NotNegative, Positive, Section
 
 
 class DeadMotor(Section, key="motors.dead"):

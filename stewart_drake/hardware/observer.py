@@ -22,6 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Natural, Positive
 from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePoseError, pose_text
 from stewart_drake.hardware.estimator import EstimatorOptions, difference_part, singular_pose
 from stewart_drake.hardware.sensors import EncoderOptions
@@ -45,7 +46,6 @@ from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.mechanics.spectral import spectral_factor
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Natural, Positive
 
 SMALLEST_NOISE = 1e-5
 """[rad] that readings have at least for the observer: finer than that no model is."""

@@ -10,12 +10,12 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part, Setup
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.section import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
 
 _STREAM = 1
 """Of random numbers, see `faults.tick_numbers`."""

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import keys_of
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.families import UserMade
 from stewart_drake.files.code_path import source_of
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.logs.rows import RunRows
-from stewart_drake.wording import keys_of
 
 if TYPE_CHECKING:
     from stewart_drake.scenario import Scenario

@@ -15,11 +15,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Positive, Section
 from stewart_drake.planning.measures import home_record, measure_motion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.section import Positive, Section
 
 Ratio = Annotated[Positive, Field(le=1.0)]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.config import Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.planning.limits import Limits
 from stewart_drake.planning.workspace import (
@@ -24,7 +25,6 @@ from stewart_drake.planning.workspace import (
 )
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.section import Vector6
 
 KINDS: tuple[Kind, Kind] = ("position", "orientation")
 OTHER_CENTERS: tuple[tuple[Kind, str, Vector6], ...] = (

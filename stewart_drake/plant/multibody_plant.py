@@ -25,6 +25,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
 
+from stewart_drake.config import LegNumber, check_value, is_finite
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.motor_friction import Relax, add_friction_actuators, wire_friction
@@ -34,7 +35,6 @@ from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 from stewart_drake.sampling import on_grid
-from stewart_drake.section import LegNumber, check_value, is_finite
 
 
 class StewartPlant(StateMap):

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import check_value
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import PACKAGE, write_atomically
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST, LEGS
-from stewart_drake.section import check_value
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
+from stewart_drake.config import Vector6
 from stewart_drake.sampling import InBlocks
-from stewart_drake.section import Vector6
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Positive, Section, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, smoothstep
 from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
-from stewart_drake.section import Positive, Section, Vector6
 
 
 class HoldReference(Section, key="reference"):

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Real, Section, Vector6
 from stewart_drake.references.base import Reference, smoothstep
 from stewart_drake.registry import REFERENCES
-from stewart_drake.section import Real, Section, Vector6
 
 Motion = Annotated[Reference, REFERENCES.but("sum", "adjusted")]
 Scale = Annotated[Real, Field(ge=0.0, le=1e6)]

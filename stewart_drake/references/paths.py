@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import NotNegative, Positive, Section, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import smoothstep
-from stewart_drake.section import NotNegative, Positive, Section, Vector6
 
 
 class MinimumJerkReference(Section, key="reference"):

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Positive, Real, Section, Text
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.tables import read_numbers
 from stewart_drake.sampling import unwrapped
-from stewart_drake.section import Positive, Real, Section, Text
 
 QUANTITIES = (
     ("time", "s"),

@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, smoothstep
 from stewart_drake.robot.robot_scale import HOME_POSE
-from stewart_drake.section import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
 
 _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""

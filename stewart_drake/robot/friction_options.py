@@ -7,10 +7,9 @@ from typing import Annotated, Any
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from stewart_drake.config import NotNegative, Section, as_problem, check_value
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot.leg import LARGEST, LEGS, Size
-from stewart_drake.section import NotNegative, Section, check_value
-from stewart_drake.wording import as_problem
 
 Moderate = Annotated[NotNegative, Field(le=LARGEST)]
 SixNumbers = tuple[float, float, float, float, float, float]

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from stewart_drake.config import Real, Section, plain
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Real, Section, plain
 
 LEGS = 6
 SMALLEST, LARGEST = 1e-12, 1e6

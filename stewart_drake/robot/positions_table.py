@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from stewart_drake.config import check_value
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import read_checked
 from stewart_drake.robot.leg import LEGS, Signed3, Size, crank_equation
 from stewart_drake.robot.robot_checks import check_order, wrapped
-from stewart_drake.section import check_value
 
 Unit = Literal["m", "mm"]
 Cranks = Literal["outwards", "towards", "away"]

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from stewart_drake.config import as_problem
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
 from stewart_drake.robot.robot_parameters import RobotParameters
-from stewart_drake.wording import as_problem
 
 _ABOUT = ("name", "about")
 """Keys that a file has beside those of the robot: texts for people."""

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import NotNegative, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
 from stewart_drake.robot.positions_table import Cranks, Unit, from_table
 from stewart_drake.robot.robot_checks import check_geometry
-from stewart_drake.section import NotNegative, Section
 
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from stewart_drake.config import Section, to_plain
 from stewart_drake.families import Family, given_again
 from stewart_drake.robot.robot_parameters import RobotParameters
-from stewart_drake.section import Section, to_plain
 
 PAPER = RobotParameters()
 LATENCY = 0.005
@@ -42,7 +42,9 @@ def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slowe
     """
 
     def value(default: Any, robot: RobotParameters) -> Any:
-        # Of the paper's robot this is 1 to the last bit.
+        if robot == PAPER:
+            # It would be 1 to the last bit; a scenario is read without compiling a law.
+            return default
         scale = (measure(robot) / measure(PAPER)) ** power
         if not isinstance(default, tuple):
             return default * scale

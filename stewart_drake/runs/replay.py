@@ -19,13 +19,13 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 
+from stewart_drake.config import Positive, check_value
 from stewart_drake.errors import ConfigurationError, drake_guard
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import add_plant
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.robot import RobotParameters
-from stewart_drake.section import Positive, check_value
 
 MAX_FRAMES = 9000
 """A longer recording gets fewer frames a second: at some 2 kB a frame, a browser opens no more than this with ease."""

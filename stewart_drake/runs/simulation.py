@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stewart_drake.config import to_plain
 from stewart_drake.control.base import checked_legs
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import (
@@ -35,7 +36,6 @@ from stewart_drake.runs.motion_fit import motion_report
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
-from stewart_drake.section import to_plain
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat

@@ -12,7 +12,6 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.errors import OlderFileWarning
 from stewart_drake.logs.metric_table import metrics_of
 from stewart_drake.logs.outcomes import told
 
@@ -94,13 +93,7 @@ def quiet_libraries() -> Iterator[None]:
     with np.errstate(all="ignore"), warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
-            warnings.simplefilter("once", OlderFileWarning)
-            warnings.showwarning = _show_note
         yield
-
-
-def _show_note(message: Warning | str, *_: Any, **__: Any) -> None:
-    console(stderr=True).print(f"note: {message}", highlight=False)
 
 
 def console(stderr: bool = False) -> Any:

@@ -9,12 +9,12 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import UserMade
 from stewart_drake.registry import OWN_MONITORS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
-from stewart_drake.section import Flag, Fraction, Natural, NotNegative, Positive, PositivePair, Real, Section
 
 MONITORS = (
     "none",

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.hardware.motors import holdable_load
@@ -24,7 +25,6 @@ from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP, SafetyOptions
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import Flag, NotNegative, Section, Text, Vector6
 from stewart_drake.studies.robots import sized
 from stewart_drake.studies.runs import Measure, Row, RunFunction, execute, measure, simulate, simulate_unchecked
 from stewart_drake.studies.study import Study, StudyTable, flat, markdown, run_study
@@ -84,7 +84,7 @@ class Fault(Section):
     and the robot take to show it."""
 
     @classmethod
-    def from_older(cls, data: dict[str, Any]) -> dict[str, Any]:
+    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
         """The file has a name for the time `within`."""
         return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
 

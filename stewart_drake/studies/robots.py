@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.config import to_plain
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
@@ -21,7 +22,6 @@ from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.motion_fit import fit_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import to_plain
 from stewart_drake.studies.study import markdown
 
 ROOM = 0.7

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from pydantic import Field
 
+from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import refuse_given, user_parts
 from stewart_drake.files.code_path import CodePath
@@ -24,7 +25,6 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import told
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario, load_scenario
-from stewart_drake.section import NAME, NAME_WORDS, Section, Text
 from stewart_drake.studies.runs import KeptRuns, Measure, Row, RunFunction, Task, identity, measure, simulate
 from stewart_drake.studies.workers import Workers
 

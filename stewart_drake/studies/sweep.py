@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import Family, refuse_given
 from stewart_drake.files.code_trust import trusting_code
@@ -27,11 +28,9 @@ from stewart_drake.logs.metric_table import Column, ValueKind
 from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.outcomes import told
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import Count, Flag, Positive, Real, Section, Seed, Text, check_plain
 from stewart_drake.studies.runs import Row, RunFunction
 from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, StudyTable, flat, run_study, vary
 from stewart_drake.studies.workers import Workers
-from stewart_drake.wording import shown
 
 MAX_RUNS = 1_000_000
 LARGEST = 1e100

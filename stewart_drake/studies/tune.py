@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.config import is_finite
 from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
@@ -22,7 +23,6 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import collect_versions
-from stewart_drake.section import is_finite
 from stewart_drake.studies.comparison import Comparison, TuneOptions
 from stewart_drake.studies.comparison_table import ComparisonResult, Sheet, number, run_comparison
 from stewart_drake.studies.runs import KeptRuns, Row, Task, outcome, simulate_unchecked

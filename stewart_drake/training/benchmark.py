@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.config import Real, Section, Text
 from stewart_drake.control.objective import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import PACKAGE, checksum
@@ -19,7 +20,6 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
-from stewart_drake.section import Real, Section, Text
 from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.situations import ROBOTS, Changes, kinds_of, situation

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.config import Vector6
 from stewart_drake.control.density import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
@@ -17,7 +18,6 @@ from stewart_drake.planning.limits import Limits
 from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
-from stewart_drake.section import Vector6
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_jobs
 from stewart_drake.training.dataset import Dataset

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from pydantic import Field
 
+from stewart_drake.config import Fraction, Positive, Section, Seed, Window
 from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.section import Fraction, Positive, Section, Seed, Window
 from stewart_drake.training.dataset import Dataset
 
 Split = Literal["samples", "runs"]

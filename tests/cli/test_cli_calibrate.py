@@ -38,9 +38,9 @@ def test_from_a_plan_to_a_robot(call, tmp_path):
     [
         (("--robot", "paper"), "either POSES or --plan N"),
         (("poses.csv", "--robot", "paper"), "No such file"),
-        (("--plan", "5", "--robot", "paper"), "--plan: got 5; allowed: a number of poses from 12"),
+        (("--plan", "5", "--robot", "paper"), "--plan: expected a number of poses from 12"),
         (("--plan", "60", "--robot", "nobody"), "robot"),
-        (("poses.csv", "--robot", "paper", "--position-noise", "0"), "noise.position: got 0"),
+        (("poses.csv", "--robot", "paper", "--position-noise", "0"), "noise.position: expected "),
         (("poses.csv", "--robot", "paper", "--set", "limits.reach=0.9"), "--set changes limits"),
     ],
 )

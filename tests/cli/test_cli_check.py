@@ -57,7 +57,7 @@ BEYOND = {
 def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path, command, reference, said):
     status, _, err = call(command, "hold", "--set", f"reference={reference}", "--set", "duration=1")
     assert (status, err.count("\n")) == (2, 1)
-    assert all(words in err for words in ("reference: got", "within half a turn", *said.split(", ")))
+    assert all(words in err for words in ("reference: expected ", "within half a turn", *said.split(", ")))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -65,7 +65,7 @@ def test_a_pose_beyond_half_a_turn_is_refused_with_what_was_meant(call, tmp_path
 def test_a_start_beyond_half_a_turn_is_refused(call, command):
     status, _, err = call(command, "hold", "--set", "initial_offset=[0, 0, 12.5664, 0, 0, 0]", "--set", "duration=1")
     assert status == 2
-    assert "initial_offset: got 'yaw 12.57 rad" in err
+    assert "initial_offset: expected " in err
     assert "720 deg: 0 is the same orientation" in err
 
 

@@ -65,9 +65,9 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
 def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
     for args, why in (
-        (("tune", "mine.yaml", "--controller", "strong"), "--controller: got 'strong'; allowed: one of weak"),
-        (("tune", "mine.yaml", "--budget", 3), "--budget: got 3; allowed: at least 5"),
-        (("tune", "tracking"), "tune: got None; allowed: a section"),
+        (("tune", "mine.yaml", "--controller", "strong"), "--controller: expected one of weak"),
+        (("tune", "mine.yaml", "--budget", 3), "--budget: expected at least 5"),
+        (("tune", "tracking"), "tune: expected a section"),
     ):
         status, out, err = call(*args)
         assert (status, out) == (2, "")

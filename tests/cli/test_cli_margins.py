@@ -47,10 +47,10 @@ def test_another_robot_has_a_box_of_its_size(margins, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--set", f"controller={{kind: '{PD}'}}"), "controller.kind: got 'python'; allowed: lqi, pid or"),
+        (("--set", f"controller={{kind: '{PD}'}}"), "controller.kind: expected lqi, pid or"),
         (("--set", "controller={kind: 'psutil:Popen'}"), "say --trust-code"),
         (("no_such_scenario",), "no_such_scenario"),
-        (("--set", "tuner.q_pose=-1"), "tuner.q_pose: got -1"),
+        (("--set", "tuner.q_pose=-1"), "tuner.q_pose: expected "),
         (("--poses", "0"), "--poses"),
     ],
 )

@@ -90,19 +90,19 @@ BAD = [
     ("class Mine: pass\n", "a LeafSystem of pydrake"),
     (GOOD.replace("self.scale = scale", "raise ZeroDivisionError('no')"), "ZeroDivisionError: no"),
     (GOOD.replace("scale=1.0", "needed"), "missing a required argument|missing 1 required"),
-    (GOOD.replace('"measurement", 12', '"measured", 12'), "input port measurement (12,); it has no such port"),
-    (GOOD.replace('"torque", 6', '"torque", 3'), "output port torque (6,); its own is (3,)"),
+    (GOOD.replace('"measurement", 12', '"measured", 12'), "input port measurement (12,)"),
+    (GOOD.replace('"torque", 6', '"torque", 3'), "output port torque (6,)"),
     (
         GOOD.replace('DeclareVectorInputPort("reference", 18)', 'DeclareAbstractInputPort("reference", Value(""))'),
         "its own is abstract",
     ),
     (
         GOOD.replace('"reference", 18)\n', '"reference", 18)\n        self.DeclareVectorInputPort("weights", 3)\n'),
-        "input port weights (2,); its own is (3,)",
+        "input port weights (2,)",
     ),
     (
         GOOD.replace("    def calc", '        self.DeclareVectorOutputPort("error", 6, self.calc)\n\n    def calc'),
-        "output port integral (6,); it has no such port",
+        "output port integral (6,)",
     ),
 ]  # fmt: skip
 

@@ -115,7 +115,7 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
 
 
 def test_a_prediction_beyond_what_it_can_say_is_refused():
-    with pytest.raises(ConfigurationError, match=r"command_delay: got 61; allowed: at most 60 ticks"):
+    with pytest.raises(ConfigurationError, match=r"command_delay: expected at most 60 ticks"):
         observer_part(ROBOT, OPTIONS, GRAVITY, 0.005, NOISE, HOME, STILL, STILL, command_delay=61)
 
 

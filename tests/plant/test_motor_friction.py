@@ -76,8 +76,8 @@ def test_the_closed_chain_with_the_same_friction_sticks_and_slips_alike(robot):
 @pytest.mark.parametrize(
     ("plant", "line"),
     [
-        ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: got 0.05; allowed: at least"),
-        ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: got 0.1; allowed: 0 where `friction`"),
+        ({"friction": {"coulomb": 0.1, "break_away": 0.05}}, "plant.friction.break_away: expected at least"),
+        ({"friction": {}, "motor_friction": 0.1}, "plant.motor_friction: expected 0 where `friction`"),
         ({"friction": {"stribeck": 0.1}}, "plant.friction.stribeck: .*did you mean stribeck_velocity"),
     ],
 )

@@ -173,7 +173,7 @@ def test_what_cannot_be_assembled_is_refused():
     with pytest.raises(ConfigurationError, match="a leg from 0 to 5"):
         stewart.break_rod(diagram.CreateDefaultContext(), 6)
     limit = platform_damping_limit(ROBOT, PlantOptions())
-    with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: got .*; allowed: at most"):
+    with pytest.raises(ConfigurationError, match=r"plant\.platform_joint_damping: expected at most"):
         built(platform_joint_damping=1.01 * limit)
     other, _ = built("ball")
     with pytest.raises(DrakeCheckError, match="setting the plant's state"):
@@ -290,7 +290,7 @@ def test_only_what_a_joint_holds_together_is_filtered():
 
 @pytest.mark.parametrize("gravity", [-9.81, "earth"])
 def test_bad_gravity_is_refused_by_name(gravity):
-    with pytest.raises(ConfigurationError, match="gravity: got "):
+    with pytest.raises(ConfigurationError, match=r"gravity: expected .*got "):
         build_plant(ROBOT, gravity=gravity)
 
 

@@ -88,7 +88,7 @@ def test_degrees_are_no_turns(tmp_path):
     path = save(table(yaw=45.0 + 5.0 * TIMES), tmp_path / "motion.csv")
     np.testing.assert_array_equal(load_recording(path)[:, 3], 45.0 + 5.0 * TIMES)
     degrees = Scenario(reference=reference(path), duration=1.0)
-    with pytest.raises(ConfigurationError, match=r"yaw 50 rad at t = 1.000 s.*did you mean 0.873\?"):
+    with pytest.raises(ConfigurationError, match=r"did you mean 0.873\?.*yaw 50 rad at t = 1.000 s"):
         check_scenario(degrees)
 
 
@@ -143,14 +143,14 @@ def changed(name, row, value):
 
 
 BAD = {
-    "missing column": (lambda: table().drop_columns(["yaw"]), "column of pose_yaw: got 'none among time, roll"),
-    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "column of pose_z: got 'none among"),
-    "nan": (lambda: changed("x", 4, math.nan), "pose_x: got 'nan in row 5'; allowed: finite numbers"),
-    "infinite": (lambda: changed("roll", 4, math.inf), "pose_roll: got 'inf in row 5'"),
-    "empty cell": (lambda: changed("z", 0, None), "pose_z: got 'nan in row 1'"),
-    "time stands": (lambda: changed("time", 3, 0.04), "time: got '0.04 after 0.04 in row 4'; allowed: ascending"),
+    "missing column": (lambda: table().drop_columns(["yaw"]), "got 'none among time, roll"),
+    "misspelt column": (lambda: table().rename_columns([*COLUMNS[:6], "Z"]), "got 'none among"),
+    "nan": (lambda: changed("x", 4, math.nan), "pose_x: expected finite numbers"),
+    "infinite": (lambda: changed("roll", 4, math.inf), "got 'inf in row 5'"),
+    "empty cell": (lambda: changed("z", 0, None), "got 'nan in row 1'"),
+    "time stands": (lambda: changed("time", 3, 0.04), "time: expected ascending"),
     "time goes back": (lambda: changed("time", 150, 0.0), "'0 after 2.98 in row 151'"),
-    "three rows": (lambda: table(TIMES[:3]), "got '3 rows'; allowed: at least 4 rows"),
+    "three rows": (lambda: table(TIMES[:3]), "expected at least 4 rows"),
     "no rows": (lambda: table(TIMES[:0]), "got '0 rows'"),
     "words": (lambda: table(pitch=["a"] * 151), "a table of numbers"),
 }
@@ -173,8 +173,8 @@ def test_a_recording_that_cannot_be_used_is_one_clear_line(tmp_path, rows, suffi
     [
         ("motion.csv", None, "No such file"),
         ("motion.csv", b"", "no columns"),
-        ("motion.csv", b"\xff\xfe\x00", "allowed"),
-        ("motion.csv", b"time,roll\n1,2,3\n", "column of pose_pitch: got 'none among"),
+        ("motion.csv", b"\xff\xfe\x00", "expected a table"),
+        ("motion.csv", b"time,roll\n1,2,3\n", "got 'none among"),
         ("motion.parquet", b"time,roll\n1,2\n", "a table of numbers"),
         ("motion.parquet", b"", "a table of numbers"),
         ("motion.txt", b"", "ends in .csv or .parquet"),
@@ -196,7 +196,7 @@ def test_a_folder_and_a_twofold_column_are_refused(tmp_path):
         load_recording(tmp_path / "folder.csv")
     twice = ",".join((*COLUMNS, "x")) + "\n" + "0,0,0,0,0,0,0,0\n" * 5
     (tmp_path / "twice.csv").write_text(twice)
-    with pytest.raises(ConfigurationError, match="column of pose_x: got 'x, x'"):
+    with pytest.raises(ConfigurationError, match="got 'x, x'"):
         load_recording(tmp_path / "twice.csv")
 
 

@@ -532,7 +532,7 @@ def test_a_motion_that_keeps_to_a_limit_but_not_where_the_layer_looks_ahead_is_r
     time = np.linspace(0.0, 1.0, 101)
     end = {"workspace": at(x=0.11), "transmission": at(z=-0.1), "conditioning": at(pitch=-1.0)}[limit] - HOME
     motion = HOME + time[:, None] * end, np.tile(end, (101, 1)), np.zeros((101, 6))
-    with pytest.raises(ConfigurationError, match=r"safety\.horizon: got 0\.2; .*t = 0\.[89]"):
+    with pytest.raises(ConfigurationError, match=r"safety\.horizon: .*t = 0\.[89]"):
         refuse_motion(ROBOT, options, STANDARD_GRAVITY, time, motion)
     short = dataclasses.replace(options, horizon=0.0)
     refuse_motion(ROBOT, short, STANDARD_GRAVITY, time, motion)

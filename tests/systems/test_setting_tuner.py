@@ -34,5 +34,5 @@ def test_a_schedule_of_one_setting_is_that_setting(engine):
 
 
 def test_it_needs_an_observer():
-    with pytest.raises(ConfigurationError, match=r"estimator\.kind.*difference.*observer, for tuner\.kind schedule"):
+    with pytest.raises(ConfigurationError, match=r"estimator\.kind: .*observer, for tuner\.kind schedule"):
         loop("drake", tuner={"kind": "schedule"}, estimator={"kind": "difference"})

@@ -1,24 +1,21 @@
+"""Sections: what each field refuses and how it says so, kinds and families, and the JSON schema of all that."""
+
+import copy
 import dataclasses
 import math
 import pickle
 import re
 from typing import Annotated, Literal, get_args, get_origin
 
+import jsonschema
 import numpy as np
 import pytest
 from conftest import field_of
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import Field
 
-from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family
-from stewart_drake.files.code_trust import code_rule
-from stewart_drake.hardware.disturbances import UserDisturbance
-from stewart_drake.references.user_reference import UserReference
-from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
-from stewart_drake.robot.friction_options import FrictionOptions
-from stewart_drake.safety import SafetyOptions
-from stewart_drake.scenario import Scenario
-from stewart_drake.section import (
+from stewart_drake.config import (
     MAX_SEED,
     Count,
     Flag,
@@ -34,9 +31,17 @@ from stewart_drake.section import (
     Share,
     Text,
     check_value,
+    describe,
 )
-from stewart_drake.wording import describe
+from stewart_drake.errors import ConfigurationError
+from stewart_drake.families import Family
+from stewart_drake.files.code_trust import code_rule
+from stewart_drake.hardware.disturbances import UserDisturbance
+from stewart_drake.references.user_reference import UserReference
+from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
+from stewart_drake.scenario import FixedTuner, Scenario, load_scenario, scenario_schema
 
+VALIDATOR = jsonschema.Draft202012Validator(scenario_schema())
 NEEDED = {
     "sine_bursts": {"frequency": (1.0,), "amplitude": ((0.0,) * 6,)},
     "minimum_jerk": {"poses": ((0.0,) * 6,) * 2, "durations": (1.0,)},
@@ -153,125 +158,6 @@ def test_no_field_takes_junk_unless_it_says_so():
     assert taken["true"] == booleans
 
 
-# What the fields take, stated a second time: a bound that is lost or moved shows here.
-SIGNED = {
-    *("BreathingReference.phase", "CommandFault.size", "EncoderFault.size", "LegParameters.branch"),
-    "PolicyTuner.kappa",
-    *("RobotParameters.branch", "RobotParameters.crank_plane_angle", "SineWrench.phase"),
-}
-ZERO = set(
-    re.findall(
-        r"\S+",
-        """
-        AdjustedReference.fade_in AdjustedReference.scale BreathingReference.phase BrokenRod.leg BrokenRod.time
-        CommandFault.leg CommandFault.size CommandFault.time ComputedTorqueOptions.integral_frequency
-        DeadMotor.leg DeadMotor.time EncoderFault.leg EncoderFault.size EncoderFault.time
-        EncoderOptions.hold_ticks EncoderOptions.noise EncoderOptions.noise_seed EncoderOptions.resolution_bits
-        FrictionCompensation.break_away FrictionCompensation.coulomb FrictionCompensation.viscous
-        FrictionOptions.break_away FrictionOptions.coulomb FrictionOptions.viscous
-        HeartbeatReference.prematurity HeartbeatReference.respiratory_variation HeartbeatReference.seed
-        HeartbeatReference.slow_variation ImpulseWrench.time LinkOptions.drop_probability PolicyTuner.kappa
-        ScheduleTuner.hold
-        LinkOptions.late_probability LinkOptions.seed LinkOptions.stop_time LqiOptions.hold_ticks MotorFault.leg
-        MotorFault.time MotorOptions.resolution MotorOptions.ripple NoiseWrench.low NoiseWrench.seed
-        ObserverOptions.delay ObserverOptions.hold_ticks
-        PidOptions.kd PidOptions.ki PidOptions.kp PlantOptions.motor_damping PlantOptions.motor_friction
-        PlantOptions.payload_mass PlantOptions.platform_joint_damping PlantOptions.universal_damping
-        PoseFault.time RobotParameters.crank_plane_angle RobotParameters.rotor_inertia
-        RobotParameters.shaft_height SafetyOptions.damping SafetyOptions.deadline SafetyOptions.hold_ticks
-        SafetyOptions.hold_time SafetyOptions.horizon SafetyOptions.innovation_time SafetyOptions.torque_limit_time
-        SafetyOptions.torque_rate_time Scenario.command_delay Scenario.gravity SineWrench.phase StepWrench.time
-        TremorReference.seed
-        """,
-    )
-)
-LARGEST = {
-    **dict.fromkeys(
-        ("LinkOptions.drop_probability", "LinkOptions.late_probability", "SafetyOptions.torque_limit"), 1.0
-    ),
-    **dict.fromkeys(
-        ("Limits.reach", "Limits.conditioning", "Limits.transmission", "HeartbeatReference.slow_variation"), 1.0
-    ),
-    **dict.fromkeys((f"{kind}Options.hold_ticks" for kind in ("Lqi", "Encoder", "Observer")), 1000),
-    **dict.fromkeys((f"{kind}.window" for kind in ("FixedTuner", "AnnTuner", "BlockTuner", "PolicyTuner")), 100_000),
-    **dict.fromkeys((f"PlantOptions.{name}" for name in ("motor_damping", "motor_friction", "payload_mass")), 1e6),
-    **dict.fromkeys((f"AdjustedReference.{name}" for name in ("scale", "slowdown", "fade_in")), 1e6),
-    **dict.fromkeys((f"{fault}.leg" for fault in ("DeadMotor", "MotorFault", "EncoderFault", "CommandFault")), 5),
-    **{"Scenario.duration": 1e6, "Scenario.gravity": 1e6, "Scenario.command_delay": 100, "PlantOptions.time_step": 0.1},
-    **{"MotorOptions.ripple_periods": 10_000, "LinkOptions.late_steps": 100_000, "SafetyOptions.deadline": 1000},
-    **{"SafetyOptions.hold_ticks": 20, "SafetyOptions.hold_time": 0.03, "Limits.euler_pitch": math.pi / 2.0},
-    **{"Limits.joint_swing": math.pi, "BreathingReference.order": 3, "HeartbeatReference.prematurity": 0.7},
-    **{"RecordedReference.settle": 1e6, "LqiOptions.weight_length": 1e6, "EncoderOptions.resolution_bits": 40},
-    **{
-        "EncoderOptions.noise": 1e6,
-        "ObserverOptions.delay": 100,
-        "ObserverOptions.disturbance": 1e6,
-        "TremorReference.seed": MAX_SEED,
-        "BrokenRod.leg": 5,
-        "PolicyTuner.kappa": 1,
-    },
-}
-BELOW_ONE = {
-    *(
-        f"{kind}Options.{name}"
-        for kind in ("Lqi", "Pid", "ComputedTorque")
-        for name in ("min_transmission", "min_conditioning")
-    ),
-    *("SafetyOptions.transmission", "SafetyOptions.conditioning"),
-}
-
-
-def takes(section, name, value):
-    try:
-        dataclasses.replace(valid(section), **{name: value})
-    except ConfigurationError as error:
-        # A rule between fields names another field, or says so.
-        return field_of(error) != ".".join(filter(None, (section.section_key, name))) or "together" in error.allowed
-    return True
-
-
-def test_every_bound_is_where_it_was():
-    taken = {label: {f"{s.__name__}.{n}" for s, n in FIELDS if takes(s, n, x)} for label, x in (("-1", -1), ("0", 0))}
-    # Options whose rules name another field are let through by `takes`.
-    assert {each for each in taken["-1"] if each not in SIGNED} <= {"RobotParameters.shaft_height"}
-    assert taken["-1"] >= SIGNED
-    assert taken["0"] == ZERO
-    names = {f"{section.__name__}.{name}": (section, name) for section, name in FIELDS}
-    for label, most in LARGEST.items():
-        more = most + 1 if isinstance(most, int) else most * (1.0 + 1e-9)
-        assert not takes(*names[label], more), label
-        if label not in ("Scenario.duration", "SafetyOptions.deadline", "PlantOptions.time_step"):
-            assert takes(*names[label], most), label
-    assert not takes(*names["SafetyOptions.runaway"], 0.999)
-    assert takes(*names["SafetyOptions.runaway"], 1.0)
-    for label in BELOW_ONE:
-        assert takes(*names[label], 0.999), label
-        assert not takes(*names[label], 1.0), label
-        assert not takes(*names[label], 0.0), label
-
-
-@pytest.mark.parametrize(("section", "name"), FIELDS, ids=lambda x: x if isinstance(x, str) else x.__name__)
-def test_a_bad_entry_of_a_vector_is_named_with_its_place(section, name):
-    good = valid(section)
-    value = getattr(good, name)
-    if not (isinstance(value, tuple) and len(value) > 1 and all(isinstance(x, float) for x in value)):
-        return
-    key = ".".join(filter(None, (section.section_key, name)))
-    for junk in (math.nan, math.inf, "a", None, True, (1.0,)):
-        with pytest.raises(ConfigurationError) as caught:
-            dataclasses.replace(good, **{name: (*value[:-1], junk)})
-        assert caught.value.key == f"{key}.{len(value) - 1}"
-    if Ellipsis not in get_args(section.__pydantic_fields__[name].annotation):
-        for bad in (value[:-1], (*value, 0.0), 0.3, None, "six"):
-            if bad is None and type(None) in get_args(section.__pydantic_fields__[name].annotation):
-                continue
-            if bad == 0.3 and issubclass(section, FrictionOptions):  # one number for all motors
-                continue
-            with pytest.raises(ConfigurationError) as caught:
-                dataclasses.replace(good, **{name: bad})
-            assert field_of(caught.value) == key
-
-
 @pytest.mark.parametrize("section", EVERY, ids=lambda s: s.__name__)
 def test_a_mistyped_key_or_choice_of_any_section_is_told_what_was_meant(section):
     good = valid(section).to_dict()
@@ -364,18 +250,21 @@ class Outer(Section):
 @pytest.mark.parametrize(
     ("make", "lines"),
     [
-        (lambda: Inner(size=3, mode="slow"), ["inner.size: got 3.0; allowed: at most 2 where it is slow"]),
-        (lambda: Inner(mode="slwo"), ["inner.mode: got 'slwo'; allowed: fast or slow; did you mean slow?"]),
+        (lambda: Inner(size=3, mode="slow"), ["inner.size: expected at most 2 where it is slow, got 3.0"]),
+        (lambda: Inner(mode="slwo"), ["inner.mode: expected fast or slow, got 'slwo'; did you mean slow?"]),
         (
             lambda: Outer.from_dict({"many": [{}, {"size": 3, "mode": "slow"}]}),
-            ["many.1.size: got 3.0; allowed: at most 2"],
+            ["many.1.size: expected at most 2"],
         ),
         (
             lambda: Outer(inner=3, many=({"size": "1"},)),
-            ["inner: got 3; ", "many.0.size: got '1'; allowed: a positive"],
+            ["inner: expected a section, with keys such as size, mode, got 3", "many.0.size: expected a positive"],
         ),
-        (lambda: Outer(iner={}, many=3), ["iner: got {}; allowed: no such key, did you mean inner?", "many: got 3; "]),
-        (lambda: Outer(inner=Outer()), ["inner: got Outer("]),
+        (
+            lambda: Outer(iner={}, many=3),
+            ["iner: no such key; did you mean inner?", "many: expected a list of sections, got 3"],
+        ),
+        (lambda: Outer(inner=Outer()), ["inner: expected a section"]),
     ],
 )
 def test_every_problem_has_its_line_and_its_place(make, lines):
@@ -385,6 +274,17 @@ def test_every_problem_has_its_line_and_its_place(make, lines):
     assert len(found) == len(lines)
     for line, start in zip(found, lines, strict=True):
         assert line.startswith(start)
+
+
+def test_numbers_and_truth_values_of_numpy_are_taken():
+    safety = Scenario(safety={}).safety
+    safety = dataclasses.replace(safety, failures=np.bool_(True))
+    scenario = Scenario(safety=safety, command_delay=np.int64(2), duration=np.float32(1.5))
+    assert (scenario.safety.failures, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
+    assert type(scenario.safety.failures) is bool
+
+
+# --- kinds ---------------------------------------------------------------------------------------------------
 
 
 def test_a_family_takes_a_kind_from_outside_of_the_package():
@@ -410,8 +310,133 @@ def test_a_family_takes_a_kind_from_outside_of_the_package():
         Holder(part={"kind": "mne"})
 
 
-def test_numbers_and_truth_values_of_numpy_are_taken():
-    safety = SafetyOptions(failures=np.bool_(True))
-    scenario = Scenario(safety=safety, command_delay=np.int64(2), duration=np.float32(1.5))
-    assert (scenario.safety.failures, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
-    assert type(scenario.safety.failures) is bool
+def test_a_registered_name_stands_for_an_import_path(monkeypatch):
+    monkeypatch.setattr(CONTROLLERS, "_paths", {})
+    CONTROLLERS.register("mine", "mine:Mine")
+    by_path = Scenario(controller="mine:Mine")
+    assert Scenario(controller="mine") == Scenario(controller={"kind": "mine"}) == by_path
+    assert "mine" in str(scenario_schema())
+    with pytest.raises(ConfigurationError, match=r"^controller: .*did you mean mine\?"):
+        Scenario(controller="mne")
+    for name, path in (("lqi", "mine:Mine"), ("other", "mine")):
+        with pytest.raises(ConfigurationError):
+            CONTROLLERS.register(name, path)
+
+
+@pytest.mark.parametrize("robot", ["paper", "reachy_mini"])
+@pytest.mark.parametrize(("key", "kind"), [(key, kind) for key, family in FAMILIES.items() for kind in family.kinds])
+def test_a_kind_alone_is_a_section_of_nothing_else(key, kind, robot):
+    def made(section):
+        try:
+            return Scenario.from_dict({"robot": robot, "duration": 1.0, key: section})
+        except ConfigurationError as error:
+            return str(error)
+
+    assert made(kind) == made({"kind": kind})
+    assert VALIDATOR.is_valid({key: kind}) == VALIDATOR.is_valid({key: {"kind": kind}})
+
+
+def test_a_kind_alone_is_one_on_the_command_line_in_python_and_in_a_list(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text("name: scenario\nreference: {kind: sum, parts: [hold, breathing]}\nsensors: encoders\n")
+    found = load_scenario(path, ["tuner=block", "tuner.q_rate=7", "sensors.noise=1e-5", "estimator=observer"])
+    assert found == Scenario(
+        reference={"kind": "sum", "parts": [{"kind": "hold"}, {"kind": "breathing"}]},
+        sensors={"kind": "encoders", "noise": 1e-5},
+        tuner={"kind": "block", "q_rate": 7.0},
+        estimator={"kind": "observer"},
+    )
+    assert Scenario(tuner={"kind": "fixed", "omega_q": 3.0}).replace({"tuner": "fixed"}).tuner == FixedTuner()
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        ({"tuner": "fixd"}, r"tuner: expected fixed, .* or schedule, got 'fixd'; did you mean fixed\?"),
+        ({"tuner": {"kappa": 2}}, r"tuner.kappa: no such key; the keys here are kind, .* It is a key of kind policy"),
+        ({"reference": {"center": 2}}, r"reference.center: expected a list of 6 numbers \[rad, m\], got 2"),
+        (
+            {"reference": "spline"},
+            "reference.times: expected .*, got None; this key is required\n.*poses: .*",
+        ),
+        ({"reference": ["hold"]}, "reference: expected a section, with kind: .* or a kind by itself, got .*"),
+    ],
+)
+def test_what_is_wrong_with_a_kind_is_a_line_a_problem_under_its_key(data, line):
+    with pytest.raises(ConfigurationError) as caught:
+        Scenario.from_dict(data)
+    assert re.fullmatch(line, str(caught.value))
+
+
+# --- JSON schema ---------------------------------------------------------------------------------------------
+
+
+DOCUMENTS = [
+    {"safety": {}},
+    {"controller": {"kind": "pid"}, "tuner": {"kind": "fixed"}, "sensors": {"kind": "encoders"}},
+    {"controller": {"kind": "computed_torque"}, "plant": {"broken_rod": {"leg": 1, "time": 0.5}}},
+    {"controller": {"kind": "mine:Mine", "period": 0.001}, "model_robot": {}},
+    {"controller": {"kind": "python", "system": "mine:Mine"}, "reference": {"kind": "mine.py:Mine"}},
+    *({"reference": {"kind": kind}} for kind in ("hold", "sine", "breathing", "heartbeat", "tremor")),
+    {"reference": {"kind": "minimum_jerk", "poses": [[0.0] * 6] * 2, "durations": [1.0]}},
+    {"reference": {"kind": "sum", "parts": [{"kind": "tremor"}]}},
+]
+NUMBERS = [0, 1, -1, 5, 6, 0.5, -0.5, 2.5, math.pi / 3.0, 1e-300, 10**8]
+PATHS = ["mine:Mine", "mine.py:Mine"]
+KINDS = ["freeze", "nan", "offset", "reversed", "constant", "lqi", "ideal", "none", *PATHS]
+LEG = [{}, None, {"rod_length": 0.4}, {"branch": 2}]
+VALUES = (
+    st.sampled_from([None, True, "", "1", "x", *NUMBERS, *KINDS])
+    | st.lists(st.sampled_from([None, "x", *NUMBERS[:-1], *PATHS]), max_size=7)
+    | st.lists(st.sampled_from(LEG), min_size=5, max_size=7)
+    | st.dictionaries(
+        st.sampled_from(["kind", "leg", "time", "size", "arguments", "wrench", "no"]),
+        st.sampled_from([*NUMBERS, *KINDS, [0.0] * 6, {}]),
+        max_size=4,
+    ).flatmap(lambda section: st.sampled_from([section, [section]]))
+)
+
+
+def no_rules(_):
+    """In place of the rules between fields."""
+
+
+def keys(section):
+    """Every key in a section and in those inside, as a list of names."""
+    for name, value in section.items():
+        yield [name]
+        if isinstance(value, dict) and name != "arguments":
+            yield from ([name, *inner] for inner in keys(value))
+
+
+@st.composite
+def documents(draw):
+    made = copy.deepcopy(draw(st.sampled_from(DOCUMENTS)))
+    with pytest.MonkeyPatch.context() as patch, code_rule("name"):
+        patch.setattr(Section, "__post_init__", no_rules)
+        everything = Scenario.from_dict(copy.deepcopy(made)).to_dict()
+    everything["robot"].pop("name", None)
+    for *parents, last in draw(st.lists(st.sampled_from(list(keys(everything))), min_size=1, max_size=2)):
+        here = made
+        for name in parents:
+            if not isinstance(here.get(name), dict):
+                here[name] = {}
+            here = here[name]
+        here[last] = draw(VALUES)
+    return made
+
+
+@given(documents())
+def test_the_schema_takes_what_loads_and_nothing_else(document):
+    with pytest.MonkeyPatch.context() as patch, code_rule("name"):
+        # Without the rules between fields.
+        patch.setattr(Section, "__post_init__", no_rules)
+        try:
+            Scenario.from_dict(copy.deepcopy(document))
+            problem = None
+        except ConfigurationError as error:
+            problem = error
+    # A robot's name has to be one that is there, which changes with what is installed.
+    if problem is None or "an existing file" not in problem.allowed:
+        found = [error.message for error in VALIDATOR.iter_errors(document)]
+        assert (not found) == (problem is None), (str(problem), found)
