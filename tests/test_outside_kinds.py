@@ -377,7 +377,7 @@ def test_a_metric_may_return_what_numpy_has():
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
-    with pytest.raises(ConfigurationError, match=r"reference.kind: .*ToyReference.*a class by its import path"):
+    with pytest.raises(ConfigurationError, match=r"reference.kind: .*a class by its import path.*ToyReference"):
         Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)
 
 

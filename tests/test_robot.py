@@ -250,7 +250,7 @@ def swapped(one, other):
 @pytest.mark.parametrize(
     ("make", "wanted"),
     [
-        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"got '5 rows'; allowed: 6 rows"),
+        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"expected 6 rows, one a leg, got '5 rows'"),
         (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),

@@ -71,8 +71,8 @@ def test_a_file_without_a_column(tmp_path, columns, said):
     ("change", "wanted"),
     [
         (lambda: {"torque": LOG.torque * [1, 1, 0, 1, 1, 1]}, "torque_2: expected "),
-        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[0])}, "row 2'; allowed: rows at an even rate"),
-        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[700])}, "row 702'; allowed: rows at an even rate"),
+        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[0])}, "row 2'"),
+        (lambda: {"time": LOG.time + 0.3 * (LOG.time > LOG.time[700])}, "row 702'"),
         (lambda: {"time": LOG.time[::-1]}, "even rate"),
         (lambda: {"angles": LOG.angles + np.where(np.arange(len(LOG.time)) == 41, np.nan, 0.0)[:, None]}, "row 42"),
         (lambda: {"angles": np.degrees(LOG.angles)}, "radians within"),
@@ -107,7 +107,7 @@ def test_a_motion_that_does_not_tell_what_is_asked():
 
 def test_a_log_of_another_robot_or_with_a_pose_that_was_not_read():
     log = run(Scenario(duration=0.1))
-    with pytest.raises(ConfigurationError, match="allowed: a log of the robot that is guessed"):
+    with pytest.raises(ConfigurationError, match="expected a log of the robot that is guessed"):
         of_log(log, load_robot("reachy_mini"))
     scenario = log.scenario.replace({"estimator": {"kind": "observer"}, "sensors": {"kind": "encoders"}})
     with pytest.raises(ConfigurationError, match="estimator"):
