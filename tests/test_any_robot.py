@@ -31,6 +31,7 @@ from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.studies import robots as robot_table
 from stewart_drake.studies.comparison import load_comparison
 from stewart_drake.studies.faults import BY_NAME, FaultStudy, all_rows
+from stewart_drake.studies.runs import execute
 
 SHIPPED = ["paper", "reachy_mini", "servo_hexapod"]
 RANDOM = range(20)
@@ -167,8 +168,7 @@ def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
     plan = FaultStudy.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
         index = next(i for i, (fault, _) in enumerate(plan.pairs) if fault.name == wanted)
-        function, arguments = plan.work_item(index)
-        (row,) = plan.tables([function(*arguments)])["faults"][1]
+        (row,) = plan.tables([execute(plan.task(index))])["faults"][1]
         assert row["reaction"] in BY_NAME[wanted].expected, (wanted, row)
 
 

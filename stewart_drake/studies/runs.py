@@ -1,4 +1,4 @@
-"""One run in, one row out, whatever happens in it; rows, or logs, are kept in a folder as they come."""
+"""One run in, one row out, whatever happens in it; rows are kept in a folder as they come."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.families import refuse_given
 from stewart_drake.files.code_path import CodePath
 from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
-from stewart_drake.logs.log import SimulationLog, load_log
+from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import collect_versions
@@ -300,59 +299,3 @@ def identity(
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }
-
-
-def run_key(scenario: Scenario, versions: Mapping[str, str | None] | None = None) -> str:
-    """A name for the result of `scenario`: digest of its keys (not its name), files that it names, versions."""
-    refuse_given(scenario)
-    data = scenario.to_dict()
-    data.pop("name")
-    return checksum(identity(data, [scenario], versions))[:24]
-
-
-@dataclass(frozen=True)
-class RunStore:
-    """Keeps logs (without the plant's state) in a folder, so that an interrupted experiment goes on where it was."""
-
-    folder: Path
-    workers: int | None = None
-    """See `Workers`; one or 0 for this very process."""
-
-    def run_all(
-        self, scenarios: Sequence[Scenario], progress: Callable[[float], None] | None = None, check: bool = True
-    ) -> list[SimulationLog]:
-        """Logs of `scenarios`, in order, those on disk read, the others run; `progress` gets the share done.
-
-        Raises:
-            ConfigurationError: A scenario is refused before its run, or the folder cannot be written to or is in use.
-            StewartDrakeError: A worker process ended by itself.
-        """
-        with locked_folder(prepare_folder(self.folder)):
-            versions = collect_versions()
-            paths = [self.folder / f"{run_key(s, versions)}.parquet" for s in scenarios]
-            logs = {path: _kept_log(path) for path in dict.fromkeys(paths)}
-            missing = {path: s for path, s in zip(paths, scenarios, strict=True) if logs[path] is None}
-            tell = (lambda _: None) if progress is None else progress
-            shares = iter(range(len(logs) - len(missing) + 1, len(logs) + 1))
-            run_jobs(
-                missing,
-                lambda path: (_run_and_keep, (missing[path], path, check)),
-                lambda *_: tell(next(shares) / len(logs)),
-                Workers(0 if self.workers in (0, 1) or len(missing) < 2 else self.workers),
-            )
-            tell(1.0)
-            whole = {path: load_log(path) if log is None else log for path, log in logs.items()}
-            return [replace(whole[path], scenario=s) for path, s in zip(paths, scenarios, strict=True)]
-
-
-def _run_and_keep(scenario: Scenario, path: Path, check: bool) -> None:
-    log = simulate(scenario, check=check)
-    kept = {name: values for name, values in log.signals.items() if name != "plant_state"}
-    replace(log, signals=kept, state_names=()).save(path)
-
-
-def _kept_log(path: Path) -> SimulationLog | None:
-    try:
-        return load_log(path)
-    except ConfigurationError:
-        return None

@@ -11,17 +11,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from conftest import code_frozen
+from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number
 
-from stewart_drake.errors import ConfigurationError, InfeasibleReferenceError, StewartDrakeError
+from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.logs import metric_table, versions
 from stewart_drake.logs.metric_table import Metric, add_metric
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.scenario import Scenario
 from stewart_drake.studies import workers
-from stewart_drake.studies.runs import RunStore, run_key, simulate
+from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.study import COMPARED, INCIDENTAL
 from stewart_drake.studies.sweep import Sweep, run_sweep, summary
 from stewart_drake.studies.workers import WORKER_GONE, Workers, run_jobs
@@ -183,6 +183,8 @@ def test_a_metric_from_outside_is_in_every_table_and_with_another_body_it_is_ano
 @pytest.mark.slow
 def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn(reference, tmp_path, monkeypatch):
     monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
+    # Processes that an earlier study has left know nothing of it.
+    get_reusable_executor().shutdown(wait=True)
     pids = []
     two = run_sweep(sweep(), tmp_path / "out", Workers(2, worn=2), pids.append, function=killed_once)
     assert (tmp_path / "mark").exists()
@@ -330,46 +332,3 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
         result = run_sweep(sweep(runs=1, seed=6), tmp_path, HERE, restart=True)
         assert result.rows[0]["seed"] == sweep(seed=6).run_seed(0)
         assert run_sweep(sweep(runs=1, seed=6, name="other"), tmp_path, HERE).rows == result.rows
-
-
-# --- logs that are kept ---
-
-SHORT = Scenario.from_dict({**TINY, "duration": 0.02, "controller": {"solver": "split"}, "limits": {"clearance": None}})
-
-
-@pytest.mark.usefixtures("code_as_it_is")
-def test_each_scenario_runs_once_and_a_log_that_cannot_be_read_again(tmp_path):
-    store, shares = RunStore(tmp_path, 1), []
-    scenarios = [SHORT.replace({"name": f"run {k}", "tuner.omega_q": 1.0 + k % 2}) for k in range(3)]
-    first = store.run_all(scenarios, shares.append)
-    assert shares == [0.5, 1.0, 1.0]
-    assert [log.scenario.name for log in first] == ["run 0", "run 1", "run 2"]
-    np.testing.assert_array_equal(first[0]["pose"], first[2]["pose"])
-    kept = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.parquet")}
-    broken = tmp_path / f"{run_key(scenarios[0])}.parquet"
-    broken.write_bytes(broken.read_bytes()[:100])
-    again = store.run_all(scenarios)
-    np.testing.assert_array_equal(again[0]["torque"], first[0]["torque"])
-    assert {path.name for path in tmp_path.glob("*.parquet") if path.stat().st_mtime_ns != kept[path.name]} == {
-        broken.name
-    }
-
-
-@pytest.mark.slow
-def test_a_scenario_that_a_worker_refuses_comes_back_as_its_own_error(tmp_path):
-    far = SHORT.replace({"reference.center": [0, 0, 0, 0, 0, 0.6]})
-    with pytest.raises(InfeasibleReferenceError) as caught:
-        RunStore(tmp_path, 2).run_all([SHORT, far])
-    assert caught.value.limit == "reach"
-    assert not (tmp_path / f"{run_key(far)}.parquet").exists()
-
-
-def test_other_code_another_drake_and_other_weights_give_another_key(monkeypatch):
-    keys, real = [run_key(SHORT), run_key(SHORT.replace({"duration": 0.03}))], versions.package_version
-    assert run_key(SHORT.replace({"name": "other"})) == keys[0]
-    with monkeypatch.context() as patch:
-        patch.setattr(versions, "package_version", lambda name: "9" if name == "drake" else real(name))
-        keys.append(run_key(SHORT))
-    monkeypatch.setattr(versions, "source_digest", lambda: "changed")
-    keys.append(run_key(SHORT))
-    assert len(set(keys)) == 4
