@@ -112,7 +112,8 @@ def explained(fit: Callable[[Measurements], Start], measurements: Measurements, 
         at = int(np.abs(start.told @ start.step)[:OF_ROBOT].argmax())
         own, off = OF_LEG[at % PER_LEG], abs(start.change[at])
         got = f"poses that tell a {own} of leg {at // PER_LEG} {off:.3g} {own.unit} off the guess"
-        raise ConfigurationError(measurements.source, got, "readings of this robot; are two encoders swapped?")
+        allowed = "readings of this robot; is it another one, or are two encoders swapped?"
+        raise ConfigurationError(measurements.source, got, allowed)
     return _on_its_branches(start)
 
 

@@ -210,11 +210,13 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     def __repr__(self) -> str:
         """Whose run it is, how it ended and what is in it, in some lines."""
-        tick, row = self.scenario.controller.period, self.scenario.effective_log_period
+        tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
+        row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
+        when = self.end_time if self.outcome_time is None else self.outcome_time
         lines = [
-            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, self.end_time)}",
+            f"SimulationLog of {self.scenario.name}: {told(self.status, self.reason, when)}",
             f"  controller {self.scenario.controller.kind}, tuner {self.scenario.tuner.kind}, a tick every {tick:g} s",
-            f"  {len(self.signals.get('time', ()))} rows, every {row:g} s",
+            f"  {len(time)} rows{row}",
             f"  signals: {', '.join(self.signals)}",
             f"  warnings: {', '.join(warning['name'] for warning in self.warnings) or 'none'}",
         ]
@@ -269,9 +271,11 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
     if path.suffix == ".csv":
         signals, state_names = _read_signals(path, key)
         end = float(signals["time"][-1]) if len(signals["time"]) else 0.0
-        made = scenario or Scenario(duration=max(end, 1.0))
+        made = scenario or Scenario(name=path.stem, duration=end or 1.0)
         message = "read from a CSV file, which does not say how the run ended"
-        return SimulationLog(made, signals, state_names, message=message, end_time=end)
+        if scenario is None:
+            message += ", nor which scenario it was: the default one is taken"
+        return SimulationLog(made, signals, state_names, status="unknown", message=message, end_time=end)
     about = parquet_about(path, key, "run", _LARGEST, "this package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")

@@ -10,10 +10,10 @@ from typing import Any, Literal
 from stewart_drake.errors import RunFailure, SafetyStop
 from stewart_drake.logs.rows import RunRows
 
-Status = Literal["completed", "stopped", "lost", "failed", "interrupted"]
+Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unknown"]
 """completed: the controller was in charge to the end, and the motion was followed. stopped: the safety layer held the
 robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
-broke midway. interrupted: the user ended it."""
+broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
 
 MUCH_SATURATION = 0.01
 """Share of torques at the limit above which there is a warning."""

@@ -99,7 +99,7 @@ def test_an_inverted_encoder_is_named(refused, good):
 def test_swapped_encoders_are_not_taken_for_another_robot(refused, good):
     table = table_of(good)
     table[:, [7, 10]] = table[:, [10, 7]]
-    assert "off the guess'; are two encoders swapped?" in refused(COLUMNS, table)
+    assert "off the guess'; is it another one, or are two encoders swapped?" in refused(COLUMNS, table)
 
 
 @pytest.mark.parametrize(

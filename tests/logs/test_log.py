@@ -10,6 +10,7 @@ from made_logs import STATES, made_log
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import AXIS_NAMES, SIGNALS, load_log
+from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.robot import RobotParameters
 
@@ -59,7 +60,15 @@ def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(l
         for name, values in log.items():
             np.testing.assert_array_equal(again[name], values, err_msg=name)
         assert scenario in (None, again.scenario)
+        assert again.status == "unknown"
         assert "does not say how the run ended" in repr(again)
+
+
+def test_metrics_of_a_short_csv_log_are_those_of_the_run(tmp_path):
+    log = made_log(rows=31, step=0.01, duration=0.3, pose=np.random.default_rng(2).normal(size=(31, 6)))
+    log.save(tmp_path / "log.csv")
+    found, wanted = (run_metrics(each)["rmse_norm_mm"] for each in (load_log(tmp_path / "log.csv"), log))
+    assert found == pytest.approx(wanted, rel=1e-9)
 
 
 def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
