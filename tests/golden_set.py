@@ -5,7 +5,7 @@
     python tests/golden_set.py check                 # records anew and compares with tests/golden
 
 `--report` adds the numbers of `stewart-drake reproduce --quick` and of a small `stewart-drake workspace`, which take
-minutes more; golden/report.json has them under older names, see `RENAMED`. The cases are data, in
+minutes more. The cases are data, in
 golden/cases.yaml; the recording is golden/numbers.json (outcomes, metrics, tables), golden/signals.npz (some twenty
 rows of each run, the last among them) and golden/report.json. Only names that a user has are used, so that it runs on
 any revision; `HOMES` says where they are.
@@ -71,25 +71,6 @@ TOLERANCES = (
     ("*", 1e-12, 1e-6),
 )
 """Name -> absolute tolerance, and relative to the largest number of the signal or list; the first that fits counts."""
-
-RENAMED = (
-    ("report/report.json/dataset/", "report/numbers.json/network/"),
-    ("report/report.json/training/", "report/numbers.json/network/"),
-    ("report/report.json/workspace/motions/", "report/numbers.json/workspace/motions/"),
-    ("report/report.json/workspace/", "report/workspace.json/"),
-    ("report/report.json/", "report/numbers.json/"),
-)
-"""First letters of a number's name in the report of old -> those of today; the first that fit count."""
-GONE = (
-    *("*/departures/*", "*/misprints/*_error", "*/branch_conditioning/*", "*/exact_model_error", "*/felt_inertia"),
-    *("*/torque_parts/*", "*/riccati/sizes_fit", "*/riccati/residual", "*/riccati/doubling", "*/decay/*/faster"),
-    "*/binding_limit/*",
-    *("*/decay/faster_limit", "*/decay/peak", "*/decay/strongest", "*/trajectory_spread_*", "*/network/bursts"),
-    *("*/labels_apart", "*/repeatable", "*/rounding_of_training", "*/answers/by_trajectory", "*/answers/r_squared"),
-    *("*/tuner_over_constant/*", "*/incomplete", "*/feedforward_share/*", "*/workspaces/*/lost/*"),
-    *("report/workspace.json/motions/*", "*/inscribed_radius", "*/boundary_volume", "*/first/*"),
-)
-"""Numbers of the report that are no longer computed, or at another size."""
 
 PASSING = {
     *("files", "git_revision", "host", "message", "poses_per_second", "real_time_factor", "scenario"),
@@ -413,15 +394,7 @@ def recorded(folder, report):
             ends = np.cumsum([math.prod(shape) for _, shape in parts])[:-1]
             for (name, shape), values in zip(parts, np.split(stored[group], ends), strict=True):
                 found[f"{group}/{name}"] = values.reshape(shape)
-    if report:
-        numbers = {renamed(key): value for key, value in json.loads((folder / "report.json").read_text()).items()}
-        found |= {k: v for k, v in numbers.items() if not any(fnmatch.fnmatchcase(k, each) for each in GONE)}
-    return found
-
-
-def renamed(key):
-    """A number's name of today."""
-    return next((new + key.removeprefix(old) for old, new in RENAMED if key.startswith(old)), key)
+    return found | json.loads((folder / "report.json").read_text()) if report else found
 
 
 def difference(key, old, new):
