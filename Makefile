@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml constraints.txt
 test: install
 	$(ONE_THREAD) $(BIN)/pytest -n auto --dist loadgroup --ignore=tests/benchmarks
 
-# All but those marked slow: no campaign, no long run, no other process.
+# All but those marked slow: no study, no long run, no other process.
 check: install
 	$(ONE_THREAD) $(BIN)/pytest -q -n auto -m "not slow" --hypothesis-profile=check --ignore=tests/benchmarks --ignore=tests/paper
 

@@ -16,7 +16,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = "stewart_drake"
-WIDTH, HEIGHT, GAP = 2.6, 0.62, 0.5
+WIDTH, HEIGHT, GAP = 2.6, 0.76, 0.5
 
 
 def room_of(module: str) -> str:
@@ -84,8 +84,8 @@ def main() -> None:
                     (x - WIDTH / 2, -level - HEIGHT / 2), WIDTH, HEIGHT, "round,pad=0.02", fc="#eef3f8", ec="#446"
                 )
             )
-            axes.text(x, -level + 0.14, room.split(".")[1], ha="center", va="center", fontsize=9, weight="bold")
-            axes.text(x, -level - 0.12, textwrap.fill(subject, 38), ha="center", va="center", fontsize=6.3)
+            axes.text(x, -level + 0.26, room.split(".")[1], ha="center", va="center", fontsize=9, weight="bold")
+            axes.text(x, -level - 0.09, textwrap.fill(subject, 38), ha="center", va="center", fontsize=6.3)
     for above, below in shown["arrows"]:
         (x0, y0), (x1, y1) = places[above], places[below]
         start, end = (x0, y0 - HEIGHT / 2), (x1, y1 + HEIGHT / 2)

@@ -1,1 +1,1 @@
-"""Controllers and the tuner as pure functions of arrays."""
+"""Controllers and tuners: options, law and part of each."""

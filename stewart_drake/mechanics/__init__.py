@@ -1,1 +1,1 @@
-"""Kinematics, force map and dynamics of the closed chain, on arrays."""
+"""Kinematics, force map, dynamics and friction of the closed chain."""
