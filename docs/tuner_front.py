@@ -49,6 +49,8 @@ which flatters it.
 {table}
 
 ![Error against change of torque](../images/tuner_front.png)
+
+`make results` recomputes some of these numbers.
 """
 
 

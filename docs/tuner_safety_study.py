@@ -1,7 +1,6 @@
 """Whether a tuner of settings can make the loop unstable, and docs/results/tuner_safety.md: `make tuner_safety`."""
 
 import itertools
-import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -15,9 +14,8 @@ from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 
 HERE = Path(__file__).parent
-POSES = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-FEW = max(2, POSES // 100)
-"""Poses at which all settings have their margins looked at."""
+POSES, FEW = 1000, 10
+"""Poses; and of them those at which all settings have their margins looked at."""
 FREQUENCIES = 120
 
 
@@ -105,8 +103,8 @@ def frozen_row(name):
 
 TEXT = """# Whether a tuner of settings can make the loop unstable
 
-`make tuner_safety` (this page: `python docs/tuner_safety_study.py {poses}`). A setting is four decades
-({names}), see `control/settings.py`. The box: {box};
+`make tuner_safety` writes this page. A setting is four decades
+({names}), see `control/policy.py`. The box: {box};
 a setting moves by {step:g} % of it in a tick. Base: the default weights of `tuner: block` for each robot, and the
 observer's own disturbance of 16. Loops: those of [margins](margins.md), with observer, encoders, delay and the exact
 model in the LQI; no friction, no saturation, no counts.
@@ -129,6 +127,8 @@ at the rate limit decayed at 3.73 1/s and more for the paper's robot with one ti
 Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
 
 ![Decay of frozen settings](../images/tuner_safety.png)
+
+`make results` recomputes some of these numbers.
 """
 
 

@@ -44,7 +44,9 @@ own controller the linear loop is not known): {margins}. So none of these settin
 
 ## The verdict, before and after
 
-{verdict}"""
+{verdict}
+`make results` recomputes some of these numbers.
+"""
 
 
 def main(searched: Path | None) -> None:

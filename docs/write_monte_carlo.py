@@ -34,6 +34,8 @@ their limit. At no instant was the platform off by more than {worst_mm:.2f} mm a
 {by_friction}
 
 99 % with 1, 2, 3 ticks of delay: {by_delay} mm.
+
+`make results` recomputes some of these numbers.
 """
 
 
