@@ -40,6 +40,8 @@ RESULTS = Path(__file__).parents[1] / "docs" / "results"
 NAMED = "`make results` recomputes some of these numbers."
 """What every page says."""
 POLICY = always({"tuner": {"kind": "policy"}})
+NOISY = 0.03
+"""Share by which runs with encoders may differ: one reading at the edge of a count changes what follows."""
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.(\d+))?(?:e([+-]\d+))?")
 
 
@@ -58,7 +60,7 @@ class Page:
         """The cell of a table's row that begins with some labels, in the first table below a text that has it."""
         header = []
         for line in self.text[self.text.index(under) :].splitlines():
-            cells = [cell.strip() for cell in line.strip("| ").split(" | ")] if line.startswith("|") else []
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("|") else []
             if not header or not cells:
                 header = cells
             if column in header and tuple(cells[: len(labels)]) == labels:
@@ -100,15 +102,16 @@ def test_tracking(page):
     row = compared("tracking", *labels)
     columns = {column: "rmse_norm_deg", "RMSE [mm]": "rmse_norm_mm", "change per tick [N m]": "torque_change_rms"}
     for shown, key in columns.items():
-        assert_says(page.cell(*labels, column=shown), row[key])
+        assert_says(page.cell(*labels, column=shown), row[key], within=NOISY)
 
 
 def test_observer(page):
     for controller in ("quiet observer", "observer, friction"):
         labels = controller, "hold", "17 bits, 1 tick late"
         row = compared("observer", *labels)
-        assert_says(page.cell(*labels, column="RMSE [mm]"), row["rmse_norm_mm"])
-        assert_says(page.cell(*labels, column="change per tick [N m]"), row["torque_change_rms"])
+        assert_says(page.cell(*labels, column="RMSE [mm]"), row["rmse_norm_mm"], within=NOISY)
+        shown = page.cell(*labels, column="change per tick [N m]")
+        assert_says(shown, row["torque_change_rms"], within=NOISY)
 
 
 def test_controllers(page):
@@ -118,14 +121,14 @@ def test_controllers(page):
     for controller in ("exact-model LQI", "computed torque"):
         row = compared("controllers", controller, "step", "encoders, delay, friction")
         cell = page.cell(controller, column="step", under="**encoders, delay, friction")
-        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"])
+        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
 
 
 def test_fair_comparison(page):
     for controller in ("exact-model LQI", "computed torque"):
         row = compared("fair", controller, "hold", "as believed")
         cell = page.cell(f"{controller}, tuned", column="hold", under="**as believed")
-        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"])
+        assert_says(cell, row["rmse_norm_deg"], row["rmse_norm_mm"], within=NOISY)
 
 
 def of_fault(page, overrides):
@@ -134,8 +137,8 @@ def of_fault(page, overrides):
     study = FaultStudy.of([(fault, "paper")], overrides=overrides)
     (row,) = study.tables([execute(study.task(0))])["faults"][1]
     assert_says(page.cell("dead_motor_3", column="paper"), row["latency_ms"])
-    assert_says(page.cell("dead_motor_3", column="travel"), row["travel_deg"], row["travel_mm"])
-    assert_says(page.cell("dead_motor_3", column="peak torque"), row["peak_torque"])
+    assert_says(page.cell("dead_motor_3", column="travel"), row["travel_deg"], row["travel_mm"], within=NOISY)
+    assert_says(page.cell("dead_motor_3", column="peak torque"), row["peak_torque"], within=NOISY)
 
 
 def test_faults(page):
@@ -169,7 +172,7 @@ def test_monte_carlo(page):
     for index in (0, int(rmse.argmax())):
         again = execute(sweep.task(index))
         for name in ("rmse_norm_mm", "rmse_norm_deg", "torque_change_rms"):
-            assert again[name] == pytest.approx(kept[name][index].as_py(), rel=0.01)
+            assert again[name] == pytest.approx(kept[name][index].as_py(), rel=NOISY)
 
 
 def test_robots(page):
@@ -180,7 +183,7 @@ def test_robots(page):
         assert_says(shown, conditioning(robot, robot.home_pose))
     figures = run_metrics(run(load_scenario("sway", ["robot=servo_hexapod"])))
     cell = page.cell("servo_hexapod", column="error in motion [mm], [deg]")
-    assert_says(cell, figures["rmse_norm_mm"], figures["rmse_norm_deg"])
+    assert_says(cell, figures["rmse_norm_mm"], figures["rmse_norm_deg"], within=NOISY)
 
 
 def log_costs(folder, engine, candidates, cases):
@@ -194,7 +197,7 @@ def test_tuner(page, tmp_path):
     candidates = with_setting(found.best), POLICY, always({"tuner": found.schedule})
     best, policy, schedule = log_costs(tmp_path, "drake", candidates, [Case("hold", "paper", HELD_OUT[0])])
     under = "By kind"
-    assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.02)
+    assert_says(page.cell("hold", "paper", column="best fixed", under=under), *np.exp(best), within=0.05)
     for column, cost in (("policy", policy), ("schedule", schedule)):
         ratio = page.cell("hold", "paper", column=column, under=under).partition(" ")[0]
         assert_says(ratio, *np.exp(cost - best))
@@ -255,7 +258,7 @@ def test_identification(page):
     """Four robots in place of two hundred, within half of the medians."""
     designed, other = motions("paper")
     row = {"column": "condition number, of motions at random"}
-    assert_says(page.cell("`paper`", **row), designed.condition, other.condition, within=0.01)
+    assert_says(page.cell("`paper`", **row), designed.condition, designed.random_condition)
     encoders, rate, noise, coulomb, viscous, *_ = ROBOT_OF["paper"]
     setting = Setting(load_robot("paper"), designed.reference, other.reference, rate, encoders, noise, coulomb, viscous)
     trials = [identified(setting, seed) for seed in range(4)]
@@ -271,6 +274,17 @@ def test_reproduction(page, tmp_path):
         assert_says(page.cell(name, column="ours"), *(number for number, _ in numbers(ours)))
 
 
+def test_summary(page):
+    """Two rows of the table of the paper, and Reachy Mini's nod."""
+    cells = {"gravity | 1 / 1": "fixed", "gravity | network": "paper"}
+    for words, kind in cells.items():
+        figures = run_metrics(run(load_scenario("paper_fig7", [f"tuner={{kind: {kind}}}"])))
+        roll, height = figures["rmse_deg"][0], figures["rmse_mm"][2]
+        assert_says(page.after(f"| yes | {words}", 2), roll, height)
+    error = run_metrics(run(load_scenario("reachy_nod")))["rmse_norm_deg"]
+    assert_says(page.after("at 1 Hz with an error of"), error)
+
+
 def test_every_page_has_a_test_and_says_so():
-    pages = {path.stem: path.read_text() for path in RESULTS.glob("*.md") if path.stem != "summary"}
+    pages = {path.stem: path.read_text() for path in RESULTS.glob("*.md")}
     assert [name for name, text in pages.items() if f"test_{name}" not in globals() or NAMED not in text] == []
