@@ -54,13 +54,13 @@ which flatters it.
 """
 
 
-def front(folder, policy, settings, seeds=SEEDS):
+def front(folder, policy, settings):
     """Means over the kinds of log error [mm] and log change of torque [N m], (candidates, 2), and of log J by kappa.
 
     The candidates are the settings, then the policy at each kappa.
     """
     # One robot: errors of several could not be told in millimetres together.
-    cases = cases_of(cells_for("paper"), HELD_OUT[:seeds])
+    cases = cases_of(cells_for("paper"), HELD_OUT[:SEEDS])
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
         ProgressBar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,

@@ -3,7 +3,6 @@
 import itertools
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,37 +18,25 @@ POSES, FEW = 1000, 10
 FREQUENCIES = 120
 
 
-class Box(NamedTuple):
-    """Settings from `lowest` on for `width` (4,), around a centre (4,)."""
-
-    lowest: np.ndarray
-    width: np.ndarray
-    centre: np.ndarray
-
-    def at(self, places):
-        """Settings (..., 4) of places of the unit box."""
-        return self.lowest + self.width * places
-
-
-def shipped_box():
-    """The box of the policy that is shipped."""
-    policy = load_policy()
-    return Box(policy.lowest, policy.width, policy.centre)
-
-
-BOX = shipped_box()
+POLICY = load_policy()
+"""Its box are the settings from `lowest` on for `width` (4,), around `centre`."""
 BASE = ["tuner=block", "estimator=observer"]
 LOOPS = {
     **{f"paper's robot, 1 kHz, {ticks} ticks": ("exact_breathing", f"command_delay={ticks}") for ticks in range(5)},
     "Reachy Mini, 100 Hz, 1 tick": ("reachy_nod", "command_delay=1"),
 }
 PICTURED = ("paper's robot, 1 kHz, 1 ticks", "Reachy Mini, 100 Hz, 1 tick")
-CENTRE = ((BOX.centre - BOX.lowest) / BOX.width)[None]
+CENTRE = ((POLICY.centre - POLICY.lowest) / POLICY.width)[None]
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=4)))
 FACES = np.concatenate([np.where(np.eye(4) > 0.0, end, CENTRE) for end in (0.0, 1.0)])
 _RNG = np.random.default_rng(0)
 RANDOM = np.concatenate([np.repeat(_RNG.uniform(size=(8, 3)), 2, 0), np.tile(_RNG.uniform(size=(2, 1)), (8, 1))], 1)
 PLACES = np.concatenate([CENTRE, CORNERS, FACES, RANDOM])
+
+
+def at_places(places):
+    """Settings (..., 4) of places of the unit box."""
+    return POLICY.lowest + POLICY.width * places
 
 
 def named(setting):
@@ -67,16 +54,16 @@ def setting_loops(scenario, poses, settings):
         yield linear_loops(scenario.replace({"tuner": tuner, "estimator.disturbance": level}), poses)
 
 
-def frozen(name, places=PLACES):
+def frozen(name):
     """Radius (m, s) of all settings at all poses, and the least disk margin of some of them."""
     scenario = load_scenario(LOOPS[name][0], [*BASE, LOOPS[name][1]])
     poses = poses_to_stand_at(scenario, POSES, seed=0)
-    loops = setting_loops(scenario, poses, BOX.at(places))
+    loops = setting_loops(scenario, poses, at_places(PLACES))
     radius = np.stack([np.abs(np.linalg.eigvals(each.closed)).max(axis=-1) for each in loops], axis=-1)
     # All settings at a few poses, and those that are worst there at all poses.
-    few = np.stack([margin_of(each) for each in setting_loops(scenario, poses[:FEW], BOX.at(places))], axis=-1)
+    few = np.stack([margin_of(each) for each in setting_loops(scenario, poses[:FEW], at_places(PLACES))], axis=-1)
     order = np.argsort(few.min(axis=0))[:3]
-    worst = np.stack([margin_of(each) for each in setting_loops(scenario, poses, BOX.at(places[order]))], axis=-1)
+    worst = np.stack([margin_of(each) for each in setting_loops(scenario, poses, at_places(PLACES[order]))], axis=-1)
     return scenario, radius, few, worst, order
 
 
@@ -95,8 +82,8 @@ def frozen_row(name):
     tight = order[np.unravel_index(worst.argmin(), worst.shape)[1]]
     line = (
         f"| {name} | {(radius < 1.0).sum()} of {radius.size} | {radius.max():.5f} | {decay.min():.2f} | "
-        f"{named(BOX.at(PLACES[place]))} | {np.median(decay[:, 0]):.2f} | {disk:.3f} | {np.median(few[:, 0]):.3f} | "
-        f"{named(BOX.at(PLACES[tight]))} |"
+        f"{named(at_places(PLACES[place]))} | {np.median(decay[:, 0]):.2f} | {disk:.3f} | {np.median(few[:, 0]):.3f} | "
+        f"{named(at_places(PLACES[tight]))} |"
     )
     return line, decay
 
@@ -154,7 +141,7 @@ def main():
         if name in PICTURED:
             decays[name] = decay
     picture(decays)
-    ends = zip(NAMES, BOX.lowest, BOX.lowest + BOX.width, strict=True)
+    ends = zip(NAMES, POLICY.lowest, POLICY.lowest + POLICY.width, strict=True)
     text = TEXT.format(
         names=", ".join(NAMES),
         box=", ".join(f"{key} {low:+.2f} to {high:+.2f}" for key, low, high in ends),

@@ -67,7 +67,7 @@ def changed(node, **parts):
 
 
 def places(tree):
-    """(node, what could stand there) all over a module, but for annotations, strings and what only type checkers read."""
+    """(node, what could stand there) all over a module, but for annotations, strings and code for type checkers."""
     if isinstance(tree, ast.If) and "TYPE_CHECKING" in ast.unparse(tree.test):
         return
     for field, value in ast.iter_fields(tree):
@@ -89,7 +89,7 @@ def places(tree):
 
 
 def draw(count, seed):
-    """So many defects: a file, the longer the likelier, a place in it, and what to change there; a row, and the file."""
+    """So many defects: a file, the longer the likelier, and a place in it; of each a row, and the changed source."""
     files = [path for path in sorted((ROOT / "stewart_drake").rglob("*.py")) if path.name != "__init__.py"]
     files = [path for path in files if "paper" not in path.parts]
     sources = [path.read_bytes() for path in files]
