@@ -27,7 +27,13 @@ from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "seeded_defects.jsonl"
-TESTS = ["-m", "not slow and not long", "--hypothesis-profile=check", "--ignore=tests/benchmarks", "--ignore=tests/paper"]
+TESTS = [
+    "-m",
+    "not slow and not long",
+    "--hypothesis-profile=check",
+    "--ignore=tests/benchmarks",
+    "--ignore=tests/paper",
+]
 ALWAYS = ["-q", "-n", "auto", "--hypothesis-seed=0", "--continue-on-collection-errors", "-o", "junit_family=xunit1"]
 LIMIT = 1200.0
 """[s] for the tests of one defect; one that takes longer is caught."""

@@ -5,6 +5,7 @@ check names, where a few runs stand for the page's hundreds.
 """
 
 import re
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ from stewart_drake.training.situations import HELD_OUT, VALIDATION
 
 pytestmark = pytest.mark.slow
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
+loaded = lru_cache(load_comparison)
 NAMED = "`make results` recomputes some of these numbers."
 """What every page says."""
 POLICY = always({"tuner": {"kind": "policy"}})
@@ -89,7 +91,7 @@ def page(request):
 
 def compared(name, *labels):
     """The row of one run of a comparison: controller, motion and condition."""
-    comparison = load_comparison(name)
+    comparison = loaded(name)
     named = [(cell.controller, cell.reference, cell.condition) for cell in comparison.cells]
     return execute(comparison.task(named.index(labels)))
 
