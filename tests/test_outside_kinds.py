@@ -89,7 +89,7 @@ def checked_logged_and_plotted(scenario, tmp_path):
 )
 def test_a_controller_from_a_notebook_cell(given, tmp_path):
     scenario = Scenario.from_dict({**SHORT, "controller": given, "reference": {"kind": "hold"}})
-    assert str(scenario.controller.system) == "test_outside_kinds:ToyController"
+    assert str(scenario.controller.kind) == "test_outside_kinds:ToyController"
     log = checked_logged_and_plotted(scenario, tmp_path)
     assert np.abs(log["torque"]).max() > 0.01
     longer = scenario.replace({"duration": 0.11, "controller.period": 0.001})
@@ -220,7 +220,7 @@ def test_a_sensor_and_a_controller_with_sections_of_their_own(tmp_path):
     np.testing.assert_allclose(log["measured_pose"][:, 5] - log["pose"][:, 5], 0.002, atol=1e-12)
     texts = [text.get_text() for text in plot_torques(log).texts]
     assert any("a toy law" in text for text in texts)
-    with pytest.raises(ConfigurationError, match=r"^sensors\.off: expected a number, zero or positive \[m\]"):
+    with pytest.raises(ConfigurationError, match=r"^sensors\.off: expected a number \[m\], at least 0"):
         scenario.replace({"sensors.off": -1})
     with pytest.raises(ConfigurationError, match=r"did you mean toy_law\?"):
         scenario.replace({"controller": {"kind": "toy_lw"}})
@@ -475,6 +475,6 @@ def test_a_kind_needs_a_name_of_its_own_and_what_its_base_asks_for(section, word
     with pytest.raises(ConfigurationError, match=f"^{words}") as caught:
         CONTROLLERS.add(section)
     assert "\n" not in str(caught.value)
-    assert CONTROLLERS.section("lqi") is LqiOptions
+    assert CONTROLLERS["lqi"] is LqiOptions
     assert "no_parts" not in CONTROLLERS.kinds
     CONTROLLERS.add(ToyLawOptions)  # as a cell of a notebook does

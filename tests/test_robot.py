@@ -223,13 +223,13 @@ def test_masses_without_inertias_are_uniform_bars_and_a_disc():
     ("text", "wanted"),
     [
         ("a, b\n1, 2", r"header: expected "),
-        (f"{HEADER}, crank_x\n", r"header.*all of crank_x, crank_y, crank_z, or none"),
+        (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
         (f"{HEADER}\n1, 2\n", r"leg 0: expected 6, one a column"),
         (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"joint_y of leg 0: expected a number"),
-        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: expected 6 rows, one a leg"),
+        (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"table: .*6 rows, one a leg"),
         ("", r"header: expected "),
         (
-            f"leg, {HEADER}\n3, 1, 2, 3, 4, 5, 6\n1, 1, 2, 3, 4, 5, 6",
+            f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6,
             r"leg: expected ",
         ),
     ],
@@ -250,7 +250,7 @@ def swapped(one, other):
 @pytest.mark.parametrize(
     ("make", "wanted"),
     [
-        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"expected 6 rows, one a leg, got '5 rows'"),
+        (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one a leg.*got \(5, 6\)"),
         (lambda: RobotParameters.from_table(1e3 * POINTS, **LEG), r"rod_length of leg \d.*millimetres\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from stewart_drake.config import NotNegative, Section
+from stewart_drake.config import Section
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.robot.leg import LARGEST, LEGS, Branch, HalfAngle, Signed, Signed3, SixLegs, Size, Size3
-from stewart_drake.robot.positions_table import Cranks, Unit, from_table
-from stewart_drake.robot.robot_checks import check_geometry
+from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
+from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Moderate, Signed, Signed3, SixLegs, Size, Size3
 
 _PAIR = np.arange(LEGS) // 2
 _SIDE = np.where(np.arange(LEGS) % 2 == 0, -1.0, 1.0)
@@ -75,7 +73,7 @@ class RobotParameters(Section, key="robot"):
     """[kg m^2] Ixy, Ixz, Iyz of the same inertia."""
     platform_center_of_mass: Signed3 = (0.0, 0.0, 0.0)
     """[m] in P."""
-    rotor_inertia: Annotated[NotNegative, Field(le=LARGEST)] = 0.0
+    rotor_inertia: Moderate = 0.0
     """[kg m^2] of a motor's rotor and gear as its crank feels it, about the motor axis."""
     base_mass: Size = 7.0
     """[kg]; welded to the world, so it never acts."""
@@ -108,7 +106,7 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; see `positions_table.from_table` for what is found by itself.
+        """A robot from measured positions, a row a leg; see `geometry.from_table` for what is found by itself.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) [m] of motor shafts in B and platform joints in P.
