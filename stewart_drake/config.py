@@ -78,7 +78,7 @@ def one_for_six(number: Any) -> BeforeValidator:
             raise as_problem(ConfigurationError("", given, f"{error.allowed}, or six of them")) from None
         return (given,) * 6
 
-    return BeforeValidator(spread, json_schema_input_type=number | tuple[(number,) * 6])
+    return BeforeValidator(spread, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
 
 
 SixNumbers = Annotated[Vector6, one_for_six(Real)]

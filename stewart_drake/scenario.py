@@ -355,7 +355,7 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
         hint = "; `mismatch: true` fills it" if inside == "model_robot" and here is None else ""
         raise ConfigurationError(key, here, f"a key in a section, which {inside} is not{hint}")
     if isinstance(part, int) and not (isinstance(here, list) and part < len(here)):
-        has = f"components 0 to {len(here) - 1}" if isinstance(here, list) else "no components"
+        has = f"components from 0 to {len(here) - 1}" if isinstance(here, list) else "no components"
         raise ConfigurationError(key, here, f"a key that is there: {inside} has {has}")
 
 

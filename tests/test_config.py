@@ -32,7 +32,6 @@ from stewart_drake.config import (
 )
 from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.families import Family
 from stewart_drake.files.code import code_rule
 from stewart_drake.hardware.disturbances import UserDisturbance
 from stewart_drake.references.user_reference import UserReference
@@ -266,38 +265,7 @@ def test_every_problem_has_its_line_and_its_place(make, lines):
         assert line.startswith(start)
 
 
-def test_numbers_and_truth_values_of_numpy_are_taken():
-    safety = Scenario(safety={}).safety
-    safety = dataclasses.replace(safety, failures=np.bool_(True))
-    scenario = Scenario(safety=safety, command_delay=np.int64(2), duration=np.float32(1.5))
-    assert (scenario.safety.failures, scenario.command_delay, scenario.duration) == (True, 2, 1.5)
-    assert type(scenario.safety.failures) is bool
-
-
 # --- kinds ---------------------------------------------------------------------------------------------------
-
-
-def test_a_family_takes_a_kind_from_outside_of_the_package():
-    family = Family({})
-
-    class Mine(Section):
-        """Mine."""
-
-        kind: Literal["mine"] = "mine"
-        size: Positive = 1.0
-        """[m]"""
-
-    family.add(Mine)
-
-    class Holder(Section):
-        """Holder."""
-
-        part: Annotated[Section, family]
-        """One of the family."""
-
-    assert Holder(part={"kind": "mine", "size": 2}).part == Mine(size=2.0)
-    with pytest.raises(ConfigurationError, match=r"^part\.kind: .*did you mean mine"):
-        Holder(part={"kind": "mne"})
 
 
 def test_a_registered_name_stands_for_an_import_path(monkeypatch):
@@ -311,18 +279,6 @@ def test_a_registered_name_stands_for_an_import_path(monkeypatch):
     for name, path in (("lqi", "mine:Mine"), ("other", "mine")):
         with pytest.raises(ConfigurationError):
             CONTROLLERS.register(name, path)
-
-
-@pytest.mark.parametrize(("key", "kind"), [(key, kind) for key, family in FAMILIES.items() for kind in family.kinds])
-def test_a_kind_alone_is_a_section_of_nothing_else(key, kind):
-    def made(section):
-        try:
-            return Scenario.from_dict({"robot": "reachy_mini", "duration": 1.0, key: section})
-        except ConfigurationError as error:
-            return str(error)
-
-    assert made(kind) == made({"kind": kind})
-    assert VALIDATOR.is_valid({key: kind}) == VALIDATOR.is_valid({key: {"kind": kind}})
 
 
 def test_a_kind_alone_is_one_on_the_command_line_in_python_and_in_a_list(tmp_path):

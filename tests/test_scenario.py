@@ -12,7 +12,6 @@ from ruamel.yaml import YAML
 
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
-from stewart_drake.control.network import default_network_path, load_network
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.references import HoldReference
@@ -144,10 +143,7 @@ WRONG = [
     ("reference.center", {"reference": {"kind": "hold", "center": []}}, "the keys here are kind, pose"),
     ("reference", {"reference": None}, "hold, sine, sine_bursts, breathing"),
     ("reference.frequncy", {"reference": {"kind": "sine_bursts", "frequncy": [1]}}, "did you mean frequency?"),
-    ("reference.amplitude", {"reference": BURSTS | {"amplitude": [[0] * 6]}}, "2 vectors of 6 numbers"),
-    ("reference.burst_duration", {"reference": BURSTS | {"burst_duration": 0.39}}, "at least twice the fade"),
     ("reference.parts", {"reference": {"kind": "sum", "parts": []}}, "a list of at least 1 sections"),
-    ("reference.parts.0", {"reference": {"kind": "sum", "parts": [3]}}, "a section, with kind: hold, sine"),
     ("reference.parts.0.kind", {"reference": {"kind": "sum", "parts": [{"kind": "sum", "parts": []}]}}, "recorded"),
     ("reference.motion.parts.0.hgh", {"reference": adjusted_tremor(hgh=1)}, "did you mean high?"),
     ("reference.motion.parts.0.high", {"reference": adjusted_tremor(high=1)}, "above low, 6 Hz"),
@@ -182,12 +178,6 @@ def test_python_construction_raises_the_same_error_as_a_file(tmp_path):
         Scenario().replace({"duration": -1})
     assert str(from_dict) == str(from_python.value) == str(from_file.value) == str(from_replace.value)
     assert from_python.value.value == -1
-
-
-def test_a_key_of_many_lines_or_letters_still_makes_one_short_line():
-    assert refusal({"a\nb": 3}).key == r"'a\nb'"
-    assert len(refusal({"x" * 100_000: 3}).key) < 100
-    assert len(str(refusal({"duration": "x" * 100_000}))) < 300
 
 
 def test_every_problem_has_a_line_and_unknown_keys_come_first():
@@ -254,7 +244,7 @@ def test_an_override_sets_one_key(text, key, value):
         ("duration=!x 3", "--set duration", "without tags"),
         ("duration.x=3", "duration.x", "a key in a section, which duration is not"),
         ("reference.center.5=3", "reference.center.5", "initial_offset[0]"),
-        ("reference.center[6]=3", "reference.center[6]", "center has components 0 to 5"),
+        ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
         ("plant={a: 1}", "plant.a", "no such key, got 1"),
         ("durration=3", "durration", "did you mean duration?"),
@@ -271,29 +261,6 @@ def test_a_bad_override_is_named(text, key, words):
         load_scenario("paper_fig7", [text])
     assert one_line(caught.value).key == key
     assert words in str(caught.value)
-
-
-def test_another_kind_drops_what_only_the_old_kind_has(tmp_path):
-    as_run = write(tmp_path, load_scenario("paper_fig7").to_yaml())
-    scenario = load_scenario(as_run, ["reference.kind=hold", "tuner.kind=fixed", "tuner.omega_q=10"])
-    assert scenario.reference == HoldReference()
-    assert scenario.tuner == FixedTuner(omega_q=10.0)
-    assert Scenario().replace({"tuner.kind": "fixed"}).tuner == FixedTuner()
-
-
-# --- the weights file ---------------------------------------------------------------------------------------------
-
-
-def test_a_weights_file_is_relative_to_the_scenario_file(tmp_path, monkeypatch):
-    (tmp_path / "deep").mkdir()
-    network = load_network(default_network_path())
-    network.save(tmp_path / "deep" / "own.json")
-    path = write(tmp_path / "deep", "tuner: {kind: paper, weights_file: own.json}\n")
-    monkeypatch.chdir(tmp_path)
-    scenario = load_scenario(path.relative_to(tmp_path))
-    assert scenario.tuner.weights_file == str(tmp_path / "deep" / "own.json")
-    monkeypatch.chdir("/")
-    np.testing.assert_array_equal(scenario.load_tuner_network().hidden_weights, network.hidden_weights)
 
 
 # --- round trip and schema ----------------------------------------------------------------------------------------
@@ -343,12 +310,6 @@ def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(n
         (wrong.setdefault(section[0], {}) if section else wrong)[key] = 1
         with pytest.raises(jsonschema.ValidationError):
             validator.validate(wrong)
-
-
-@pytest.mark.parametrize("scenario", WHOLE, ids=lambda s: s.reference.kind)
-def test_the_schema_accepts_every_key_as_run(scenario):
-    jsonschema.Draft202012Validator.check_schema(scenario_schema())
-    jsonschema.Draft202012Validator(scenario_schema()).validate(scenario.to_dict())
 
 
 # --- nothing but a ConfigurationError, whatever is thrown at it ---------------------------------------------------
@@ -406,9 +367,12 @@ def test_random_overrides_give_a_scenario_or_one_line(tmp_path_factory, key, val
         one_line(error)
 
 
-def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have():
-    pid = load_scenario("exact_fig7").replace({"controller.kind": "pid"})
-    assert pid.controller == PidOptions(period=0.001)
+def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_have(tmp_path):
+    assert load_scenario("exact_fig7").replace({"controller.kind": "pid"}).controller == PidOptions(period=0.001)
+    as_run = write(tmp_path, load_scenario("paper_fig7").to_yaml())
+    scenario = load_scenario(as_run, ["reference.kind=hold", "tuner.kind=fixed", "tuner.omega_q=10"])
+    assert scenario.reference == HoldReference()
+    assert scenario.tuner == FixedTuner(omega_q=10.0)
     assert load_scenario("exact_fig7", ["controller.kind=pid", "controller.kp=3"]).controller.kp == 3.0
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
 

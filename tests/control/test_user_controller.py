@@ -42,7 +42,7 @@ def written(tmp_path):
     def write(text):
         path = tmp_path / "mine.py"
         path.write_text(text)
-        return {"kind": "python", "kind": f"{path}:Mine"}
+        return {"kind": f"{path}:Mine"}
 
     return write
 
@@ -79,7 +79,7 @@ def test_weights_error_and_integral_are_connected_where_they_are_there(written):
 
 def test_an_import_path_works_as_a_file_does_and_context_is_handed_over():
     path = "stewart_drake.systems.library:DensityFeatures"
-    made = PythonOptions(system=path, arguments={"window": 4}).construct({"period": 0.25, "robot": ROBOT})
+    made = PythonOptions(kind=path, arguments={"window": 4}).construct({"period": 0.25, "robot": ROBOT})
     assert made.period == pytest.approx(0.25)
 
 
