@@ -45,7 +45,7 @@ class ConfigurationError(StewartDrakeError):
 
     reason = "configuration"
 
-    def __init__(self, key: str, value: Any, allowed: str, others: tuple[ConfigurationError, ...] = ()) -> None:
+    def __init__(self, key: str, value: Any, allowed: str, *, others: tuple[ConfigurationError, ...] = ()) -> None:
         self.key, self.value, self.allowed, self.others = key, value, allowed, others
         expected, semicolon, hint = allowed.partition("; ")
         expected = expected if expected.startswith("no such") else f"expected {expected}"
@@ -59,7 +59,7 @@ class ConfigurationError(StewartDrakeError):
     def within(self, place: str) -> ConfigurationError:
         """The same problems, with the place where they were found before each key."""
         others = tuple(each.within(place) for each in self.others)
-        error = ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others)
+        error = ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others=others)
         error.reason = self.reason
         return error
 
@@ -113,10 +113,7 @@ class UnreachablePoseError(RunFailure):
 
     def __init__(self, pose: np.ndarray, leg: int, margin: float) -> None:
         self.pose, self.margin = pose, margin
-        super().__init__(
-            f"pose {pose_text(pose)} is out of reach of leg {leg} (margin {margin:.4g}; reachable: margin >= 0)",
-            leg,
-        )
+        super().__init__(f"pose {pose_text(pose)} is out of reach of leg {leg} (margin {margin:.4g}, less than 0)", leg)
 
 
 class SingularPoseError(RunFailure):

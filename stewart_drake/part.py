@@ -136,7 +136,7 @@ def guarded(part: Part) -> Part:
 
 
 class Running:
-    """Parts with their states.
+    """Parts with their states, side by side in one vector, called in order outside of a Diagram.
 
     Args:
         parts: In order.
@@ -164,12 +164,13 @@ class Running:
             for output in part.outputs:
                 at = start + part.initial.dtype.fields[output][1] // 8  # type: ignore[index]
                 self.places[part.signal(output)] = slice(at, at + part.size(output))
-        calls = [
-            partial(part.tick, *self._inputs(part), state) for part, state in zip(parts, self._states, strict=True)
-        ]
-        self._tick = [call for part, call in zip(parts, calls, strict=True) if not part.late]
-        self._between = [call for part, call in zip(parts, calls, strict=True) if part.every_step]
-        self._late = [call for part, call in zip(parts, calls, strict=True) if part.late]
+        calls = {
+            part.name: partial(part.tick, *self._inputs(part), state)
+            for part, state in zip(parts, self._states, strict=True)
+        }
+        self._tick = [calls[part.name] for part in parts if not part.late]
+        self._between = [calls[part.name] for part in parts if part.every_step]
+        self._late = [calls[part.name] for part in parts if part.late]
         self.reset()
 
     def _inputs(self, part: Part) -> list[np.ndarray]:

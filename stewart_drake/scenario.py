@@ -384,7 +384,7 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
         if depth == 0 and part in ROBOT_KEYS and isinstance(inside, str):
             inside = robot_section(inside)
         elif depth == 0 and part in _FAMILIES:
-            inside = _FAMILIES[part].spelled(inside)
+            inside = _FAMILIES[str(part)].spelled(inside)
         inside = given_again(inside)
         if inside is None:
             inside = [None] * LEGS if isinstance(path[depth + 1], int) else {}

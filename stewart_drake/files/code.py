@@ -127,7 +127,10 @@ class CodePath(os.PathLike[str]):
     @classmethod
     def of(cls, given: Any) -> Any:
         """A class or object that was given in Python, with its import path; a text as it is."""
-        return given if isinstance(given, (str, cls)) else cls(*path_of(given).split(":"), given)
+        if isinstance(given, (str, cls)):
+            return given
+        place, _, name = path_of(given).rpartition(":")
+        return cls(place, name, given)
 
     @classmethod
     def named(cls, text: str) -> Self:

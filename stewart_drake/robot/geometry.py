@@ -197,9 +197,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
 
 def _columns(table: Any) -> dict[str, np.ndarray]:
     """Columns (6,) of a table by name."""
-    names = _POSITIONS
-    if isinstance(table, (str, Path)):
-        names, table = _read(Path(table))
+    names, table = _read(Path(table)) if isinstance(table, (str, Path)) else (_POSITIONS, table)
     try:
         values = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:

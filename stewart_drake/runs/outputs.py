@@ -209,7 +209,7 @@ def _own_files(scenario: Scenario) -> dict[str, bytes]:
     for code, key in [(part.code, part.code_key) for part in user_parts(scenario) if part.code.in_file]:
         # Of a log from elsewhere the code may be gone; then its results do without.
         with suppress(ConfigurationError):
-            content, path = code.read(key), f"{_CODE}/{code.file.stem}"
+            content, path = code.read(key), f"{_CODE}/{Path(code.place).stem}"
             # Of two files of one name the second gets a number.
             names = (f"{path}.py", *(f"{path}_{number}.py" for number in range(2, len(files) + 2)))
             here[str(code)] = next(name for name in names if files.setdefault(name, content) == content)
