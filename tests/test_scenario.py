@@ -29,25 +29,6 @@ from stewart_drake.studies.comparison import load_comparison
 KEYS_OF_ALL = list(Scenario.__pydantic_fields__)
 SHIPPED = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
 BURSTS = {"kind": "sine_bursts", "frequency": [1.0, 2.0], "amplitude": [[0.1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.01]]}
-WHOLE = [
-    Scenario(),
-    Scenario.from_dict({"reference": {"kind": "hold"}, "tuner": {"kind": "fixed"}, "model_robot": {}, "log_period": 1}),
-    Scenario.from_dict({"reference": BURSTS}),
-    *[
-        Scenario.from_dict({"reference": reference})
-        for reference in (
-            {"kind": "breathing"},
-            {"kind": "heartbeat", "premature_beats": [3]},
-            {"kind": "tremor"},
-            {"kind": "minimum_jerk", "poses": [[0.0] * 6, [0.0] * 6], "durations": [1.0], "dwell": [0.0]},
-            {"kind": "spline", "poses": [[0.0] * 6, [0.0] * 6], "times": [0.0, 1.0]},
-            {"kind": "recorded", "motion_file": "/motion.csv"},
-            {"kind": "sum", "parts": [{"kind": "breathing"}, {"kind": "heartbeat"}], "center": [0.0] * 6},
-            {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor"}]}, "center": [0.0] * 6},
-        )
-    ],
-]
-"""Scenarios that have, between them, every key."""
 
 
 def refusal(data):
@@ -68,23 +49,6 @@ def one_line(error):
 
 def adjusted_tremor(**keys):
     return {"kind": "adjusted", "motion": {"kind": "sum", "parts": [{"kind": "tremor", **keys}]}}
-
-
-def leaves(data, path=()):
-    """(path, value) of everything in a document that is no section."""
-    for key, value in data.items():
-        if isinstance(value, dict):
-            yield from leaves(value, (*path, key))
-        else:
-            yield (*path, key), value
-
-
-def put(data, path, value):
-    here = data
-    for part in path[:-1]:
-        here = here[part]
-    here[path[-1]] = value
-    return data
 
 
 def write(folder, text, name="some.yaml"):
@@ -310,48 +274,6 @@ def test_the_schema_accepts_the_shipped_scenarios_and_refuses_a_typing_mistake(n
         (wrong.setdefault(section[0], {}) if section else wrong)[key] = 1
         with pytest.raises(jsonschema.ValidationError):
             validator.validate(wrong)
-
-
-# --- nothing but a ConfigurationError, whatever is thrown at it ---------------------------------------------------
-
-KEYS = sorted({part for whole in WHOLE for path, _ in leaves(whole.to_dict()) for part in path})
-scalars = (
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.text(max_size=5)
-    | st.sampled_from(["sine", "hold", "sine_bursts", "fixed", "paper", "statics", 10**400, 1e308, b"x"])
-    | st.dates()
-)
-values = st.recursive(
-    scalars,
-    lambda inner: (
-        st.lists(inner, max_size=7)
-        | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=3) | st.integers(), inner, max_size=4)
-    ),
-    max_leaves=12,
-)
-
-
-@given(st.sampled_from(WHOLE), st.data())
-@example(Scenario(), {"robot": {"rod_length": 1e200}})
-@example(Scenario(), {"model_robot": {"branch": 10**400}})
-@settings(max_examples=100)
-def test_a_scenario_with_a_random_value_takes_it_or_names_a_key(whole, data):
-    if isinstance(data, dict):
-        document = data
-    else:
-        document = whole.to_dict()
-        put(document, data.draw(st.sampled_from([path for path, _ in leaves(document)])), data.draw(values))
-        document |= data.draw(
-            st.dictionaries(st.sampled_from(sorted(KEYS_OF_ALL)) | st.text(max_size=5), values, max_size=1)
-        )
-    try:
-        Scenario.from_dict(document)
-    except ConfigurationError as error:
-        key = one_line(error).key
-        assert key.split(".")[0] in KEYS_OF_ALL or key in {*document, *map(repr, document)}
 
 
 @given(st.text(max_size=20), st.text(max_size=20))
