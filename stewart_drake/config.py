@@ -99,6 +99,8 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
+    kinds_with: ClassVar[Callable[[str], list[str]]] = staticmethod(lambda _: [])
+    """Of those: which kinds of the family have a key, for messages."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -164,7 +166,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
+            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
 
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -314,7 +316,9 @@ def _told(error: ValidationError, section: str) -> ConfigurationError:
     return first
 
 
-def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
+def _in_words(
+    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
+) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
     lines: list[InitErrorDetails] = []
     order = {key: place for place, key in enumerate(_options(schema, schema)[0].get("properties", {}))}
@@ -328,6 +332,8 @@ def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationEr
                 location = location[:-1]
             value = None if required else value
             allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
+            kinds = kinds_with(str(location[0])) if allowed.startswith("no such") and len(location) == 1 else []
+            allowed += f". It is a key of kind {either(kinds)}" if kinds else ""
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
@@ -406,7 +412,7 @@ def _one_in_words(schema: Mapping[str, Any], unit: str, root: Mapping[str, Any])
         fixed = schema.get("prefixItems")
         least = f"at least {schema['minItems']} " if schema.get("minItems") else ""
         inner = in_words(fixed[0] if fixed else schema.get("items", {}), "", root)
-        inner = inner.removeprefix("a ").partition(", with")[0]
+        inner = re.sub(r"^a |, (with|at least|at most|above|below) .*", "", inner)
         inner = re.sub(r"^((positive |whole )*(number|text|list|section|value))", r"\1s", inner)
         return f"a list of {f'{len(fixed)} ' if fixed else least}{inner}{unit}"
     if schema.get("minimum") == TINY:

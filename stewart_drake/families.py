@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, ValidationError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from stewart_drake.config import Section, as_problem, check_plain, chosen, either, schema_of, to_plain
 from stewart_drake.errors import ConfigurationError
@@ -182,11 +182,9 @@ class Family(Table):
         value = self.spelled(value)
         section, kind = self.section_of(value), value.get("kind") if isinstance(value, Mapping) else None
         if isinstance(value, Mapping) and section is not None:
-            try:
-                own = {"kind": CodePath.of(kind)} if self._is_own(kind) else {}
-                return section.__pydantic_validator__.validate_python({**value, **own})
-            except ValidationError as error:
-                raise self._told(error) from None
+            section.kinds_with = self._kinds_with
+            own = {"kind": CodePath.of(kind)} if self._is_own(kind) else {}
+            return section.__pydantic_validator__.validate_python({**value, **own})
         if isinstance(value, Mapping):
             required = "" if "kind" in value else "; this key is required"
             raise as_problem(ConfigurationError("kind", kind, f"{chosen(kind, self.words)}{required}"))
@@ -197,18 +195,8 @@ class Family(Table):
         allowed = chosen(value, self.words) if isinstance(value, str) else self._text
         raise as_problem(ConfigurationError("", value, allowed))
 
-    def _told(self, error: ValidationError) -> ValidationError:
-        """The same problems; of a key that this kind does not have, which kinds have it."""
-        lines: list[InitErrorDetails] = []
-        for report in error.errors(include_url=False):
-            (key, *deeper), context = report["loc"] or ("",), report["ctx"]
-            if not deeper and context["allowed"].startswith("no such key"):
-                kinds = [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
-                if kinds:
-                    context = {**context, "allowed": f"{context['allowed']}. It is a key of kind {either(kinds)}"}
-            problem = PydanticCustomError("rule", "expected {allowed}", context)
-            lines.append(InitErrorDetails(type=problem, loc=report["loc"], input=report["input"]))
-        return ValidationError.from_exception_data("section", lines)
+    def _kinds_with(self, key: str) -> list[str]:
+        return [kind for kind in self.kinds if key in self[kind].__pydantic_fields__]
 
     @property
     def _text(self) -> str:

@@ -43,7 +43,7 @@ from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.references import AnyReference, SineReference
 from stewart_drake.registry import CONTROLLERS, ESTIMATORS, OWN_METRICS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST, LEGS
+from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_files import AnyRobot, robot_section
 from stewart_drake.robot.robot_scale import PAPER, fill, without_own
 from stewart_drake.safety import SafetyOptions
@@ -364,22 +364,23 @@ def _changed(data: dict[str, Any], changes: Mapping[str, Any]) -> Scenario:
     components = {key: value for key, value in changes.items() if "[" in key}
     for key, value in changes.items():
         if key not in components:
-            _assign(data, key, value)
+            _assign(data, key, value, {})
     scenario = Scenario.from_dict(data)
     if not components:
         return scenario
     # Components are those of lists in full, defaults included.
-    data = given_again(scenario)
+    data, full = given_again(scenario), scenario.in_full()
     for key, value in components.items():
-        _assign(data, key, value)
+        _assign(data, key, value, full)
     return Scenario.from_dict(data)
 
 
-def _assign(data: dict[str, Any], key: str, value: Any) -> None:
-    """Sets a key in plain values; what is changed in them is a copy."""
+def _assign(data: dict[str, Any], key: str, value: Any, full: Any) -> None:
+    """Sets a key in plain values; what is changed in them is a copy, and what is null is filled from `full`."""
     *parents, last = path = split_key(key)
     here: Any = data
     for depth, part in enumerate(parents):
+        full = full.get(part) if isinstance(full, dict) else full[part] if isinstance(full, list) else None
         inside = here.get(part) if isinstance(here, dict) else here[part]
         if depth == 0 and part in ROBOT_KEYS and isinstance(inside, str):
             inside = robot_section(inside)
@@ -387,7 +388,7 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
             inside = _FAMILIES[str(part)].spelled(inside)
         inside = given_again(inside)
         if inside is None:
-            inside = [None] * LEGS if isinstance(path[depth + 1], int) else {}
+            inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
         inside = inside.copy() if isinstance(inside, (dict, list)) else inside
         _refuse_part(key, inside, path[depth + 1], str(part))
         here[part] = inside

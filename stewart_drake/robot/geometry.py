@@ -203,7 +203,7 @@ def _columns(table: Any) -> dict[str, np.ndarray]:
     except (TypeError, ValueError) as error:
         raise ConfigurationError("table", table, f"a path, or numbers of shape (6, 6) ({error})") from None
     if values.shape != (LEGS, len(names)):
-        allowed = f"shape ({LEGS}, {len(names)}): {LEGS} rows, one a leg, of {', '.join(names)}"
+        allowed = f"{LEGS} rows, one a leg, of {', '.join(names)}"
         raise ConfigurationError("table", values.shape, allowed)
     if not np.isfinite(values).all():
         leg, column = np.argwhere(~np.isfinite(values))[0]
