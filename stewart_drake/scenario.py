@@ -380,7 +380,8 @@ def _assign(data: dict[str, Any], key: str, value: Any, full: Any) -> None:
     *parents, last = path = split_key(key)
     here: Any = data
     for depth, part in enumerate(parents):
-        full = full.get(part) if isinstance(full, dict) else full[part] if isinstance(full, list) else None
+        at = isinstance(full, list) and isinstance(part, int)
+        full = full.get(part) if isinstance(full, dict) else full[part] if at else None
         inside = here.get(part) if isinstance(here, dict) else here[part]
         if depth == 0 and part in ROBOT_KEYS and isinstance(inside, str):
             inside = robot_section(inside)
