@@ -96,7 +96,7 @@ def margins() -> str:
     before, after = (Comparison.from_dict({**data, **each}, folder) for each in ({"tuned": None}, {}))
     for name in dict.fromkeys(cell.controller for cell in after.cells):
         place = next(place for place, cell in enumerate(after.cells) if cell.controller == name)
-        if after.scenario(place).controller.kind != "python":
+        if after.scenario(place).controller.code is None:
             least = [least_disk(each.scenario(place)) for each in (before, after)]
             said.append(f"{name} {least[0]:.2f} at the start of the search, {least[1]:.2f} tuned")
     return "; ".join(said)

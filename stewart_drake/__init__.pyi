@@ -11,7 +11,7 @@ from stewart_drake.control.network import load_network as load_network
 from stewart_drake.controller import Controller as Controller
 from stewart_drake.errors import ConfigurationError as ConfigurationError
 from stewart_drake.errors import StewartDrakeError as StewartDrakeError
-from stewart_drake.files.code_trust import trusting_code as trusting_code
+from stewart_drake.files.code import trusting_code as trusting_code
 from stewart_drake.identification.excitation import excite as excite
 from stewart_drake.identification.identified import Identification as Identification
 from stewart_drake.identification.identify import identify as identify

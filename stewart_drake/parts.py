@@ -247,7 +247,7 @@ def _reading(part: Part, **sources: str | np.ndarray) -> Part:
     return part._replace(reads={**part.reads, **{port: sources[port] for port in sources if port in part.inputs}})
 
 
-# --- parts that no room has ------------------------------------------------------------------------------------------
+# --- parts that no room has ---
 
 
 @njit

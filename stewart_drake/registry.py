@@ -30,7 +30,6 @@ CONTROLLERS = Family(
         "lqi": "control.lqi:LqiOptions",
         "pid": "control.joint_pid:PidOptions",
         "computed_torque": "control.computed_torque:ComputedTorqueOptions",
-        "python": "control.user_controller:PythonOptions",
     },
     default="lqi",
     own="control.user_controller:PythonOptions",

@@ -28,7 +28,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     Exit status: 0 it can be done as it stands, 2 it cannot, or bad input.
     """
     from stewart_drake.families import user_parts
-    from stewart_drake.files.code_trust import code_rule
+    from stewart_drake.files.code import code_rule
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.files.yaml_files import to_yaml
     from stewart_drake.runs.motion_fit import fit_amplitude, fit_speed, motion_report
@@ -43,7 +43,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
             raise part.code.refusal(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         asks = "" if code.trusted else "; `run` asks for --trust-code"
-        click.echo(f"runs code: {code.files[-1]}:{code.name}, sha256 {str(code.digest)[:16]}{asks}")
+        click.echo(f"runs code: {code.file}:{code.name}, sha256 {str(code.digest)[:16]}{asks}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
             allowed = "a motion and monitors of the package, for --scale and --retime: check runs no user's code"

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.code import trusting_code
 
 EXIT_INTERRUPTED = 130
 

@@ -18,8 +18,7 @@ from stewart_drake.mechanics.friction import dry_level
 from stewart_drake.mechanics.kinematics_laws import LEGS, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.friction_options import FrictionOptions
-from stewart_drake.robot.leg import SMALLEST
+from stewart_drake.robot.leg import SMALLEST, FrictionOptions
 
 
 class DeadMotor(Section, key="motors.dead"):

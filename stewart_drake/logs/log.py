@@ -12,7 +12,7 @@ import numpy as np
 
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import code_rule
+from stewart_drake.files.code import code_rule
 from stewart_drake.files.tables import (
     column_name,
     need_pandas,

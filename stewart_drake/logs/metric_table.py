@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import keys_of
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.families import UserMade
-from stewart_drake.files.code_path import source_of
+from stewart_drake.files.code import source_of
 from stewart_drake.files.whole import NOT_FINITE
 from stewart_drake.logs.rows import RunRows
 
@@ -262,7 +261,7 @@ def _check_names(metric: Metric, others: Sequence[Metric]) -> None:
 
     taken = {each.name for each in others} | {column.name for each in others for column in each.columns()}
     # A sweep has a column for each key of the scenario that it varies.
-    taken |= {*_TAKEN, *(column.name for column in OUTCOME), *keys_of(Scenario)}
+    taken |= {*_TAKEN, *(column.name for column in OUTCOME), *Scenario.__pydantic_fields__}
     for name in (metric.name, *metric.parts):
         if name in taken:
             raise ConfigurationError("metric", name, "a name that no metric or column has")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Positive, Section, Vector6
+from stewart_drake.config import Positive, Section, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, ZERO, smoothstep
 from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
@@ -39,9 +39,9 @@ class SineReference(Section, key="reference"):
     """[rad, m] by default the robot's home."""
     amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
     """[rad, m]"""
-    angular_frequency: Vector6 = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
+    angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
     """[rad/s]"""
-    phase: Vector6 = ZERO
+    phase: SixNumbers = ZERO
     """[rad]"""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -66,7 +66,7 @@ class SineBurstsReference(Section, key="reference"):
     """[rad, m] one vector per burst."""
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] by default the robot's home."""
-    phase: Vector6 = ZERO
+    phase: SixNumbers = ZERO
     """[rad] per axis, the same in every burst."""
     burst_duration: Positive = 1.6
     """[s]"""

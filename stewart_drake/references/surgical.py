@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, Vector6
+from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references.base import HOME, smoothstep
 from stewart_drake.robot.robot_scale import HOME_POSE
@@ -78,7 +78,7 @@ class HeartbeatReference(Section, key="reference"):
     """[rad, m] peak to peak; its sign is the direction."""
     rate: Positive = 1.25
     """[Hz] mean beats per second, above 0; 1-2 Hz is usual."""
-    phase: Vector6 = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
+    phase: SixNumbers = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
     """[rad] by which each axis lags, 2 pi for a beat; what differs turns the line into a loop."""
     harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
     """[-] a_k, sizes relative to each other of the harmonics 1, 2, ... of the rate; at most 20."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.errors import ConfigurationError, RunFailure, StewartDrakeError
+from stewart_drake.part import Running
 from stewart_drake.parts import loop_of
 from stewart_drake.plant.closed_chain import CHAIN_STATE, ClosedChain
-from stewart_drake.running import Running
 from stewart_drake.runs.engine import Engine, quiet, signals_of
 from stewart_drake.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.scenario import Scenario

@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.control.user_controller import user_code
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.user_errors import ControllerError
+from stewart_drake.files.code import ControllerError
 from stewart_drake.planning.feasibility import SEARCH_RTOL, FeasibilityReport, bisect, check_reference, largest_scale
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, Reference

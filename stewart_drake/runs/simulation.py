@@ -22,8 +22,7 @@ from stewart_drake.errors import (
     raised_at,
 )
 from stewart_drake.families import user_parts
-from stewart_drake.files.named_files import file_digests
-from stewart_drake.files.user_errors import ControllerError
+from stewart_drake.files.code import ControllerError, file_digests
 from stewart_drake.files.whole import plain_json
 from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.logs.metrics import figures_of

@@ -16,9 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code_path import CodePath
-from stewart_drake.files.code_trust import code_rule
-from stewart_drake.files.named_files import file_digests
+from stewart_drake.files.code import CodePath, code_rule, file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat

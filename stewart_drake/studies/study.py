@@ -16,8 +16,7 @@ from pydantic import Field
 from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import refuse_given, user_parts
-from stewart_drake.files.code_path import CodePath
-from stewart_drake.files.named_files import anchored, code_named
+from stewart_drake.files.code import CodePath, anchored, code_named
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import NOT_FINITE, write_atomically
 from stewart_drake.logs.metric_table import Column

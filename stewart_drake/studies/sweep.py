@@ -20,14 +20,13 @@ from pydantic import Field
 from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import Family, refuse_given
-from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.code import trusting_code
 from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.keys import split_key, value_at
 from stewart_drake.logs.metric_table import Column, ValueKind
 from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.outcomes import told
-from stewart_drake.scenario import Scenario
+from stewart_drake.scenario import Scenario, split_key, value_at
 from stewart_drake.studies.runs import Row, RunFunction
 from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, StudyTable, flat, run_study, vary
 from stewart_drake.studies.workers import Workers

@@ -84,12 +84,12 @@ def test_the_code_that_a_scenario_runs_is_named_with_its_digest_and_not_run(chec
     line = f"runs code: {folder / 'mine.py'}:Mine, sha256 {sha}"
     status, out, _ = check("given/mine.yaml", "--scale", "--out", "fit.yaml")
     assert f"{line}; `run` asks for --trust-code\n" in out
-    assert load_scenario("fit.yaml", trust_code=True).controller.code.files[-1] == folder / "mine.py"
+    assert load_scenario("fit.yaml", trust_code=True).controller.code.file == folder / "mine.py"
     # Now it is trusted.
     assert f"{line}\n" in check("given/mine.yaml")[1]
-    _, out, _ = check("given/mine.yaml", "--set", "controller.system=numpy.linalg:Mine")
+    _, out, _ = check("given/mine.yaml", "--set", "controller.kind=numpy.linalg:Mine")
     assert "linalg/__init__.py:Mine, sha256 " in out
-    status, out, err = check("given/mine.yaml", "--set", "controller.system=no_such_module:Popen")
+    status, out, err = check("given/mine.yaml", "--set", "controller.kind=no_such_module:Popen")
     assert (status, out, err.count("\n")) == (2, "", 1)
 
 

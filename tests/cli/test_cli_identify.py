@@ -10,7 +10,7 @@ from strategies import ROBOT
 
 from stewart_drake import load_robot, load_scenario
 from stewart_drake.identification.parameters import COULOMB, of_robot
-from stewart_drake.robot.friction_options import FrictionOptions
+from stewart_drake.robot.leg import FrictionOptions
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "identification"))
 from recordings import motion, recording, truth_of

@@ -7,7 +7,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.plant.closed_chain import ClosedChain
 from stewart_drake.plant.plant_options import PlantOptions
-from stewart_drake.robot.friction_options import FrictionOptions
+from stewart_drake.robot.leg import FrictionOptions
 from stewart_drake.robot.robot_files import load_robot
 
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])

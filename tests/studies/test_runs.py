@@ -15,7 +15,7 @@ from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.files.code_trust import trusting_code
+from stewart_drake.files.code import trusting_code
 from stewart_drake.logs import metric_table, versions
 from stewart_drake.logs.metric_table import Metric, add_metric
 from stewart_drake.logs.metrics import run_metrics
