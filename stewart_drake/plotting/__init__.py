@@ -1,4 +1,4 @@
-"""Figures; the only place that imports matplotlib. `style` has what all share, `run_plots` the figures of every run."""
+"""Figures; the only place that imports matplotlib. One module a topic, `runs` for the figures of every run."""
 
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.plotting.style import DPI, draw, save_figure

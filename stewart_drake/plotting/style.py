@@ -36,7 +36,7 @@ COORDINATES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("X", "mm"), (
 """Names and units in figures; `SCALES` brings a pose to them."""
 SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)
 
-_STYLE = ["default", Path(__file__).with_name("figure.mplstyle")]
+_STYLE: Any = ["default", Path(__file__).with_name("figure.mplstyle")]
 
 
 def styled(plot: Callable[P, T]) -> Callable[P, T]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -141,11 +140,9 @@ def experiment_scenarios(base: Scenario, samples: int = SAMPLES_PER_RUN) -> list
     """The nine experiments of so many ticks: every pair of `OMEGAS` held fixed, on `experiment_reference`."""
     kept = {name: getattr(base, name) for name in ("gravity", "robot", "model_robot", "plant", "limits")}
     kept |= {"reference": experiment_reference(base), "controller": base.lqi, "duration": samples * base.lqi.period}
-    of_density = {"density": base.tuner.density, "window": base.tuner.window}
-    return [
-        Scenario(name=f"experiment {index}", tuner=FixedTuner(omega_q=pair[0], omega_r=pair[1], **of_density), **kept)
-        for index, pair in enumerate(itertools.product(OMEGAS, OMEGAS))
-    ]
+    kind, window = base.tuner.density, base.tuner.window
+    tuners = [FixedTuner(omega_q=q, omega_r=r, density=kind, window=window) for q in OMEGAS for r in OMEGAS]
+    return [Scenario(name=f"experiment {index}", tuner=tuner, **kept) for index, tuner in enumerate(tuners)]
 
 
 def dataset_from_logs(

@@ -65,14 +65,15 @@ _SKIPPED, _SAMPLED = 30, 10
 """[ticks] before the first features that are kept, and between them."""
 
 
-def policy_of(weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = FAR) -> Policy:
+def policy_of(
+    weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = (-FAR, FAR)
+) -> Policy:
     """A policy of flat weights (`WEIGHTS`,); with zeros it stays at the centre (4,).
 
     `mean` and `scale` (13,) are of its features, `ends` (2, 13) their range.
     """
     parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
-    low, high = (-ends, ends) if np.isscalar(ends) else ends
-    mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, low, high))
+    mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, *ends))
     layers = Layers(
         mean=mean,
         scale=scale,
@@ -131,9 +132,9 @@ class _Recorder:
         self.rows: list[np.ndarray] = []
 
     def _tick(self, setups: np.ndarray, own: np.ndarray, *inputs: np.ndarray) -> None:
-        *signals, state = inputs
+        density, error, torque, innovation, reference, state = inputs
         found = np.empty(len(FEATURES))
-        _features(setups, *signals, state.copy(), found)
+        _features(setups, density, error, torque, innovation, reference, state.copy(), found)
         self.rows.append(found)
         policy_tick(setups, own, *inputs)
 

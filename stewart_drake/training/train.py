@@ -86,13 +86,17 @@ def train_network(
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        layers, losses = _descend((dataset.inputs - mean) / scale, target, training, options, progress)
+        inputs = (dataset.inputs - mean) / scale
+        (hidden, hidden_bias, output, output_bias), losses = _descend(inputs, target, training, options, progress)
     finally:
         torch.set_num_threads(threads)
     network = TunerNetwork(
         mean,
         scale,
-        *layers,
+        hidden,
+        hidden_bias,
+        output,
+        output_bias,
         omega_min=dataset.outputs.min(axis=0),
         omega_max=dataset.outputs.max(axis=0),
         density=dataset.metadata.get("density", "magnitude"),
