@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake.planning.pose_box import NEAR
-from stewart_drake.plotting.margin_plots import plot_margins
+from stewart_drake.plotting.model_plots import plot_margins
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margin_report import HEADER, facts, quantities, spread, table

@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 from scipy.stats import qmc
 
 from stewart_drake.control.objective import CostScales
-from stewart_drake.plotting import draw
-from stewart_drake.plotting.tuner_plots import plot_front
+from stewart_drake.plotting import save_figure
+from stewart_drake.plotting import style as look
 from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import (
@@ -81,6 +82,25 @@ def _log_change(row):
     return np.log(max(row["torque_change_rms"] * 1e-3 / row["period"], LEAST))
 
 
+@look.styled
+def picture(cloud, policy, fixed):
+    """Error [mm] against change of torque [N m], (n, 2) each: settings that stay, the policy, the best of them."""
+    figure, ((panel,),) = look.panels(1, 1, 5.0)
+    panel.plot(cloud[:, 1], cloud[:, 0], ".", color=look.QUIET, markersize=6.0, label="settings that stay")
+    panel.plot(fixed[:, 1], fixed[:, 0], "D", color=look.ORANGE, markersize=6.0, label="the best of them at a taste")
+    panel.plot(policy[:, 1], policy[:, 0], "o-", color=look.BLUE, label="policy")
+    for kappa, (error, change) in zip(KAPPAS, policy, strict=True):
+        place = {"textcoords": "offset points", "ha": "right", "va": "top"}
+        panel.annotate(f"{kappa:g}", (change, error), (-4, -8), color=look.BLUE, fontsize=9, **place)
+    look.logarithmic(panel, "xy")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.set(title="From stiff (-1) to quiet (1)", ylabel="error [mm] RMS")
+    panel.set(xlabel="change of torque in a millisecond [N m] RMS")
+    panel.legend()
+    return figure
+
+
 def main(folder: Path, weights: str | None = None) -> None:
     """Writes them."""
     found = Baselines.load()
@@ -104,11 +124,7 @@ def main(folder: Path, weights: str | None = None) -> None:
         table="\n".join(markdown(header, rows)),
     )
     (DOCS / "results" / "tuner_front.md").write_text(text)
-    warning = draw(
-        lambda: plot_front(shown[:count], shown[count:], KAPPAS, shown[best]), DOCS / "images/tuner_front.png"
-    )
-    if warning is not None:
-        sys.exit(warning)
+    save_figure(picture(shown[:count], shown[count:], shown[best]), DOCS / "images/tuner_front.png")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from stewart_drake.control.policy import NAMES, STEP, disturbance_of, load_policy, weights_of
-from stewart_drake.plotting import panels as look
+from stewart_drake.plotting import save_figure
+from stewart_drake.plotting import style as look
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
@@ -119,6 +120,7 @@ Reachy Mini; with jumps instead, Reachy Mini's loop can grow.
 """
 
 
+@look.styled
 def picture(decays):
     """Decay over poses and settings."""
     figure, ((panel,),) = look.panels(1, 1, 4.6)
@@ -126,9 +128,10 @@ def picture(decays):
         ordered = np.sort(values.ravel())
         panel.plot(ordered, 100.0 * np.arange(1, len(ordered) + 1) / len(ordered), color=color, label=name)
     look.logarithmic(panel, "x")
-    look.label(panel, "Settings that stay: how many decay more slowly", "decay [1/s]", "of settings and poses [%]")
-    look.legend(panel, loc="upper center", bbox_to_anchor=(0.5, -0.18))
-    figure.savefig(HERE / "images" / "tuner_safety.png", dpi=130)
+    title = "Settings that stay: how many decay more slowly"
+    panel.set(title=title, xlabel="decay [1/s]", ylabel="of settings and poses [%]")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    save_figure(figure, HERE / "images" / "tuner_safety.png")
 
 
 def main():

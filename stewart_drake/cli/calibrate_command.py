@@ -118,7 +118,7 @@ def _calibrate(
 def _report(found: Calibration, folder: Path) -> None:
     from stewart_drake.calibration.result import parameter_table, report, residual_table
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.plotting.calibration_plots import plot_calibration
+    from stewart_drake.plotting.model_plots import plot_calibration
 
     write_atomically(folder / "parameters.csv", parameter_table(found).encode())
     write_atomically(folder / "residuals.csv", residual_table(found).encode())

@@ -71,7 +71,7 @@ def identify(
 def _report(found: Identification, folder: Path) -> None:
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.identification.identified import friction_file, parameter_table, report
-    from stewart_drake.plotting.identification_plots import plot_identification
+    from stewart_drake.plotting.model_plots import plot_identification
 
     write_atomically(folder / "parameters.csv", parameter_table(found).encode())
     write_atomically(folder / "friction.yaml", friction_file(found).encode())

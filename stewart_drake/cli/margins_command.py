@@ -48,7 +48,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     import pyarrow.parquet as pq
 
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.plotting.margin_plots import plot_margins
+    from stewart_drake.plotting.model_plots import plot_margins
     from stewart_drake.stability import margin_report
     from stewart_drake.stability.margins import loop_margins
 

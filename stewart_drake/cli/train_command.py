@@ -29,7 +29,7 @@ def collect(out: Path, quiet: bool) -> None:
 
     prepare_file(out)
     with ProgressBar("nine experiments", 9.0, quiet, unit="runs") as advance:
-        dataset = collect_dataset(progress=advance, where=Workers())
+        dataset = collect_dataset(progress=advance, workers=Workers())
     dataset.save(out)
     click.echo(f"{len(dataset.inputs)} samples in {out}")
 
@@ -104,7 +104,7 @@ def _train_policy(out: Path, seed: int, generations: int, quiet: bool) -> None:
 
 def _train_paper(dataset: Path, out: Path, seed: int, epochs: int, split: Split, quiet: bool) -> None:
     from stewart_drake.runs.outputs import prepare_file
-    from stewart_drake.training.dataset import load_dataset
+    from stewart_drake.training.collect import load_dataset
 
     data = load_dataset(dataset)
 

@@ -58,8 +58,7 @@ def judge(file: Path | None, seeds: int, engine: Any, restart: bool, **options: 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
     from stewart_drake.control.policy import load_policy
-    from stewart_drake.training.benchmark import Baselines, cells_for
-    from stewart_drake.training.verdict import assess, candidates, write_picture
+    from stewart_drake.training.benchmark import Baselines, assess, candidates, cells_for, write_picture
 
     load_policy(file)
     baselines = Baselines.load()

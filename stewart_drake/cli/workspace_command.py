@@ -71,7 +71,7 @@ def workspace(
     prepare_folder(out)
 
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.paper.study import Study
+    from stewart_drake.paper.reproduce import Study
     from stewart_drake.paper.workspace import motion_numbers
     from stewart_drake.planning.pose_study import KINDS, study_poses
     from stewart_drake.plotting import save_figure

@@ -415,7 +415,7 @@ def write_pictures(comparison: Comparison, result: ComparisonResult, folder: Pat
     """Draws rmse.png, error.png and, where there are bands, bands.png; a line for each that is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
-    from stewart_drake.plotting.comparison_plots import plot_bands, plot_error, plot_rmse
+    from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 
     names = order(comparison)
     rows = [row for name in names for row in result.rows if row["controller"] == name]

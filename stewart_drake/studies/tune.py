@@ -275,7 +275,7 @@ def write_picture(result: TuneResult, folder: Path) -> str | None:
     """Draws tune.png; a line where it is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
-    from stewart_drake.plotting.tune_plots import plot_search
+    from stewart_drake.plotting.study_plots import plot_search
 
     with locked_folder(folder):
         return draw(partial(plot_search, result.rows), folder / "tune.png")
