@@ -1,5 +1,6 @@
 """Code that a file names runs only once the user has said so, and is known again by its digest."""
 
+import dataclasses
 import importlib.util
 import json
 import pickle
@@ -368,8 +369,10 @@ def test_a_study_has_the_rows_of_one_version_of_a_users_file(call, parts):
         return log
 
     plan = load_sweep("sweep.yaml", trust_code=True)
+    task = plan.task
+    object.__setattr__(plan, "task", lambda index: dataclasses.replace(task(index), function=edited))
     with pytest.raises(ConfigurationError, match=r"disturbances.*has changed") as caught:
-        run_study(plan, Path("out"), Workers(0), function=edited)
+        run_study(plan, Path("out"), Workers(0))
     assert caught.value.reason == "untrusted_code"
     assert len(statuses("out")) == 1
     status, _, err = call("sweep", "sweep.yaml", "--out", "out")
