@@ -379,12 +379,7 @@ def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
     drawn = {"gravity": {"kind": "uniform", "low": 9.0, "high": 10.0}}
     with pytest.raises(ConfigurationError, match=r"reference.kind: .*a class by its import path.*ToyReference"):
-        Sweep(
-            own,
-            SweepFile(scenario="own", distributions={"gravity": {"kind": "uniform", "low": 9, "high": 10}}),
-            name="own",
-            indices=range(2),
-        )
+        Sweep(own, SweepFile(scenario="own", distributions=drawn), name="own", indices=range(2))
 
 
 def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():

@@ -178,33 +178,19 @@ def only(key, **distribution):
 
 BAD = [
     # changes, words that the line must have
-    ({"runs": None}, ["runs", "None", "grid"]),
-    ({"sampler": "halton"}, ["sampler", "'halton'", "random or sobol"]),
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
-    ({"set": {"durration": 3}}, ["durration", "did you mean duration?"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
     ({"distributions": {}}, ["distributions", "at least one"]),
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
-    (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "above 0"]),
+    (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "a positive number"]),
     (only("gravity", kind="choice", values=["x"], factor=True), ["distributions.gravity.values", "'x'", "numbers"]),
     (only("gravity", kind="choice", values=["9.81"]), ["distributions.gravity", "'9.81'", "a number"]),
-    (only("gravty", **ANY), ["distributions.gravty", "did you mean gravity?"]),
     (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
-    (only("initial_offset[6]", **ANY), ["initial_offset[6]", "0 to 5"]),
     (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
     (only("controller.solver", **ANY), ["controller.solver", "choice and grid"]),
     (only("controller.solver", kind="choice", values=["sprit"]), ["controller.solver", "'sprit'", "split"]),
-    (only("controller.solver", factor=True, **ANY), ["controller.solver", "to multiply"]),
     (only("tuner.window", **ANY), ["tuner.window", "'uniform'", "integers"]),
-    (
-        {"distributions": {"robot": {"kind": "choice", "values": [{}]}, "robot.rod_mass": UNIFORM}},
-        ["distributions.robot.rod_mass", "outside of robot"],
-    ),
-    (
-        {"distributions": {"initial_offset[0]": UNIFORM, "initial_offset": {"kind": "choice", "values": [[0] * 6]}}},
-        ["distributions.initial_offset[0]", "outside of initial_offset"],
-    ),
 ]
 
 

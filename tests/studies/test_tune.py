@@ -77,15 +77,14 @@ def test_a_search_betters_what_it_starts_from_and_the_verdict_says_so(done):
         assert own[0]["setting"] == plan.ranges[name].start
         np.testing.assert_array_equal([row["best"] for row in own], np.minimum.accumulate([row["cost"] for row in own]))
         assert own[-1]["best"] < 0.8 * own[0]["cost"]
+        verdict = result.verdict.rows["comparison"]
         judged = {
-            way: mean_cost(
-                row["cost"] for row in result.verdict.rows["comparison"] if row["controller"] == f"{name}, {way}"
-            )
+            way: mean_cost(row["cost"] for row in verdict if row["controller"] == f"{name}, {way}")
             for way in (START, TUNED)
         }
         # Other noise, the same motions.
         assert judged[TUNED] < 0.9 * judged[START]
-        assert {row["seed"] for row in result.verdict.rows["comparison"]} == {7, 8}
+        assert {row["seed"] for row in verdict} == {7, 8}
 
 
 @pytest.mark.slow
