@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,9 +12,8 @@ from typing import Any, NamedTuple
 
 from stewart_drake.config import to_plain
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import locked_folder
-from stewart_drake.files.yaml_files import find_file, read_mapping
+from stewart_drake.files.yaml_files import read_mapping
 from stewart_drake.logs.cost import FAILED, mean_cost
 from stewart_drake.logs.metric_table import OUTCOME, Column
 from stewart_drake.logs.metric_table import columns as run_columns
@@ -25,7 +23,7 @@ from stewart_drake.scenario import Scenario
 from stewart_drake.studies.comparison_file import KINDS, Bands, CompareFile, TunedFile, check_names
 from stewart_drake.studies.robots import sized
 from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure_run
-from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, number, vary, within
+from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
 """In a value, stands for the seed of the run."""
@@ -77,15 +75,11 @@ BANDS = (
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Study):
-    """What is compared.
-
-    Attributes:
-        file: Keys of the file.
-        cells: Runs of the table, then bands.
-    """
+    """What is compared."""
 
     file: CompareFile
     cells: tuple[Cell, ...]
+    """Runs of the table, then bands."""
     kind = "comparison"
 
     @classmethod
@@ -94,11 +88,8 @@ class Comparison(Study):
     ) -> Comparison:
         """A comparison from plain values, see `CompareFile`; every scenario of it is checked.
 
-        Args:
-            data: Keys and values.
-            folder: Paths in `data` are relative to it; None for the current folder.
-            quick: Shorter, see `CompareFile.quick`.
-            robot: Name or YAML file: all motions and loads in its size, see `sized`; None for the file's own.
+        Paths are relative to `folder`; `quick` is shorter, see `CompareFile.quick`; with a robot, a name or YAML file,
+        all motions and loads are in its size, see `sized`.
         """
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in KINDS}
@@ -131,12 +122,9 @@ class Comparison(Study):
         return self._task(index, cell.changes, cell.seed, measure=how)
 
     @cached_property
-    def variants(self) -> list[Scenario]:  # type: ignore[override]
-        """One for each setting of what can name a file, in which times and numbers differ."""
-        different: dict[str, int] = {}
-        for index, cell in enumerate(self.cells):
-            named = {key: value for key, value in cell.changes.items() if not isinstance(value, (int, float))}
-            different.setdefault(json.dumps(named, sort_keys=True), index)
+    def variants(self) -> list[Scenario]:
+        """One for each controller, reference and condition."""
+        different = {cell[:3]: index for index, cell in enumerate(self.cells)}
         return [self.scenario(index) for index in different.values()]
 
     @property
@@ -221,10 +209,7 @@ def load_comparison(
     path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
 ) -> Comparison:
     """Reads a comparison file, or a comparison of the package by its name; see `Comparison.from_dict`."""
-    path = find_file("comparison", path)
-    data = read_mapping("comparison", path, 80)
-    with trusting_code(trust_code):
-        return Comparison.from_dict(data, path.parent, quick, robot)
+    return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
 
 
 def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:

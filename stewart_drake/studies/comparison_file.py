@@ -76,9 +76,6 @@ class TuneOptions(Section, key="tune"):
         if not self.controllers:
             raise ConfigurationError("controllers", {}, "at least one name, with the keys to search")
         for name, keys in self.controllers.items():
-            if not keys:
-                allowed = "at least one scenario key, with its lowest and highest value"
-                raise ConfigurationError(f"controllers.{name}", {}, allowed)
             for key, (low, high) in keys.items():
                 if not low < high:
                     raise ConfigurationError(f"controllers.{name}.{key}", [low, high], "a lowest below a highest value")

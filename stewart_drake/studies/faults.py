@@ -15,7 +15,6 @@ from pydantic import Field
 from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.files.yaml_files import parse_yaml
-from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metric_table import columns as run_columns
@@ -23,7 +22,7 @@ from stewart_drake.logs.rows import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.safety import RAMP, SafetyOptions
+from stewart_drake.safety import RAMP
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.robots import sized
 from stewart_drake.studies.runs import Row, Task, measure, simulate, simulate_unchecked
@@ -41,18 +40,6 @@ ONSET: float = _FILE["onset"]
 DURATION: float = _FILE["duration"]
 """[s] of each run."""
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
-
-_TICK = 0.001
-"""[s] of `exact_fig7`."""
-_WITHIN = {
-    "at_once": 0.0,
-    "deadline": 2 * _TICK,
-    "estimator": EncoderOptions.hold_ticks * _TICK,
-    "torque_limit": SafetyOptions.torque_limit_time,
-    "torque_rate": SafetyOptions.torque_rate_time,
-}
-"""[s] at_once: in the tick of the fault. deadline: of the safety layer. estimator: it bridges readings that it cannot
-believe for so long. Others: time in which that monitor trips."""
 
 
 class Fault(Section):
@@ -82,11 +69,6 @@ class Fault(Section):
     """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
     and the robot take to show it."""
 
-    @classmethod
-    def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """The file has a name for the time `within`."""
-        return {**data, "within": _WITHIN.get(str(data.get("within")), data.get("within"))}
-
     @property
     def bound(self) -> str:
         """The time `within` in words."""
@@ -108,12 +90,7 @@ class Fault(Section):
 
 
 def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
-    """The exact-model LQI of `exact_fig7` behind the safety layer, as it stands by default.
-
-    Args:
-        robot: Name or YAML file; None for the paper's.
-        overrides: `key=value` texts, see `load_scenario`.
-    """
+    """The exact-model LQI of `exact_fig7` behind the safety layer; with another robot, and `key=value` overrides."""
     named = () if robot is None else (f"robot={robot}",)
     return load_scenario("exact_fig7", (*named, *overrides)).replace({"duration": DURATION, "safety": {}})
 
@@ -152,13 +129,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class FaultStudy(Study):
-    """Runs of the table.
-
-    Attributes:
-        pairs: Fault and motion of each row of the whole table, by index.
-    """
+    """Runs of the table."""
 
     pairs: Sequence[tuple[Fault, str]]
+    """Fault and motion of each row of the whole table, by index."""
     kind = "faults"
 
     @classmethod
@@ -279,18 +253,12 @@ def holdable_load(
     """What five motors hold at rest beside the robot's own weight.
 
     At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
-    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does.
-
-    Args:
-        weight: (6,) [N m] that hold the robot itself, `dynamics.static_torque`.
-        jacobian: (6, 6) d(theta)/d(twist), `kinematics.twist_jacobian`.
-        limit: [N m] of each motor.
-        dead: The leg without torque.
+    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does. G is `weight` (6,)
+    [N m], J d(theta)/d(twist) (6, 6), `limit` [N m] that of each motor.
 
     Returns:
-        Whether they hold the weight alone; [N] the smallest force at P, in its best direction, with which they do,
-        infinite where no force helps; [N] largest force at P and [N m] largest moment that they hold, None where the
-        weight alone is too much.
+        Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite where none helps;
+        [N] largest force at P and [N m] largest moment that they hold, None where the weight alone is too much.
     """
     by_moment, by_force = np.split(-np.linalg.inv(jacobian.T), 2, axis=1)
     most = limit * (1.0 + 1e-9)

@@ -63,7 +63,7 @@ def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
     made = {key: _sized(key.split("."), value, base.robot) for key, value in changes.items()}
     if "reference" in made:
         duration = float(made.get("duration", base.duration))
-        reference = base.replace({"reference": made["reference"]}).reference
+        reference: Any = base.replace({"reference": made["reference"]}).reference
         made["reference"] = to_plain(_placed(base.robot, base.limits, reference, duration, base.gravity))
     return made
 

@@ -69,27 +69,20 @@ simulate_unchecked = partial(simulate, check=False)
 
 @dataclass(frozen=True)
 class Task:
-    """One run, in plain values that travel to any worker.
-
-    Attributes:
-        index: Number of the run.
-        seed: Of the run.
-        base: The scenario before the changes, as `Scenario.to_dict` gives it.
-        changes: Scenario key -> value.
-        drawn: What tells the run from others; goes into the row.
-        measure: What goes into the row; None for `measure`.
-        function: Simulates it.
-        code: Keys of the user's code that it may run, see `CodePath.key`.
-    """
+    """One run, in plain values that travel to any worker."""
 
     index: int
     seed: int
     base: Mapping[str, Any]
+    """The scenario before the changes."""
     changes: Mapping[str, Any]
+    """Scenario key -> value."""
     drawn: Mapping[str, Any] = field(default_factory=dict)
+    """What tells the run from others; `values` of its row."""
     measure: Measure | None = None
     function: RunFunction = simulate
     code: frozenset[str] = frozenset()
+    """Keys of the user's code that it may run, see `CodePath.key`."""
 
     def row(self, status: str, reason: str | None, message: str | None) -> Row:
         """A row of which nothing else is known."""
@@ -100,12 +93,7 @@ class Task:
 
 
 def execute(task: Task) -> Row:
-    """Runs a task and turns whatever comes of it into a row, in values that strict JSON has.
-
-    Raises:
-        ConfigurationError: The user's code is not that of the task.
-        KeyboardInterrupt: The run was interrupted; it is no row.
-    """
+    """Runs a task and turns whatever comes of it into a row, in values that strict JSON has."""
     start = time.perf_counter()
     found = _outcome(task)
     named = found.pop(NOT_FINITE, {})
@@ -196,17 +184,13 @@ def measure_band(log: SimulationLog, frequency: float, axis: int, window: float)
     return {**row, "ratio": abs(response), "phase_deg": float(np.degrees(np.angle(response))), "rest": rest}
 
 
-def settling_time(time: np.ndarray, size: np.ndarray, band: float, start: float = 0.0) -> float | None:
-    """Time from `start` (of the run, or of a step) after which `size` stays within `band` to the end.
-
-    0 where it never leaves the band; None where it ends outside, or there are no rows from `start` on.
-    """
-    after = time >= start - 1e-9
-    time, outside = time[after], ~(size[after] <= band)
+def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | None:
+    """Time after which `size` stays within `band`: 0 where it never leaves it, None where it ends outside."""
+    outside = ~(size <= band)
     if not len(time) or outside[-1]:
         return None
     last = np.flatnonzero(outside)
-    return float(time[last[-1] + 1] - start) if len(last) else 0.0
+    return float(time[last[-1] + 1]) if len(last) else 0.0
 
 
 def sine_response(
@@ -232,17 +216,8 @@ def sine_response(
 class KeptRuns:
     """Rows of runs: `study.json` says on what they depend, `rows.jsonl` has a line each, known by a digest.
 
-    A context manager: within it, the folder is this process's alone.
-
-    Args:
-        folder: Where.
-        identity: What the rows depend on, in plain values, see `identity`.
-        where: Where the runs go; None for processes of this machine.
-        tell: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-
-    Raises:
-        ConfigurationError: The folder holds another study, is in use, or cannot be written to.
+    A context manager: within it, the folder is this process's alone. `identity` is what the rows depend on, `tell` gets
+    the number of runs done, `restart` throws away what an earlier study has left.
     """
 
     def __init__(
@@ -272,7 +247,8 @@ class KeptRuns:
             content = self._stream.read()
             # A last line that is not finished is that of a process which was killed.
             self._stream.truncate(content.rfind(b"\n") + 1)
-            self._kept = dict(_rows(content))
+            lines = content[: content.rfind(b"\n") + 1].splitlines()
+            self._kept = {row.pop("key"): row for row in map(json.loads, lines)}
             self._open = opened.pop_all()
         return self
 
@@ -280,12 +256,7 @@ class KeptRuns:
         self._open.__exit__(*details)
 
     def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
-        """The row of each key; what is missing is run as its task says.
-
-        Raises:
-            StewartDrakeError: There are no workers (any more); rows done are kept.
-            KeyboardInterrupt: Rows done are kept.
-        """
+        """The row of each key; what is missing is run as its task says, and whatever ends it, rows done are kept."""
         digests = {key: checksum([self._digest, key]) for key in keys}
         missing = [key for key in digests if digests[key] not in self._kept]
         self._progress(len(keys) - len(missing))
@@ -317,31 +288,11 @@ class KeptRuns:
         except (OSError, ValueError):
             different = f"{ROWS} is there without a {HEADER} that can be read"
         else:
-            names = _unequal(kept, self._identity)
-            different = f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
-            made_by = [name for name in names if name == "columns" or name.startswith("versions.")]
-            if made_by:
-                different = f"it was made by another version ({', '.join(made_by)})"
+            names = [key for key, value in self._identity.items() if kept.get(key) != value]
+            different = f"it differs in {', '.join(names)}" if names else ""
         if different:
             allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
-
-
-def _rows(content: bytes) -> Iterable[tuple[str, Row]]:
-    for line in content.splitlines():
-        try:
-            row = json.loads(line)
-            yield row.pop("key"), row
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue  # run again
-
-
-def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
-    """Dotted keys at which two documents differ."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        keys = dict.fromkeys([*one, *other])
-        return [n for k in keys for n in _unequal(one.get(k), other.get(k), f"{name}.{k}" if name else k)]
-    return [] if one == other else [name]
 
 
 def identity(
@@ -350,9 +301,6 @@ def identity(
     """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
 
     Of the networks of `scenarios` the weights count, and not what their file is called; for `code` see `file_digests`.
-
-    Raises:
-        ConfigurationError: A weights file cannot be read.
     """
     versions = collect_versions()
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}

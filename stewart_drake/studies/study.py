@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
 
 from pydantic import Field
 
@@ -19,9 +19,11 @@ from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.families import refuse_given, user_parts
 from stewart_drake.files.code_path import CodePath
+from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.named_files import anchored, code_named
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
+from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.logs.metric_table import Column
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import told
@@ -33,6 +35,7 @@ from stewart_drake.studies.workers import Workers
 if TYPE_CHECKING:
     import pyarrow as pa
 
+T = TypeVar("T")
 StudyName = Annotated[Text, Field(min_length=1, max_length=80, pattern=NAME), NAME_WORDS]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may say more."""
@@ -76,19 +79,15 @@ class StudyFile(Section):
 
 @dataclass(frozen=True, eq=False)
 class Study(ABC):
-    """Runs of one scenario with some keys changed, each known by its index.
-
-    Attributes:
-        base: The scenario, with everything fixed in it.
-        name: For folders and titles.
-        indices: Of the runs.
-    """
+    """Runs of one scenario with some keys changed, each known by its index."""
 
     kind: ClassVar[str]
     """Name of the first table, and key of what the tables' metadata say of the study."""
 
     base: Scenario
+    """With everything fixed in it."""
     name: str = field(kw_only=True)
+    """For folders and titles."""
     indices: Sequence[int] = field(kw_only=True)
 
     @abstractmethod
@@ -147,20 +146,15 @@ class Study(ABC):
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """What a study leaves.
-
-    Attributes:
-        folder: Of the files.
-        rows: Name of a table -> its rows as plain values, with what else they say.
-        tables: Name -> table, with unit and text of each column in its metadata; those with rows are NAME.parquet and
-            NAME.csv in the folder.
-        engine: What Drake says of runs on the reduced engine, see `drake_beside`; None where there are none.
-    """
+    """What a study leaves."""
 
     folder: Path
     rows: dict[str, list[Row]]
+    """Name of a table -> its rows as plain values, with what else they say."""
     tables: dict[str, pa.Table]
+    """Name -> table; those with rows are NAME.parquet and NAME.csv in the folder."""
     engine: str | None = None
+    """What Drake says of runs on the reduced engine, see `drake_beside`."""
 
 
 def run_study(
@@ -172,18 +166,8 @@ def run_study(
 ) -> StudyResult:
     """Runs what is missing of a study and writes its tables; every run becomes a row.
 
-    Args:
-        study: What to run.
-        folder: For the tables, and for the rows as they come; a second call goes on where the first ended.
-        workers: Where the runs go; None for processes of this machine.
-        progress: Called with the number of runs done.
-        restart: Throw away what is in the folder.
-
-    Raises:
-        ConfigurationError: The folder holds another study, is in use or cannot be written to; a weights file or a
-            class of the user's that cannot be read.
-        StewartDrakeError: There are no workers (any more); rows done are kept.
-        KeyboardInterrupt: Rows done are kept.
+    A second call goes on where the first ended, however that was. `progress` gets the number of runs done; `restart`
+    throws away what is in the folder.
     """
     with KeptRuns(folder, study.identity(), workers, progress, restart) as kept:
         rows = kept.rows(study.indices, study.task)
@@ -201,6 +185,14 @@ def run_study(
             text = page if engine is None else f"{page}\n{engine}\n"
             write_atomically(folder / f"{study.kind}.md", text.encode())
     return result
+
+
+def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
+    """What a file, or one of the package by its name, makes."""
+    path = find_file(kind, path)
+    data = read_mapping(kind, path, 80)
+    with trusting_code(trust_code):
+        return make(data, path.parent)
 
 
 @contextmanager

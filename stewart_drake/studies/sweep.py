@@ -19,16 +19,14 @@ from pydantic import Field
 from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shown
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import Family, refuse_given
-from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import plain_json
-from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
 from stewart_drake.logs.metric_table import Column, ValueKind
 from stewart_drake.logs.metric_table import columns as run_columns
 from stewart_drake.logs.outcomes import told
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import Row, Task
-from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, vary, within
+from stewart_drake.studies.study import INCIDENTAL, Study, StudyFile, StudyName, Tables, load_study, vary, within
 
 MAX_RUNS = 1_000_000
 BEFORE = (
@@ -169,12 +167,6 @@ class Sweep(Study):
 
     The draws for run i depend on `seed`, i and the key alone: not on how many runs there are, nor on other keys (with
     the sampler `sobol`: not on how many runs there are).
-
-    Attributes:
-        file: Keys of the file.
-
-    Raises:
-        ConfigurationError: A key that the scenario lacks, that overlaps another, or whose distribution does not suit.
     """
 
     file: SweepFile
@@ -183,11 +175,6 @@ class Sweep(Study):
     def __post_init__(self) -> None:
         refuse_given(self.base)
         for key, current in self._bases.items():
-            path = split_key(key)
-            others = (other for other in self._bases if other != key)
-            over = next((other for other in others if path[: len(split_key(other))] == split_key(other)), None)
-            if over is not None:
-                raise ConfigurationError(f"distributions.{key}", key, f"a key outside of {over}, which is drawn too")
             self._check(key, current)
 
     @classmethod
@@ -326,12 +313,8 @@ class Sweep(Study):
 
 def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
     """Reads a sweep file, or a sweep of the package by its name; `runs` in place of the number in it."""
-    path = find_file("sweep", path)
-    data = read_mapping("sweep", path, 80)
-    if runs is not None:
-        data["runs"] = runs
-    with trusting_code(trust_code):
-        return Sweep.from_dict(data, path.parent)
+    more = {} if runs is None else {"runs": runs}
+    return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder), trust_code)
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import itertools
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.config import is_finite
+from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
-from stewart_drake.files.yaml_files import find_file, read_mapping, to_yaml
+from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.keys import value_at
 from stewart_drake.logs.cost import FAILED, mean_cost
 from stewart_drake.logs.metric_table import Column
@@ -22,7 +24,17 @@ from stewart_drake.logs.versions import collect_versions
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.comparison_file import TuneOptions
 from stewart_drake.studies.runs import KeptRuns, Row, Task, measure_cost, simulate_unchecked
-from stewart_drake.studies.study import Sheet, StudyResult, number, run_study, to_arrow, vary, within, write_table
+from stewart_drake.studies.study import (
+    Sheet,
+    StudyResult,
+    load_study,
+    number,
+    run_study,
+    to_arrow,
+    vary,
+    within,
+    write_table,
+)
 from stewart_drake.studies.workers import Workers
 
 COLUMNS = (
@@ -54,31 +66,25 @@ class Ranges(NamedTuple):
         """The three in logarithms."""
         return [np.log(list(setting.values())) for setting in self]
 
-    def setting(self, point: Iterable[float]) -> Setting:
+    def setting(self, point: np.ndarray) -> Setting:
         """The setting at a point, to `DIGITS` digits."""
         return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(self.start, np.exp(point), strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A search, ready to be done.
-
-    Attributes:
-        comparison: Its cells are the runs of one evaluation of each controller; bands left out.
-        options: See `TuneOptions`.
-        ranges: Controller -> what is searched of it.
-        generations: Of each.
-        data: The file in plain values.
-        folder: Where it lies.
-        quick: Whether runs are short.
-    """
+    """A search, ready to be done."""
 
     comparison: Comparison
+    """Its cells are the runs of one evaluation of each controller; bands left out."""
     options: TuneOptions
     ranges: Mapping[str, Ranges]
+    """Controller -> what is searched of it."""
     generations: int
     data: Mapping[str, Any]
+    """The file in plain values."""
     folder: Path
+    """Where it lies."""
     quick: bool
 
     @classmethod
@@ -92,12 +98,8 @@ class Tuning:
     ) -> Tuning:
         """A search from plain values, see `CompareFile`; every scenario of it is checked at both ends of each key.
 
-        Args:
-            data: Keys and values.
-            folder: Paths in `data` are relative to it; None for the current folder.
-            controllers: Names of those to search; none for all that `tune` names.
-            budget: Evaluations of each, in place of `generations` in the file; rounded down to whole generations.
-            quick: Short runs, two generations.
+        `controllers` are those to search, none for all that `tune` names; `budget` evaluations of each stand in place
+        of `generations`, rounded down to whole ones; `quick` is short runs, two generations.
         """
         plain = {**data, "tuned": None, "bands": None}
         options = Comparison.from_dict(plain, folder, quick).file.tune
@@ -167,10 +169,8 @@ def load_tuning(
     trust_code: bool = False,
 ) -> Tuning:
     """Reads a comparison file, or a comparison of the package by its name; see `Tuning.from_dict`."""
-    path = find_file("comparison", path)
-    data = read_mapping("comparison", path, 80)
-    with trusting_code(trust_code):
-        return Tuning.from_dict(data, path.parent, controllers, budget, quick)
+    make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
+    return load_study("comparison", path, make, trust_code)
 
 
 def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Ranges:
@@ -189,8 +189,7 @@ def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, f
             if not is_finite(start[key]) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
-    low, high = ({key: ends[place] for key, ends in keys.items()} for place in (0, 1))
-    return Ranges(start, low, high)
+    return Ranges(start, *({key: ends[place] for key, ends in keys.items()} for place in (0, 1)))
 
 
 class TuneResult(NamedTuple):
@@ -215,9 +214,7 @@ def run_tuning(
 ) -> TuneResult:
     """Searches, compares, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict.
 
-    Every run is kept as it comes. A second call takes from there what it would run, so that it goes on where the first
-    ended: also with more generations, with other controllers of the same file, or with other bounds for one of them.
-    Raises what `run_study` does.
+    A second call goes on where the first ended: also with more generations, or with other controllers or bounds.
     """
     tell = progress or (lambda _: None)
     with KeptRuns(folder, tuning.comparison.identity(), workers, tell, restart) as kept:
@@ -260,34 +257,27 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
     """Evaluations of a controller, one by one, with the least cost until then."""
     comparison, ranges, options = tuning.comparison, tuning.ranges[name], tuning.options
     cells, rows = tuning.cells(name), list[Row]()
+    measure = partial(measure_cost, scales=comparison.file.cost or CostScales())
 
     def task(evaluation: int, cell: int, setting: Setting) -> Task:
         made = comparison.task(cell)
-        return replace(
-            made,
-            changes={**made.changes, **setting},
-            drawn={"run": cell, "setting": setting},
-            measure=partial(measure_cost, scales=comparison.file.cost),
-            # The motions are the same in all evaluations: the first checks them.
-            function=simulate_unchecked if evaluation else made.function,
-        )
+        # The motions are the same in all evaluations: the first checks them.
+        function = simulate_unchecked if evaluation else made.function
+        return replace(made, changes={**made.changes, **setting}, measure=measure, function=function)
 
     def evaluate(points: Sequence[np.ndarray]) -> list[float]:
         # What is run first is the start as it stands in the file, whatever its digits.
         settings = [ranges.setting(point) for point in points] if rows else [ranges.start]
-        tasks = {}
-        for evaluation, setting in enumerate(settings, len(rows)):
-            for cell in cells:
-                made = task(evaluation, cell, setting)
-                tasks[checksum([evaluation, made.drawn])] = made
-        runs = kept.rows(list(tasks), tasks.__getitem__)
-        for k, setting in enumerate(settings):
-            own = runs[k * len(cells) : (k + 1) * len(cells)]
+        numbered = list(enumerate(settings, len(rows)))
+        keys = [json.dumps([evaluation, cell, setting]) for evaluation, setting in numbered for cell in cells]
+        runs = iter(kept.rows(keys, lambda key: task(*json.loads(key))))
+        for evaluation, setting in numbered:
+            own = list(itertools.islice(runs, len(cells)))
             cost = mean_cost(run.get("cost", FAILED) for run in own)
-            best = min(cost, rows[-1]["best"]) if rows else cost
             missed = sum(run["status"] != "completed" for run in own)
-            found = {"controller": name, "evaluation": len(rows), "cost": cost, "best": best, "not_completed": missed}
-            rows.append({**found, "setting": setting})
+            found = {"controller": name, "evaluation": evaluation, "cost": cost, "not_completed": missed}
+            best = min([cost, *(row["best"] for row in rows[-1:])])
+            rows.append({**found, "best": best, "setting": setting})
         return [row["cost"] for row in rows[-len(settings) :]]
 
     minimise(
@@ -315,17 +305,9 @@ def minimise(
     """The least of a function over a box by CMA-ES: the best point (n,) and its cost.
 
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772 (2016). The same arguments give the same
-    points, so that a search whose evaluations are kept goes on where it was.
-
-    Args:
-        evaluate: Costs of some points (n,). It is asked for the start first, then for a generation at a time.
-        start: (n,) within the box.
-        low: (n,) its lowest values.
-        high: (n,) its highest values.
-        generations: Most of them, of `population` points; fewer where the search has converged.
-        population: Points in each.
-        seed: Of the search.
-        spread: Standard deviation of the first generation, as a share of the box.
+    points, so that a search whose evaluations are kept goes on where it was. `evaluate` is asked for the cost of the
+    start first, then for those of a generation at a time, fewer of them where the search has converged; `spread` is the
+    standard deviation of the first, as a share of the box.
     """
     # It loads matplotlib.
     import cma

@@ -45,13 +45,8 @@ _QUIET = ExitStack()
 class Workers:
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
-    Args:
-        count: Processes; None for one per core, at most 8; 0 for this very process.
-        scheduler: Address of a Dask scheduler, such as tcp://host:8786, whose cluster is used instead.
-        worn: Runs after which a process is replaced; None for never.
-
-    Raises:
-        ConfigurationError: `dask.distributed` is not installed, or the scheduler does not answer.
+    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs, None
+    for never; or the cluster of the Dask scheduler at an address such as tcp://host:8786.
     """
 
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
@@ -100,19 +95,10 @@ def run_jobs(
     workers: Workers | None = None,
     died: Callable[[K], Any] | None = None,
 ) -> None:
-    """Does pieces of work, each known by its key, in any order.
+    """Does the work of each key, in any order; `keep` is called in this process with each result as it comes.
 
-    Where a worker process dies, what was under way is done again, one piece at a time.
-
-    Args:
-        keys: What is to be done.
-        work: What a key stands for.
-        keep: Called in this process with each result as it comes.
-        workers: Where the work goes; None for processes of this machine.
-        died: The result of work whose process dies twice; None ends it all.
-
-    Raises:
-        StewartDrakeError: Workers cannot start, have another version of this package, or the cluster is gone.
+    Where a worker process dies, what was under way is done again, one piece at a time; what `died` gives is the result
+    of work whose process dies twice, and without it all ends.
     """
     workers = workers or Workers()
     if workers.count == 0:

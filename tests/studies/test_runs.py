@@ -167,7 +167,7 @@ def test_a_metric_from_outside_is_in_every_table_and_with_another_body_it_is_ano
         with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
             add_metric(Metric(taken, "", "a number", lambda _: 1.0))
     add_metric(Metric("own_mm", "mm", "a number", lambda _: 1 / 0, "steps"))
-    with pytest.raises(ConfigurationError, match="another version"):
+    with pytest.raises(ConfigurationError, match="differs in columns"):
         run_study(sweep(runs=1), tmp_path / "a", HERE)
     (row,) = run_study(sweep(runs=1), tmp_path / "b", HERE).rows["sweep"]
     assert (row["status"], row["reason"]) == ("raised", "metric_raised")
@@ -317,10 +317,10 @@ def test_another_sweep_is_never_mixed_in(tmp_path, monkeypatch):
             assert (tmp_path / "rows.jsonl").read_bytes() == before
 
         refused("seed", seed=6)
-        refused("scenario.duration", set={**TINY, "duration": 0.06})
+        refused("differs in scenario", set={**TINY, "duration": 0.06})
         with monkeypatch.context() as patch:
             patch.setattr(versions, "source_digest", lambda: "changed")
-            refused("made by another version (versions.source)")
+            refused("differs in versions")
         (tmp_path / "study.json").unlink()
         refused("study.json that can be read")
         (tmp_path / "own.csv").touch()

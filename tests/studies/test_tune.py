@@ -159,7 +159,6 @@ def searched(**keys):
         ({"cost": None}, r"^cost: expected .*got None"),
         ({"cost": {"position": -1.0}}, r"^cost\.position: expected .*got -1"),
         (tune_changed(controllers={}), r"^tune\.controllers: expected .*got \{\}"),
-        (tune_changed(controllers={"pid": {}}), r"^tune\.controllers\.pid: expected at least one"),
         (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: expected .*got 'none'"),
         (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
         (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: expected .*got \[9"),
