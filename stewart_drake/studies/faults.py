@@ -97,7 +97,6 @@ def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
 
 FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
 """By name, in the order of the table."""
-QUICK_MOTIONS = ("hold",)
 _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 _HELD = (
     Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
@@ -134,18 +133,6 @@ class FaultStudy(Study):
     pairs: Sequence[tuple[Fault, str]]
     """Fault and motion of each row of the whole table, by index."""
     kind = "faults"
-
-    @classmethod
-    def of(
-        cls,
-        pairs: Sequence[tuple[Fault, str]],
-        motions: Sequence[str] = tuple(MOTIONS),
-        robot: str | None = None,
-        overrides: Sequence[str] = (),
-    ) -> FaultStudy:
-        """The study of those rows that have some motions; robot and overrides as in `base`."""
-        indices = [index for index, (_, motion) in enumerate(pairs) if motion in motions]
-        return cls(base(robot, overrides), pairs, name="faults", indices=indices)
 
     def task(self, index: int) -> Task:
         fault, motion = self.pairs[index]
@@ -189,7 +176,8 @@ class FaultStudy(Study):
 def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
     """The study of the whole table; quick: of the held platform alone; robot and overrides as in `base`."""
     pairs = list(product(FAULTS.values(), MOTIONS))
-    return FaultStudy.of(pairs, QUICK_MOTIONS if quick else tuple(MOTIONS), robot, overrides)
+    indices = [index for index, (_, motion) in enumerate(pairs) if motion == "hold" or not quick]
+    return FaultStudy(base(robot, overrides), pairs, name="faults", indices=indices)
 
 
 def measure_fault(log: SimulationLog, fault: Fault) -> Row:

@@ -288,11 +288,19 @@ class KeptRuns:
         except (OSError, ValueError):
             different = f"{ROWS} is there without a {HEADER} that can be read"
         else:
-            names = [key for key, value in self._identity.items() if kept.get(key) != value]
-            different = f"it differs in {', '.join(names)}" if names else ""
+            names = _unequal(kept, self._identity)
+            different = f"it differs in {', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else ""
         if different:
             allowed = "a new folder, the same work by the same version, or --restart to throw away what is there"
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; {different}")
+
+
+def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
+    """Dotted keys at which two documents differ."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = dict.fromkeys([*one, *other])
+        return [n for k in keys for n in _unequal(one.get(k), other.get(k), f"{name}.{k}" if name else k)]
+    return [] if one == other else [name]
 
 
 def identity(

