@@ -230,7 +230,8 @@ def run_tuning(
     for name, own in searches.items():
         setting = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in tuned[name].items())
         lines.append((name, str(len(own)), number(own[0]["cost"]), number(own[-1]["best"]), setting))
-    title = f"{tuning.name}: cost in the search, mean of the runs; below as the comparison has them, before and after"
+    changed = "".join(f", {key} {value}" for key, value in tuning.options.set.items())
+    title = f"{tuning.name}: cost in the search{changed}; mean of the runs; below by the verdict, before and after"
     sheets = [
         Sheet(title, ("controller", "evaluations", "start", "best", "setting"), lines),
         *verdict.sheets(judged.rows)[:1],

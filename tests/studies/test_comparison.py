@@ -220,7 +220,7 @@ def test_settling_of_an_exponential_decay_is_known_and_counts_the_last_time_outs
     assert settling_time(time, np.full(6, np.nan), 1.0) is None
 
 
-@pytest.mark.parametrize(("ratio", "lag"), [(1.0, 0.0), (0.25, 2.0), (1.3, -0.4)])
+@pytest.mark.parametrize(("ratio", "lag"), [(0.25, 2.0), (1.3, -0.4)])
 def test_the_response_to_a_sine_is_found_in_spite_of_offset_and_harmonics(ratio, lag):
     time = 0.001 * np.arange(2000)
     angle = 2.0 * np.pi * 5.0 * time

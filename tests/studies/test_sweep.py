@@ -127,10 +127,6 @@ def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
     assert scenario.model_robot == s.base.robot
     assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
-    # A belief that the scenario has already stays.
-    own = sweep(mismatch=True, distributions=masses, set={"model_robot.rod_mass": 0.1})
-    assert own.scenario(0).model_robot == own.base.model_robot
-    assert own.base.model_robot.rod_mass == 0.1
 
 
 def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_changes():
