@@ -173,25 +173,22 @@ class Comparison(Study):
     def sheets(self, rows: Mapping[str, list[Row]]) -> list[Sheet]:
         """The tables that are read: of several seeds the worst number."""
         runs, made = self.shown(rows["comparison"]), []
+        figures = dict(_FIGURES)
         if self.file.cost is not None:
-
-            def mean(own: Sequence[Row]) -> str:
-                return number(mean_cost(row["cost"] for row in own))
-
+            figures["cost"] = "cost"
             title = f"cost: mean of the runs; {FAILED:g} for one that was not completed"
-            made.append(_pivot(title, runs, "condition", mean, [("all", mean)]))
+            made.append(_pivot(title, runs, "condition", _mean_cost, [("all", _mean_cost)]))
         if self.file.layout == "rows":
-            figures = [*_FIGURES, ("cost", "cost", number)] if self.file.cost is not None else _FIGURES
             lines = []
             for key, group in _groups(runs, "controller", "reference", "condition").items():
-                shown, failure = [show(_worst(group, name)) for _, name, show in figures], _failure(group)
+                shown, failure = [_worst(group, column) for column in figures.values()], _failure(group)
                 if failure is not None:
                     shown = [failure, *(shown[1:] if _only_lost(group) else ["-"] * (len(shown) - 1))]
                 lines.append((key[0] + _chosen(group), *key[1:], *shown))
-            header = ("controller", "motion", "condition", *(heading for heading, _, _ in figures))
+            header = ("controller", "motion", "condition", *figures)
             made.append(Sheet(f"{self.name}: RMSE and peak of the length of the error, {_LATE}", header, lines))
         else:
-            over_all = [(heading, partial(_worst_done, name, show)) for heading, name, show in _FIGURES[4:]]
+            over_all = [(heading, partial(_worst_done, column)) for heading, column in list(_FIGURES.items())[4:]]
             for condition, group in _groups(runs, "condition").items():
                 title = f"{condition[0]}: RMSE {_LATE}, rotation and position; then the worst of all motions"
                 made.append(_pivot(title, group, "reference", _errors, [*over_all, ("not completed", _missed)]))
@@ -295,22 +292,18 @@ def _with_seed(value: Any, seed: int) -> Any:
 # --- lines of tables ---
 
 
-def _as(form: str) -> Callable[[float | None], str]:
-    return lambda value: "-" if value is None else format(value, form)
-
-
 _LATE = "over the second half of the planned duration"
-_FIGURES: list[tuple[str, str, Callable[[float | None], str]]] = [
-    ("RMSE [deg]", "rmse_norm_deg", number),
-    ("RMSE [mm]", "rmse_norm_mm", number),
-    ("worst half [mm]", "worst_half_rmse_norm_mm", number),
-    ("peak [mm]", "peak_norm_mm", number),
-    ("settled [s]", "settling_s", _as(".2f")),
-    ("torque RMS [N m]", "torque_rms_second_half", _as(".3f")),
-    ("change per tick [N m]", "torque_change_rms", number),
-    ("at the limit", "saturated_fraction", _as(".1%")),
-]
-"""Heading, column and form of what is shown of a run; a grid has the last four over all motions."""
+_FIGURES = {
+    "RMSE [deg]": "rmse_norm_deg",
+    "RMSE [mm]": "rmse_norm_mm",
+    "worst half [mm]": "worst_half_rmse_norm_mm",
+    "peak [mm]": "peak_norm_mm",
+    "settled [s]": "settling_s",
+    "torque RMS [N m]": "torque_rms_second_half",
+    "change per tick [N m]": "torque_change_rms",
+    "at the limit": "saturated_fraction",
+}
+"""Heading -> column of what is shown of a run; a grid has the last four over all motions."""
 
 
 def _groups(rows: Sequence[Row], *columns: str) -> dict[tuple[Any, ...], list[Row]]:
@@ -345,13 +338,18 @@ def _rank(row: Row) -> tuple[bool, float]:
     return True, -float(row.get("end_time") or 0.0)
 
 
-def _worst(group: Sequence[Row], name: str) -> float | None:
-    values = [row.get(name) for row in group]
-    return None if None in values or not values else max(map(float, values))  # type: ignore[arg-type]
+def _mean_cost(group: Sequence[Row]) -> str:
+    return number(mean_cost(row["cost"] for row in group))
 
 
-def _worst_done(name: str, show: Callable[[float | None], str], group: Sequence[Row]) -> str:
-    return show(_worst([row for row in group if row["status"] == "completed"], name))
+def _worst(group: Sequence[Row], column: str) -> str:
+    """The largest number in a column; a dash where one is missing."""
+    values: list[Any] = [row.get(column) for row in group]
+    return number(max(values, default=None) if None not in values else None)
+
+
+def _worst_done(column: str, group: Sequence[Row]) -> str:
+    return _worst([row for row in group if row["status"] == "completed"], column)
 
 
 def _missed(group: Sequence[Row]) -> str:
@@ -378,8 +376,8 @@ def _chosen(group: Sequence[Row]) -> str:
 
 
 def _errors(group: Sequence[Row]) -> str:
-    rotation, position = number(_worst(group, "rmse_norm_deg")), number(_worst(group, "rmse_norm_mm"))
-    failure, figures = _failure(group), f"{rotation}° {position} mm{_chosen(group)}"
+    figures = f"{_worst(group, 'rmse_norm_deg')}° {_worst(group, 'rmse_norm_mm')} mm{_chosen(group)}"
+    failure = _failure(group)
     return failure if failure and not _only_lost(group) else "; ".join(filter(None, (failure, figures)))
 
 

@@ -14,7 +14,6 @@ from scipy.stats import truncnorm
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
-from stewart_drake.scenario import Scenario
 from stewart_drake.studies.sweep import Sweep, SweepFile, load_sweep
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
@@ -127,22 +126,6 @@ def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
     assert scenario.model_robot == s.base.robot
     assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
-
-
-def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_changes():
-    legs = {
-        "robot.legs[2].rod_length": {"kind": "uniform", "low": 0.999, "high": 1.001, "factor": True},
-        "robot.legs[4].shaft_position[1]": {"kind": "grid", "values": [0.03]},
-    }
-    s = sweep(distributions=legs, mismatch=True)
-    robot, believed = s.scenario(1).robot, s.base.robot
-    rods = believed.rod_lengths.copy()
-    rods[2] *= s.draw(1)["robot.legs[2].rod_length"]
-    np.testing.assert_array_equal(robot.rod_lengths, rods)
-    shafts = believed.shaft_positions.copy()
-    shafts[4, 1] = 0.03
-    np.testing.assert_array_equal(robot.shaft_positions, shafts)
-    assert s.scenario(1).believed_robot == believed == Scenario().robot
 
 
 def test_paths_are_relative_to_the_sweep_file(tmp_path):
