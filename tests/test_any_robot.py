@@ -30,7 +30,7 @@ from stewart_drake.runs.replay import write_replay
 from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.studies import robots as robot_table
 from stewart_drake.studies.comparison import load_comparison
-from stewart_drake.studies.faults import BY_NAME, FaultStudy, all_rows
+from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
 SHIPPED = ["paper", "reachy_mini", "servo_hexapod"]
@@ -165,11 +165,11 @@ def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
-    plan = FaultStudy.of([(fault, motion) for fault, motion in all_rows() if motion == "hold"], robot=name)
+    plan = fault_study(quick=True, robot=name)
     for wanted in ("push_5N", "motor_reversed", "encoder_nan", "command_nan", "reference_refused"):
-        index = next(i for i, (fault, _) in enumerate(plan.pairs) if fault.name == wanted)
+        index = next(i for i in plan.indices if plan.pairs[i][0].name == wanted)
         (row,) = plan.tables([execute(plan.task(index))])["faults"][1]
-        assert row["reaction"] in BY_NAME[wanted].expected, (wanted, row)
+        assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.runs.simulation import check_scenario, run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.runs import identity
-from stewart_drake.studies.sweep import Sweep, Uniform
+from stewart_drake.studies.sweep import Sweep, SweepFile
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
@@ -307,8 +307,9 @@ def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts,
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
+    drawn = {"gravity": {"kind": "uniform", "low": 9.0, "high": 10.0}}
     with pytest.raises(ConfigurationError, match=r"reference.kind: .*a class by its import path.*ToyReference"):
-        Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)
+        Sweep(own, SweepFile(scenario="own", distributions=drawn), name="own", indices=range(2))
 
 
 def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():

@@ -1,6 +1,6 @@
 """Code that a file names runs only once the user has said so, and is known again by its digest."""
 
-import json
+import dataclasses
 import pickle
 import sys
 from pathlib import Path
@@ -273,10 +273,11 @@ def test_a_study_has_the_rows_of_one_version_of_a_users_file(call, parts):
     def statuses():
         return [json.loads(line)["status"] for line in Path("out/rows.jsonl").read_text().splitlines()]
 
-    with trusting_code():
-        plan = load_sweep("sweep.yaml")
-    with refused(r"disturbances.*has changed") as caught:
-        run_study(plan, Path("out"), Workers(0), function=edited)
+    plan = load_sweep("sweep.yaml", trust_code=True)
+    task = plan.task
+    object.__setattr__(plan, "task", lambda index: dataclasses.replace(task(index), function=edited))
+    with pytest.raises(ConfigurationError, match=r"disturbances.*has changed") as caught:
+        run_study(plan, Path("out"), Workers(0))
     assert caught.value.reason == "untrusted_code"
     assert len(statuses()) == 1
     status, _, err = call("sweep", "sweep.yaml", "--out", "out")

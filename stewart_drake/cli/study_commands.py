@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,10 +16,8 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.terminal import ProgressBar, console, print_columns, print_table
 
 if TYPE_CHECKING:
+    from stewart_drake.studies.study import Sheet
     from stewart_drake.studies.workers import Workers
-
-WIDE = 150
-"""Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
 
 
 class Runs(Protocol):
@@ -100,13 +99,14 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.sweep import load_sweep, run_sweep, summary
+    from stewart_drake.studies.study import run_study
+    from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
     with under_way(loaded, **options) as (folder, where, progress):
-        made = run_sweep(loaded, folder, where, progress, restart)
+        made = run_study(loaded, folder, where, progress, restart)
     if not options["quiet"]:
-        print_table(loaded.name, [*summary(made.rows), ("table in", str(made.path))])
+        print_table(loaded.name, [*summary(made.rows["sweep"]), ("table in", str(folder / "sweep.parquet"))])
         if made.engine is not None:
             click.echo(made.engine)
 
@@ -127,20 +127,17 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.comparison import load_comparison
-    from stewart_drake.studies.comparison_table import run_comparison, write_pictures
+    from stewart_drake.studies.comparison import load_comparison, write_pictures
+    from stewart_drake.studies.study import run_study
 
     loaded = load_comparison(comparison, quick, robot)
     with under_way(loaded, **options, ending="-quick" if quick else "") as (folder, where, progress):
-        result = run_comparison(loaded, folder, where, progress, restart)
-        for line in write_pictures(loaded, result, folder):
+        result = run_study(loaded, folder, where, progress, restart)
+        for line in write_pictures(loaded, result):
             click.echo(f"stewart-drake: {line}", err=True)
     if options["quiet"]:
         return
-    for sheet in result.sheets:
-        columns = range(len(sheet.header)) if console().width >= WIDE else sheet.brief
-        rows = ([row[column] for column in columns] for row in sheet.rows)
-        print_columns(sheet.title, [sheet.header[column] for column in columns], rows)
+    print_sheets(loaded.sheets(result.rows))
     if result.engine is not None:
         click.echo(result.engine)
     click.echo(f"tables and pictures in {folder}")
@@ -175,8 +172,8 @@ def tune(
             click.echo(f"stewart-drake: {line}", err=True)
     if options["quiet"]:
         return
-    print_columns(result.sheet.title, result.sheet.header, result.sheet.rows, result.sheet.brief[1:])
-    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.judged_in}")
+    print_sheets(result.sheets)
+    click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.verdict.folder}")
 
 
 @click.command()
@@ -192,17 +189,24 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.faults import TERSE_HEADERS, fault_study, holdable_lines, make_table, terse_rows
+    from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
+    from stewart_drake.studies.study import run_study
 
     plan = fault_study(quick, robot, overrides)
     with under_way(plan, **options) as (folder, where, progress):
-        made = make_table(folder, quick, where, progress, restart, robot, overrides)
+        rows = run_study(plan, folder, where, progress, restart).rows["faults"]
     if options["quiet"]:
         return
-    numbers = [TERSE_HEADERS.index(name) for name in ("ms", "deg", "mm", "N m")]
-    title = f"faults during {', '.join(plan.motions)}: latency, peak error, peak torque"
-    print_columns(title, TERSE_HEADERS, terse_rows(made.rows), numbers)
+    print_sheets([sheet(rows)])
     terminal = console()
     terminal.print("with a dead motor, the wrench that the other five hold at rest:")
-    for text in (*(f"  {line}" for line in holdable_lines(made.rows)), f"table in {made.path.with_suffix('.md')}"):
+    for text in (*(f"  {line}" for line in holdable_lines(rows)), f"table in {folder / 'faults.md'}"):
         terminal.print(text, highlight=False, markup=False)
+
+
+def print_sheets(sheets: Sequence[Sheet]) -> None:
+    """Tables on the terminal, with as many of their columns as it has room for; their files have all."""
+    for sheet in sheets:
+        lengths = [max(map(len, column)) + 3 for column in zip(sheet.header, *sheet.rows, strict=True)]
+        shown = max(2, sum(end < console().width for end in itertools.accumulate(lengths)))
+        print_columns(sheet.title, sheet.header[:shown], [row[:shown] for row in sheet.rows])

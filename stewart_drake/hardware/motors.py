@@ -1,10 +1,8 @@
-"""Motors: what they make of the torque asked for, what is added against their friction, what five of six hold."""
+"""Motors: what they make of the torque asked for, what is added against their friction."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
 from typing import Annotated, Any
 
 import numpy as np
@@ -136,63 +134,3 @@ def friction_part(robot: RobotParameters, options: FrictionCompensation) -> Part
         against_friction(own, believed, reference, legs, state)
 
     return Part("friction_compensation", {"reference": 18}, ("against_friction",), new_record(_FRICTION_STATE), tick)
-
-
-# --- what five motors hold -------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class HoldableLoad:
-    """What five motors hold at rest beside the robot's own weight, see `holdable_load`.
-
-    Attributes:
-        weight: Whether they hold the weight alone.
-        support: [N] smallest force at P, in its best direction, with which they do; 0 where the weight needs none and
-            infinite where no force helps.
-        force: [N] largest force at P that they hold; None where the weight alone is too much.
-        moment: [N m] largest moment that they hold; None where the weight alone is too much.
-    """
-
-    weight: bool
-    support: float
-    force: float | None
-    moment: float | None
-
-
-def holdable_load(weight_torque: np.ndarray, jacobian: np.ndarray, limit: float, dead: int) -> HoldableLoad:
-    """Statics over the five motors that are left.
-
-    At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
-    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does.
-
-    Args:
-        weight_torque: (6,) [N m] that hold the robot itself, `dynamics.static_torque`.
-        jacobian: (6, 6) d(theta)/d(twist), `kinematics.twist_jacobian`.
-        limit: [N m] of each motor.
-        dead: The leg without torque.
-    """
-    per_wrench = -np.linalg.inv(jacobian.T)
-    forces = _corners(weight_torque, per_wrench[:, 3:], limit, dead)
-    if abs(weight_torque[dead]) < 1e-9 * limit and bool((np.abs(weight_torque) <= limit).all()):
-        moments = _corners(weight_torque, per_wrench[:, :3], limit, dead)
-        return HoldableLoad(True, 0.0, *(float(np.linalg.norm(c, axis=1).max()) for c in (forces, moments)))
-    # The smallest force in the polygon: the nearest in its plane, or else one of its corners.
-    normal = per_wrench[dead, 3:]
-    load = -weight_torque[dead] * normal / (normal @ normal)
-    if not (np.abs(weight_torque + per_wrench[:, 3:] @ load) <= limit * (1.0 + 1e-9)).all():
-        return HoldableLoad(False, float(np.linalg.norm(forces, axis=1).min(initial=np.inf)), None, None)
-    return HoldableLoad(False, float(np.linalg.norm(load)), None, None)
-
-
-def _corners(weight: np.ndarray, per_load: np.ndarray, limit: float, dead: int) -> np.ndarray:
-    """Corners (n, 3) of the polygon of loads that the motors hold; a norm is largest at one of them."""
-    found = []
-    for one, other in combinations([leg for leg in range(6) if leg != dead], 2):
-        legs = [dead, one, other]
-        for bounds in product((1, -1), repeat=2):
-            wanted = np.array([0.0, limit * bounds[0], limit * bounds[1]]) - weight[legs]
-            load = np.linalg.lstsq(per_load[legs], wanted, rcond=None)[0]
-            torque = weight + per_load @ load
-            if abs(torque[dead]) < 1e-9 * limit and (np.abs(torque) <= limit * (1.0 + 1e-9)).all():
-                found.append(load)
-    return np.array(found).reshape(-1, 3)

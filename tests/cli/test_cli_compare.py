@@ -50,7 +50,7 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
     status, out, _ = call("tune", "mine.yaml", "--workers", 1, "--budget", 8)
     assert status == 0
-    assert all(word in out for word in ("weak", "verdict: tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
+    assert all(word in out for word in ("weak", "weak, tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
     made = tmp_path / "runs" / "mine-tune"
     names = {path.name for path in made.iterdir()}
     assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png"} <= names
