@@ -1,8 +1,8 @@
 """What the package exports, and where it is: `__init__.py` reads this file, and so do type checkers."""
 
 from stewart_drake.calibration.fit import calibrate as calibrate
-from stewart_drake.calibration.measurements import MeasurementNoise as MeasurementNoise
-from stewart_drake.calibration.pose_plan import plan_poses as plan_poses
+from stewart_drake.calibration.poses import MeasurementNoise as MeasurementNoise
+from stewart_drake.calibration.poses import plan_poses as plan_poses
 from stewart_drake.calibration.result import Calibration as Calibration
 from stewart_drake.control.base import Measurement as Measurement
 from stewart_drake.control.base import Setpoint as Setpoint

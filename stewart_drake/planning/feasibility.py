@@ -18,7 +18,6 @@ SEARCH_RTOL = 1e-4
 """Relative width at which the searches for the largest amplitude and scale stop."""
 _HALF_PERIOD_SAMPLES = 257
 _SCALE_STEPS = 16
-_BLOCK = 8192
 _WHOLE_TURN = 1e-3
 """[rad] within which an angle counts as a number of whole turns."""
 
@@ -96,46 +95,30 @@ def check_motion(
     samples after it are checked all the same.
 
     Raises:
-        ConfigurationError: An array of the wrong shape, or a value that is not finite; as `refuse_turns`.
+        ConfigurationError: A value of the motion that is not finite; as `refuse_turns`.
     """
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
-        raise ConfigurationError("time", time, "finite numbers of shape (n,), n >= 1")
-    motion = []
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
-        motion.append(np.asarray(values, dtype=float))
-        if motion[-1].shape != (time.size, 6) or not np.isfinite(motion[-1]).all():
-            raise ConfigurationError(name, values, f"finite numbers of shape ({time.size}, 6)")
-    if not math.isfinite(gravity):
-        raise ConfigurationError("gravity", gravity, "a finite number of m/s^2")
-    pose, pose_rate, pose_acceleration = motion
+        if values.shape != (len(time), 6) or not np.isfinite(values).all():
+            raise ConfigurationError(name, values, f"finite numbers of shape ({len(time)}, 6)")
     refuse_turns("reference", pose, time)
     bounds = limit_bounds(robot, limits)
-    smallest: dict[str, LimitMargin] = {}
-    first: LimitMargin | None = None
-    # In blocks, so that a long motion needs no more memory than a short one; neighbours share a sample, because a
-    # singularity can be jumped over between two.
-    for start in range(0, max(1, time.size - 1), _BLOCK):
-        rows = slice(start, start + _BLOCK + 1)
-        margins = limit_margins(robot, limits, pose[rows], pose_rate[rows], pose_acceleration[rows], gravity)
+    margins = limit_margins(robot, limits, pose, pose_rate, pose_acceleration, gravity)
 
-        def at(limit: str, sample: int, time: np.ndarray = time[rows], margins: dict = margins) -> LimitMargin:
-            column = int(np.nanargmin(margins[limit][sample]))
-            leg, where = PLACES[limit][column]
-            share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
-            margin = float(margins[limit][sample, column])
-            return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
+    def at(limit: str, sample: int) -> LimitMargin:
+        column = int(np.nanargmin(margins[limit][sample]))
+        leg, where = PLACES[limit][column]
+        share = float(robot.effort_shares[leg]) if limit == "torque" and leg is not None else 1.0
+        margin = float(margins[limit][sample, column])
+        return LimitMargin(limit, bounds[limit] * share, margin, float(time[sample]), leg, where)
 
-        for limit, values in margins.items():
-            if not np.isnan(values).all():
-                found = at(limit, int(np.nanargmin(values)) // values.shape[1])
-                if limit not in smallest or found.margin < smallest[limit].margin:
-                    smallest[limit] = found
-        broken = {limit: np.any(values < 0.0, axis=-1) for limit, values in margins.items()}
-        if first is None and any(b.any() for b in broken.values()):
-            sample = min(int(b.argmax()) for b in broken.values() if b.any())
-            first = at(next(limit for limit, b in broken.items() if b[sample]), sample)
-    return FeasibilityReport({limit: smallest[limit] for limit in RULES if limit in smallest}, first)
+    known = {limit: values for limit, values in margins.items() if not np.isnan(values).all()}
+    smallest = {limit: at(limit, int(np.nanargmin(values)) // values.shape[1]) for limit, values in known.items()}
+    broken = {limit: (values < 0.0).any(axis=1) for limit, values in known.items()}
+    first = {limit: int(rows.argmax()) for limit, rows in broken.items() if rows.any()}
+    if not first:
+        return FeasibilityReport(smallest, None)
+    limit = min(first, key=lambda limit: first[limit])  # of simultaneous ones the first
+    return FeasibilityReport(smallest, at(limit, first[limit]))
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
@@ -181,7 +164,7 @@ def check_reference(
         ConfigurationError: A duration or rate that is not positive; as in `check_motion`.
     """
     for name, value in (("duration", duration), ("samples_per_second", samples_per_second)):
-        if not (math.isfinite(value) and value > 0.0):
+        if not 0.0 < value < math.inf:
             raise ConfigurationError(name, value, "a finite number above 0")
     time = np.linspace(0.0, duration, math.ceil(duration * samples_per_second) + 1)
     return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
@@ -207,22 +190,18 @@ def largest_amplitude(
     omega = 2.0 * math.pi * frequency_hz
     # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
     phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
-    offset = np.tile(np.sin(phase), 2)
-    speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])
     along = np.eye(6)[axis]
+    offset = np.tile(np.sin(phase), 2)[:, None] * along
+    speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])[:, None] * along
 
     def feasible(amplitude: float) -> bool:
-        pose = middle + amplitude * offset[:, None] * along
-        rate = amplitude * speed[:, None] * along
-        acceleration = -(omega**2) * amplitude * offset[:, None] * along
-        margins = limit_margins(robot, limits, pose, rate, acceleration, gravity)
-        return not any((values < 0.0).any() for values in margins.values())
+        motion = middle + amplitude * offset, amplitude * speed, -(omega**2) * amplitude * offset
+        return not any((values < 0.0).any() for values in limit_margins(robot, limits, *motion, gravity).values())
 
     # No platform joint is further from its shaft than crank and rod together.
-    sizes = [np.linalg.norm(points, axis=-1) for points in (robot.platform_joints, robot.shaft_positions)]
-    span = float((robot.crank_lengths + robot.rod_lengths + sizes[0]).max())
-    shafts = float(sizes[1].max())
-    most = math.pi if axis < 3 else span + shafts + float(np.linalg.norm(middle[3:]))
+    joints, shafts = (np.linalg.norm(each, axis=-1) for each in (robot.platform_joints, robot.shaft_positions))
+    span = float((robot.crank_lengths + robot.rod_lengths + joints).max() + shafts.max())
+    most = math.pi if axis < 3 else span + float(np.linalg.norm(middle[3:]))
     if not feasible(0.0):
         return 0.0
     return most if feasible(most) else bisect(feasible, 0.0, most)
@@ -257,14 +236,11 @@ def largest_scale(
     def feasible(scale: float) -> bool:
         return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible
 
-    low = 0.0
-    if not feasible(low):
-        return low
-    for high in np.linspace(0.0, 1.0, _SCALE_STEPS + 1)[1:].tolist():
-        if not feasible(high):
-            return bisect(feasible, low, high)
-        low = high
-    return low
+    scales = np.linspace(0.0, 1.0, _SCALE_STEPS + 1).tolist()
+    first = next((at for at, scale in enumerate(scales) if not feasible(scale)), None)
+    if first is None:
+        return 1.0
+    return bisect(feasible, scales[first - 1], scales[first]) if first else 0.0
 
 
 def bisect(feasible: Callable[[float], bool], low: float, high: float) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG
+from stewart_drake.calibration.model import OF_LEG, OF_ROBOT, PER_LEG
 from stewart_drake.calibration.result import Calibration
 from stewart_drake.plotting import panels as look
 from stewart_drake.robot.leg import LEGS
