@@ -14,8 +14,8 @@ from stewart_drake.errors import StewartDrakeError as StewartDrakeError
 from stewart_drake.files.code_trust import trusting_code as trusting_code
 from stewart_drake.identification.excitation import excite as excite
 from stewart_drake.identification.identified import Identification as Identification
-from stewart_drake.identification.identify import identify as identify
-from stewart_drake.identification.recording import Recording as Recording
+from stewart_drake.identification.identified import identify as identify
+from stewart_drake.identification.samples import Recording as Recording
 from stewart_drake.logs.log import SimulationLog as SimulationLog
 from stewart_drake.logs.log import load_log as load_log
 from stewart_drake.logs.metric_table import Metric as Metric

@@ -50,8 +50,8 @@ _SHARE = 1e-3
 _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
 """The first step is a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over, and
 that is another minimum."""
-_NEARBY, _EXACT = 20, 200
-"""Calls of the errors at most: ten find what fits, and what does not fit needs no minimum."""
+_NEARBY, _EXACT = 10, 200
+"""Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
 _LEAST = 4
 """Poses of the guess from which both frames follow."""
 _MISFIT = _BETTER = 5.0

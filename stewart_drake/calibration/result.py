@@ -77,7 +77,7 @@ class Calibration(Report):
     picture: ClassVar = "Errors of the poses and changes of the parameters"
 
     @property
-    def title(self) -> str:  # type: ignore[override]
+    def title(self) -> str:
         """Of what it is."""
         return f"Calibration from {self.measurements.source}"
 

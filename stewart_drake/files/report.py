@@ -18,7 +18,11 @@ class Report:
     """What the table says, a paragraph."""
     picture: ClassVar[str]
     """What the report's picture shows."""
-    title: str
+
+    @property
+    def title(self) -> str:
+        """Of what it is."""
+        raise NotImplementedError
 
     def rows(self) -> list[tuple[Any, ...]]:
         """A row of `columns` for each parameter, in SI units; the half width is that of the 95 % interval."""

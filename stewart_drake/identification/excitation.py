@@ -8,9 +8,8 @@ it be; then amplitudes and phases are changed at random, by steps that adapt, an
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +35,7 @@ _FADE = 2.0
 _BLIND = 1e-9
 
 
-@dataclass(frozen=True)
-class Excitation:
+class Excitation(NamedTuple):
     """A motion begun from rest, with the condition number [-] of the torques' derivatives by the parameters.
 
     Each parameter counts in its own size; the last is the median of random motions.

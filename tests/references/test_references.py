@@ -74,11 +74,6 @@ def test_in_the_middle_of_a_burst_it_is_a_full_sine_of_its_own_frequency(referen
         np.testing.assert_allclose(pose, np.array(reference.center) + np.array(amplitude) * wave, atol=1e-9)
 
 
-def test_a_burst_of_two_fades_and_nothing_between_is_allowed():
-    reference = SineBurstsReference(frequency=(1.0, 2.0), amplitude=(CENTER, CENTER), fade=0.8, burst_duration=1.6)
-    assert np.isfinite(reference.evaluate(np.linspace(0.0, 3.2, 100))[2]).all()
-
-
 # What a field alone takes is asked of every section by tests/test_section.py; here are rules between fields.
 SINGLE, TWO = ((0.0,) * 6,), ((0.0,) * 6, (1.0,) * 6)
 PATH = MinimumJerkReference(poses=TWO, durations=(1.0,))
