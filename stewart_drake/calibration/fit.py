@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -108,11 +108,11 @@ def calibrate(
     return _fitted(start, noise, known_frames, hold)
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """Parameters near the answer: a step (k,) [-] from a model along told directions (`SIZE`, k), in `scales`.
+class _Start(NamedTuple):
+    """Parameters near the answer, a `change` (`SIZE`,) of a model along told directions (`SIZE`, k) in `scales`.
 
-    In untold directions (`SIZE`, j) the guess stands; `misfit` is the size of the closures left over their noise.
+    In untold directions (`SIZE`, j) the guess stands. `misfit` [-] is the size of the closures left over their noise,
+    `furthest` the parameter of the robot that changes most in `scales`, and `far` by how much.
     """
 
     model: Model
@@ -120,22 +120,15 @@ class _Start:
     told: np.ndarray
     untold: np.ndarray
     step: np.ndarray
+    change: np.ndarray
     misfit: float
-
-    @property
-    def change(self) -> np.ndarray:
-        """(`SIZE`,) [m, rad]."""
-        return scales(self.model.guess) * (self.told @ self.step)
-
-    @property
-    def furthest(self) -> int:
-        """Which of the robot's parameters changes most, in `scales`."""
-        return int(np.abs(self.told @ self.step)[:OF_ROBOT].argmax())
+    furthest: int
+    far: float
 
     @property
     def score(self) -> float:
         """[-] the misfit; infinite where the legs are nothing like the guess's."""
-        return self.misfit if abs((self.told @ self.step)[self.furthest]) <= _FAR else np.inf
+        return self.misfit if self.far <= _FAR else np.inf
 
 
 def _nearby(
@@ -168,8 +161,9 @@ def _nearby(
         return (model.closure_slope(ways @ step, seen, angles) @ ways).reshape(-1, len(step)) / unit
 
     step = scipy.optimize.least_squares(closures, np.zeros(count), by_step, max_nfev=_NEARBY, **_SEARCH).x
-    left = closures(step)
-    return _Start(model, measurements, told, untold, step, math.sqrt(float(left @ left) / (left.size - step.size)))
+    left, off = closures(step), np.abs(told @ step)[:OF_ROBOT]
+    misfit = math.sqrt(float(left @ left) / (left.size - step.size))
+    return _Start(model, measurements, told, untold, step, ways @ step, misfit, int(off.argmax()), float(off.max()))
 
 
 def _fitted(
@@ -276,9 +270,7 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
     start, reason, best = None, None, np.inf
     try:
         start = fit(measurements)
-        best = (
-            min(start.misfit, start.score) / _BETTER if start.score < np.inf else max(_MISFIT, start.misfit / _BETTER)
-        )
+        best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
     except ConfigurationError as error:
         reason = error
     if start is None or start.score > _MISFIT:

@@ -147,8 +147,8 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets."""
     own = changed(guess, change)
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
-    keys = ("shaft_position", "platform_joint", "crank_length", "rod_length")
-    keys += ("crank_zero_direction", "crank_quarter_direction")
+    keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
+    keys += ["crank_zero_direction", "crank_quarter_direction"]
     legs: list[dict[str, Any]] = []
     for leg in range(LEGS):
         stops = ranges[leg] if np.isfinite(ranges[leg]).all() else None

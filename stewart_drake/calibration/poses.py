@@ -195,19 +195,17 @@ def plan_poses(
     )
 
 
-def candidate_poses(
-    robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator, margin: float = MARGIN
-) -> np.ndarray:
+def candidate_poses(robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator) -> np.ndarray:
     """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
     home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     found = np.empty((0, 6))
     for _ in range(_DRAWS):
         way = rng.standard_normal((count, 6)) * size
         way /= np.linalg.norm(way / size, axis=1, keepdims=True)
-        last, limit = way_out(robot, limits, home, way, _WAY, most=margin)
+        last, limit = way_out(robot, limits, home, way, _WAY, most=MARGIN)
         if not last.any():
             got = f"a limit {LIMIT_NAMES[limit[0]]} that no way from home keeps to"
-            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {margin:g}")
+            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")
         # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
         share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
         pose = (home + (last * share)[:, None] * way)[last > 0.0]

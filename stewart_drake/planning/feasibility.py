@@ -90,12 +90,8 @@ def check_motion(
     """Margins to all limits along a sampled motion: times (n,) [s], poses (n, 6), their rates and accelerations.
 
     That no crank changes its branch follows from `reach` and `transmission`: the two branches of a leg meet at its dead
-    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`, which a
-    change of the determinant's sign breaks. A pose out of reach does not raise: it is a violation of `reach`, and the
-    samples after it are checked all the same.
-
-    Raises:
-        ConfigurationError: A value of the motion that is not finite; as `refuse_turns`.
+    centre alone, where both margins end; that the platform stays in its assembly follows from `conditioning`. A pose
+    out of reach does not raise: it breaks `reach`, and the samples after it are checked all the same.
     """
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
         if values.shape != (len(time), 6) or not np.isfinite(values).all():
@@ -122,11 +118,7 @@ def check_motion(
 
 
 def refuse_turns(key: str, pose: np.ndarray, time: np.ndarray) -> None:
-    """Refuses poses (n, 6) that are turned by more than half a turn: no measurement of a pose says which turn it is in.
-
-    Raises:
-        ConfigurationError: Roll, pitch or yaw is beyond half a turn; names the largest.
-    """
+    """Refuses poses (n, 6) turned by more than half a turn: no measurement of a pose says which turn it is in."""
     size = np.abs(pose[:, :3])
     if not (size > math.pi * (1.0 + 1e-9)).any():
         return
@@ -170,23 +162,15 @@ def check_reference(
     return check_motion(robot, limits, time, *reference.evaluate(time), gravity)
 
 
-def largest_amplitude(
-    robot: RobotParameters,
-    limits: Limits,
-    axis: int,
-    frequency_hz: float,
-    gravity: float,
-    center: np.ndarray | None = None,
-) -> float:
-    """Largest A [rad] or [m] for which center + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
+def largest_amplitude(robot: RobotParameters, limits: Limits, axis: int, frequency_hz: float, gravity: float) -> float:
+    """Largest A [rad] or [m] for which home + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
     Whether all amplitudes up to A are feasible can be told from A alone. At an offset x the acceleration is
     -(2 pi f)^2 x whatever the amplitude, and the squared speed runs from 0 (a = |x|) to (2 pi f)^2 (A^2 - x^2). Crank
     speeds grow with it and motor torques are linear in it, so its two ends decide, and bisection finds A, feasible and
-    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where the center itself is not feasible; a
-    frequency of zero asks for the range at rest.
+    below the largest by a relative 1e-4 at most. Angles end at pi. Zero where home itself is not feasible; a frequency
+    of zero asks for the range at rest.
     """
-    middle = robot.home_pose if center is None else np.asarray(center, dtype=float)
     omega = 2.0 * math.pi * frequency_hz
     # The speeds' sign changes no margin, so trough to peak stands for the whole period; then the same offsets at rest.
     phase = np.linspace(-math.pi / 2.0, math.pi / 2.0, _HALF_PERIOD_SAMPLES)
@@ -195,28 +179,21 @@ def largest_amplitude(
     speed = np.concatenate([omega * np.cos(phase), np.zeros_like(phase)])[:, None] * along
 
     def feasible(amplitude: float) -> bool:
-        motion = middle + amplitude * offset, amplitude * speed, -(omega**2) * amplitude * offset
+        motion = robot.home_pose + amplitude * offset, amplitude * speed, -(omega**2) * amplitude * offset
         return not any((values < 0.0).any() for values in limit_margins(robot, limits, *motion, gravity).values())
 
     # No platform joint is further from its shaft than crank and rod together.
     joints, shafts = (np.linalg.norm(each, axis=-1) for each in (robot.platform_joints, robot.shaft_positions))
     span = float((robot.crank_lengths + robot.rod_lengths + joints).max() + shafts.max())
-    most = math.pi if axis < 3 else span + float(np.linalg.norm(middle[3:]))
+    most = math.pi if axis < 3 else span + float(np.linalg.norm(robot.home_pose[3:]))
     if not feasible(0.0):
         return 0.0
     return most if feasible(most) else bisect(feasible, 0.0, most)
 
 
-def amplitude_table(
-    robot: RobotParameters,
-    limits: Limits,
-    frequencies: Iterable[float],
-    gravity: float,
-    center: np.ndarray | None = None,
-) -> np.ndarray:
+def amplitude_table(robot: RobotParameters, limits: Limits, frequencies: Iterable[float], gravity: float) -> np.ndarray:
     """`largest_amplitude` of every axis at every frequency [Hz]; (n, 6) [rad, m]."""
-    rows = [[largest_amplitude(robot, limits, axis, f, gravity, center) for axis in range(6)] for f in frequencies]
-    return np.array(rows).reshape(-1, 6)
+    return np.array([[largest_amplitude(robot, limits, axis, f, gravity) for axis in range(6)] for f in frequencies])
 
 
 def largest_scale(

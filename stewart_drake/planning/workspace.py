@@ -55,23 +55,26 @@ _STEPS, _BISECTIONS = 64, 16
 def utilisation(
     robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
-    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; above 1 it is broken.
+    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up, by their `POSE_MEASURES` records.
 
-    In the order of `LIMIT_NAMES`, from `POSE_MEASURES` records (n,). NaN where a rod cannot span, but for `reach` and
-    `euler_pitch`; infinite beyond a parallel singularity and where links overlap.
+    NaN where a rod cannot span, but for `reach` and `euler_pitch`; infinite beyond a parallel singularity and where
+    links overlap.
     """
     bounds = limit_bounds(robot, limits)
     if "joint_swing" in bounds:
         bounds["ball_swing"] = bounds["universal_swing"] = bounds["joint_swing"]
-    bounds |= {"crank_range": 1.0} if "crank_range" in bounds else {}
-    other = {"reach": 1.0 - measures.reach, "torque": measures.holding_torque, "euler_pitch": np.abs(pose[:, 1])}
-    other["crank_range"] = measures.stroke
+    if "crank_range" in bounds:
+        bounds["crank_range"] = 1.0
+    x = {name: measures[name] for name in ("ball_swing", "universal_swing", *_LEAST)}
+    x |= {"reach": 1.0 - measures.reach, "torque": measures.holding_torque}
+    x |= {"euler_pitch": np.abs(pose[:, 1]), "crank_range": measures.stroke}
     use = {}
     for name in (name for name in LIMIT_NAMES if name in bounds):
-        x = other[name] if name in other else measures[name]
-        with np.errstate(divide="ignore"):
-            ratio = bounds[name] / x if name in _LEAST else x / bounds[name]
-        use[name] = np.where(x <= 0.0, np.inf, ratio) if name in _LEAST else ratio
+        if name in _LEAST:
+            with np.errstate(divide="ignore"):
+                use[name] = np.where(x[name] <= 0.0, np.inf, bounds[name] / x[name])
+        else:
+            use[name] = x[name] / bounds[name]
     return use
 
 
@@ -89,14 +92,9 @@ def governing_limit(use: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a box in three coordinates of the pose; a side of no length makes a slice.
+    """Cells of a box in three coordinates of the pose, from corner `low` to `high` (3,); without a length, a slice.
 
-    Attributes:
-        coordinates: Indices of the three coordinates that vary, ascending.
-        center: (6,) [rad, m] pose; the other coordinates are taken from it.
-        low: (3,) lower corner.
-        high: (3,) upper corner.
-        counts: Cells along each side.
+    The other coordinates are those of `center` (6,) [rad, m].
     """
 
     coordinates: list[int]
@@ -362,10 +360,7 @@ def study_poses(
     """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
 
     Of grids of `samples` poses and so many ways out; around other centres of a twentieth of the samples. Sizes are in
-    m^3, or shares of all orientations; of a workspace that cannot be reached None.
-
-    Raises:
-        ConfigurationError: A center that `check_center` refuses; too few samples.
+    m^3, or shares of all orientations; None of a centre that cannot be reached.
     """
     center = np.asarray(center, dtype=float)
 

@@ -100,7 +100,7 @@ class UserReference(UserMade, key="reference"):
         times = time.ravel()
         try:
             # Of six times (6, 6) could be the wrong way round, and nobody would see it.
-            parts = self._asked(np.append(times, times[-1]) if len(times) == 6 else times)
+            parts: Any = self._asked(np.append(times, times[-1]) if len(times) == 6 else times)
         except (TypeError, ValueError, ConfigurationError):
             parts = np.array([self._asked(one) for one in times]).reshape(-1, 3, 6).swapaxes(0, 1)
         pose, rate, acceleration = (part[: len(times)].reshape(*time.shape, 6) for part in parts)

@@ -10,8 +10,6 @@ from references.laws import check_derivatives, check_means, check_shapes, check_
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of, recorded
 from stewart_drake.references.recorded import load_recording
-from stewart_drake.runs.simulation import check_scenario, run
-from stewart_drake.scenario import Scenario
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()
@@ -78,23 +76,6 @@ def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle, lowe
         np.testing.assert_allclose(found, true, atol=1e-8)
 
 
-def test_degrees_are_no_turns(tmp_path):
-    path = save(table(yaw=45.0 + 5.0 * TIMES), tmp_path / "motion.csv")
-    np.testing.assert_array_equal(load_recording(path)[:, 3], 45.0 + 5.0 * TIMES)
-    degrees = Scenario(reference=reference(path), duration=1.0)
-    with pytest.raises(ConfigurationError, match=r"did you mean 0.873\?.*yaw 50 rad at t = 1.000 s"):
-        check_scenario(degrees)
-
-
-def test_a_swing_about_half_a_turn_can_be_taken_as_a_swing_about_home(tmp_path):
-    swing = -0.15 * np.sin(2.0 * TIMES)
-    path = save(table(roll=0.0 * TIMES, yaw=wrapped(math.pi + swing, -math.pi)), tmp_path / "motion.csv")
-    about_home = {"kind": "sum", "parts": [reference(path)], "center": (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)}
-    log = run(Scenario(reference=about_home, duration=1.0, controller={"model": "exact"}, tuner="block"))
-    assert log.status == "completed"
-    assert log["pose"][-1, 2] == pytest.approx(swing[50], abs=2e-3)
-
-
 def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):
     motion = reference(save(table(), tmp_path / "motion.csv"), settle=0.4)
     start, rate, _ = motion.evaluate(0.0)
@@ -109,12 +90,6 @@ def test_it_starts_with_its_own_velocity_and_coasts_to_rest(tmp_path):
     # Half of the way that the last velocity would have gone, give or take what the last acceleration does.
     coasted = last[1] * 0.4 / 2.0 + last[2] * 0.4**2 / 12.0
     np.testing.assert_allclose(there[0] - last[0], coasted, atol=1e-12)
-
-
-def test_whole_numbers_further_columns_and_any_order_will_do(tmp_path):
-    columns = {name: [0, 1, 2, 4] for name in (*COLUMNS[::-1], "pulse")}
-    path = save(pa.table(columns | {"note": ["a", "b", "c", "d"]}), tmp_path / "motion.csv")
-    np.testing.assert_array_equal(load_recording(path), np.tile([[0], [1], [2], [4]], 7))
 
 
 def changed(name, row, value):

@@ -71,17 +71,6 @@ def test_the_rate_stays_within_its_variation_and_keeps_its_mean(reference):
     assert abs(count[-1] - 400.0 * reference.rate) <= reference.rate * drift / math.pi
 
 
-def test_respiratory_sinus_arrhythmia_speeds_the_heart_up_while_breathing_in():
-    heart = HeartbeatReference(respiratory_variation=0.1, slow_variation=0.0, respiratory_frequency=0.25)
-    breath = BreathingReference(frequency=0.25)
-    times = np.linspace(0.0, 4.0, 401)
-    inhaling = breath.evaluate(times)[1][:, 5] > 1e-9
-    rate = heart.beats(times)[1]
-    assert rate[inhaling].min() >= heart.rate
-    assert rate[~inhaling].max() <= heart.rate * (1.0 + 1e-9)
-    assert rate.max() == pytest.approx(1.1 * heart.rate)
-
-
 @given(st.floats(0.8, 2.5), st.integers(1, 6), st.floats(0.05, 0.7))
 @settings(max_examples=50)
 def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prematurity):
@@ -92,20 +81,6 @@ def test_a_premature_beat_comes_early_and_the_next_one_on_time(rate, beat, prema
     np.testing.assert_allclose(times, expected, atol=1e-4)
     # Full compensatory pause: the two intervals around it make two beats.
     assert times[beat + 1] - times[beat - 1] == pytest.approx(2.0 / rate, abs=1e-4)
-
-
-@pytest.mark.slow
-@given(heartbeats())
-@settings(max_examples=50)
-def test_a_premature_beat_leaves_the_rest_of_the_motion_alone_and_never_turns_the_heart_back(reference):
-    regular = dataclasses.replace(reference, premature_beats=())
-    times = np.linspace(0.0, 12.0, 6001)
-    count = regular.beats(times)[0]
-    beats = np.array(reference.premature_beats)[:, None]
-    touched = (np.abs(count - beats) < 1.0).any(axis=0)
-    same, other = (motion.evaluate(times)[0] for motion in (regular, reference))
-    np.testing.assert_allclose(other[~touched], same[~touched], atol=1e-9)
-    assert reference.beats(times)[1].min() > 0.0
 
 
 @pytest.mark.slow
