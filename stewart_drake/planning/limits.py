@@ -173,7 +173,7 @@ parallel singularity. ball_swing, universal_swing: the largest [rad]. stroke: la
 middle of its range, as a part of half of it; 0 of a robot without stops. clearance: smallest distance of the surfaces
 of links of different legs [m]. holding_torque: the largest [N m]. force, moment: see `strength` [N], [N m]."""
 
-_BLOCK = 1 << 16  # poses between two reports of the progress
+_BLOCK = 1 << 16  # poses whose measures are kept at a time
 
 
 def measure(
@@ -200,9 +200,8 @@ def measure_poses(
     pose: np.ndarray,
     gravity: float = STANDARD_GRAVITY,
     torque_limit: float | None = None,
-    progress: Callable[[float], None] | None = None,
 ) -> np.recarray:
-    """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]; `progress` is called with the share done."""
+    """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
     pose = np.asarray(pose, dtype=float)
     if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
         raise ConfigurationError("pose", pose, "finite numbers of shape (n, 6)")
@@ -222,8 +221,6 @@ def measure_poses(
         own |= {name: values.max(axis=1) for name, values in most.items()}
         for name, values in own.items():
             made[name][rows] = values
-        if progress is not None:
-            progress(min(1.0, (start + _BLOCK) / len(pose)))
     return made
 
 

@@ -24,7 +24,6 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH
 
 Kind = Literal["position", "orientation"]
-Progress = Callable[[float], None]
 
 COORDINATES: dict[Kind, list[int]] = {"position": [3, 4, 5], "orientation": [0, 1, 2]}
 """The coordinates of a pose that vary over a workspace."""
@@ -238,16 +237,9 @@ class Survey:
         return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
 
 
-def survey(
-    robot: RobotParameters,
-    limits: Limits,
-    grid: Grid,
-    gravity: float = STANDARD_GRAVITY,
-    progress: Progress | None = None,
-) -> Survey:
+def survey(robot: RobotParameters, limits: Limits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
     """Measures every cell of a grid; force and moment keep to the limit of the torque, where it is on."""
-    torque = limit_bounds(robot, limits).get("torque")
-    measures = measure_poses(robot, grid.poses, gravity, torque, progress)
+    measures = measure_poses(robot, grid.poses, gravity, limit_bounds(robot, limits).get("torque"))
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
 
 
@@ -355,7 +347,7 @@ def study_poses(
     center: np.ndarray,
     samples: int,
     directions: int,
-    progress: Progress = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[dict[str, Any], dict[Kind, Survey]]:
     """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
 
@@ -364,16 +356,16 @@ def study_poses(
     """
     center = np.asarray(center, dtype=float)
 
-    def surveyed(kind: Kind, center: np.ndarray, samples: int, progress: Progress | None = None) -> Survey:
-        return survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity, progress)
+    def surveyed(kind: Kind, center: np.ndarray, samples: int) -> Survey:
+        return survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
 
     def ways(along: np.ndarray) -> dict[Kind, Boundary]:
         return {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}
 
-    surveys = {
-        kind: surveyed(kind, center, samples, lambda share, done=done: progress(0.3 * (done + share)))  # type: ignore[misc]
-        for done, kind in enumerate(KINDS)
-    }
+    surveys: dict[Kind, Survey] = {}
+    for kind in KINDS:
+        surveys[kind] = surveyed(kind, center, samples)
+        progress(0.3 * len(surveys))
     boundaries, ends = ways(spread_directions(directions)), ways(np.concatenate([-np.eye(3), np.eye(3)]))
     progress(0.8)
     others: dict[str, float | None] = {}
