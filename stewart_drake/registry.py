@@ -22,7 +22,7 @@ REFERENCES = Family(
         "adjusted": "references.combined:AdjustedReference",
     },
     default="sine",
-    own="references.user_reference:UserReference",
+    own="references.recorded:UserReference",
     methods=("evaluate",),
 )
 CONTROLLERS = Family(

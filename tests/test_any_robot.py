@@ -185,7 +185,7 @@ def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
 
 def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     from stewart_drake.cli import workspace_command
-    from stewart_drake.planning import pose_study
+    from stewart_drake.planning import workspace
 
     class DoneError(Exception):
         pass
@@ -193,7 +193,7 @@ def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     def stop(*_, **__):
         raise DoneError
 
-    monkeypatch.setattr(pose_study, "study_poses", stop)
+    monkeypatch.setattr(workspace, "study_poses", stop)
     monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "")
     status, _, error = call("workspace", "--set", "robot.platform_joint_radius=0.16", "--quiet")
     assert workspace_command.workspace.name == "workspace"

@@ -17,15 +17,14 @@ from identification_study import ROBOT_OF, motions
 from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
-from stewart_drake.paper.study import Study
+from stewart_drake.calibration.pose_plan import plan_poses
 from tuner_safety_study import LOOPS, setting_loops
 
 from stewart_drake import load_robot, load_scenario, run, run_metrics
-from stewart_drake.calibration.pose_plan import plan_poses
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.paper import kinematics, state_space
-from stewart_drake.paper.reproduce import rows
+from stewart_drake.paper.reproduce import Study, rows
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins
 from stewart_drake.studies.comparison import load_comparison

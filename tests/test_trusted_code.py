@@ -1,6 +1,7 @@
 """Code that a file names runs only once the user has said so, and is known again by its digest."""
 
 import dataclasses
+import json
 import pickle
 import sys
 from pathlib import Path

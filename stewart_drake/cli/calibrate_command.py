@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.calibration.parameters import FRAMES, NAMES, FrameName, Name
+from stewart_drake.calibration.model import FRAMES, NAMES, FrameName, Name
 from stewart_drake.cli.common_options import OutPath, overrides, trust_flag
 from stewart_drake.runs.terminal import print_columns, print_table
 
 if TYPE_CHECKING:
-    from stewart_drake.calibration.measurements import MeasurementNoise
+    from stewart_drake.calibration.poses import MeasurementNoise
     from stewart_drake.calibration.result import Calibration
 
 
@@ -70,7 +70,7 @@ def calibrate(
 
     Exit status: 0 done, 2 bad input.
     """
-    from stewart_drake.calibration.measurements import MeasurementNoise
+    from stewart_drake.calibration.poses import MeasurementNoise
 
     if (poses is None) == (plan is None):
         raise click.UsageError("either POSES or --plan N")
@@ -98,7 +98,6 @@ def _calibrate(
     quiet: bool,
 ) -> None:
     from stewart_drake.calibration.fit import calibrate as fit
-    from stewart_drake.calibration.result import leg_table, robot_file, summary
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file, prepare_folder
@@ -107,23 +106,22 @@ def _calibrate(
     prepare_file(out)
     if report_folder is not None:
         _report(found, prepare_folder(report_folder))
-    write_atomically(out, robot_file(found).encode())
+    write_atomically(out, found.robot_file().encode())
     if not quiet:
-        rows = [*summary(found), ("robot in", str(out))]
+        rows = [*found.summary(), ("robot in", str(out))]
         print_table(f"{poses}", rows + ([("report in", str(report_folder))] if report_folder else []))
-        header, table = leg_table(found)
+        header, table = found.table()
         print_columns("change against the guess, 95 % interval", header, table)
 
 
 def _report(found: Calibration, folder: Path) -> None:
-    from stewart_drake.calibration.result import parameter_table, report, residual_table
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.plotting.model_plots import plot_calibration
 
-    write_atomically(folder / "parameters.csv", parameter_table(found).encode())
-    write_atomically(folder / "residuals.csv", residual_table(found).encode())
+    write_atomically(folder / "parameters.csv", found.to_csv().encode())
+    write_atomically(folder / "residuals.csv", found.residuals_csv().encode())
     plot_calibration(found, folder / "calibration.png")
-    write_atomically(folder / "report.md", report(found).encode())
+    write_atomically(folder / "report.md", found.to_markdown("calibration.png").encode())
 
 
 def _plan(
@@ -136,7 +134,7 @@ def _plan(
     overrides: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    from stewart_drake.calibration.pose_plan import plan_poses
+    from stewart_drake.calibration.poses import plan_poses
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file

@@ -51,8 +51,7 @@ def identify(
     """
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.identification.estimate import ASKED
-    from stewart_drake.identification.identified import parameter_columns, robot_file, summary
-    from stewart_drake.identification.identify import identify as fit
+    from stewart_drake.identification.identified import identify as fit
     from stewart_drake.robot.robot_files import load_robot
     from stewart_drake.runs.outputs import prepare_file, prepare_folder
 
@@ -60,23 +59,22 @@ def identify(
     prepare_file(out)
     if report_folder is not None:
         _report(found, prepare_folder(report_folder))
-    write_atomically(out, robot_file(found).encode())
+    write_atomically(out, found.robot_file().encode())
     if not quiet:
-        rows = [*summary(found), ("robot in", str(out))]
+        rows = [*found.summary(), ("robot in", str(out))]
         print_table(", ".join(map(str, logs)), rows + ([("report in", str(report_folder))] if report_folder else []))
-        header, table = parameter_columns(found)
+        header, table = found.table()
         print_columns("parameters, 95 % intervals", header, table, (1, 2))
 
 
 def _report(found: Identification, folder: Path) -> None:
     from stewart_drake.files.whole import write_atomically
-    from stewart_drake.identification.identified import friction_file, parameter_table, report
     from stewart_drake.plotting.model_plots import plot_identification
 
-    write_atomically(folder / "parameters.csv", parameter_table(found).encode())
-    write_atomically(folder / "friction.yaml", friction_file(found).encode())
+    write_atomically(folder / "parameters.csv", found.to_csv().encode())
+    write_atomically(folder / "friction.yaml", found.friction_file().encode())
     plot_identification(found, folder / "identification.png")
-    write_atomically(folder / "report.md", report(found).encode())
+    write_atomically(folder / "report.md", found.to_markdown("identification.png").encode())
 
 
 @click.command()

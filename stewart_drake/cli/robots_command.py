@@ -42,11 +42,10 @@ def robots(context: click.Context, out: Path | None) -> None:
 @click.option("--picture", type=OutPath(dir_okay=False), help="Draw it at home to this PNG.")
 def show(robot: str, picture: Path | None) -> None:
     """Print the numbers of ROBOT with their units: a name, or a YAML file; with what follows from them at home."""
-    from stewart_drake.planning.robot_sheet import SHEETS
+    from stewart_drake.planning.robot_sheet import robot_sheets
     from stewart_drake.robot.robot_files import load_robot
 
-    loaded = load_robot(robot)
-    for title, header, rows in (make(loaded) for make in SHEETS):
+    for title, header, rows in robot_sheets(load_robot(robot)):
         print_columns(f"{robot}: {title}", header, rows, numbers=())
     if picture is not None:
         click.echo(f"picture in {_draw(robot, picture)}")

@@ -73,23 +73,23 @@ def workspace(
     from stewart_drake.files.whole import write_atomically
     from stewart_drake.paper.reproduce import Study
     from stewart_drake.paper.workspace import motion_numbers
-    from stewart_drake.planning.pose_study import KINDS, study_poses
+    from stewart_drake.planning.workspace import KINDS, slices, study_poses
     from stewart_drake.plotting import save_figure
     from stewart_drake.plotting.workspace_plots import plot_capability, plot_slices
 
     of_base = base.robot, base.limits, base.gravity
     with ProgressBar("workspace", 100.0, quiet, unit="%") as advance:
-        poses = study_poses(*of_base, center, samples, 20_000, lambda share: advance(60.0 * share))
+        numbers, surveys = study_poses(*of_base, center, samples, 20_000, lambda share: advance(60.0 * share))
         motions, draw = motion_numbers(Study(base=base, progress=lambda share: advance(60.0 + 40.0 * share)))
-    numbers = poses.numbers() | {"motions": motions}
+    numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     figures = out / "figures"
     figures.mkdir(exist_ok=True)
     save_figure(draw(), figures / "torques.png")
     for kind, shown in zip(KINDS, (-1, 2), strict=True):
-        slices = poses.slices(*of_base, kind, 220)
-        save_figure(plot_slices(slices), figures / f"{kind}-slices.png")
-        save_figure(plot_capability(slices[shown]), figures / f"{kind}-capability.png")
+        cuts = slices(*of_base, surveys[kind], 220)
+        save_figure(plot_slices(cuts), figures / f"{kind}-slices.png")
+        save_figure(plot_capability(cuts[shown]), figures / f"{kind}-capability.png")
     if not quiet:
         print_table(f"numbers and figures in {out}", _rows(numbers))
 

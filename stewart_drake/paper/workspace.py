@@ -16,7 +16,7 @@ from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_jacobian, reach_margin
 from stewart_drake.paper.reproduce import Claim, Result, Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import measure_poses
 from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.plotting.style import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference

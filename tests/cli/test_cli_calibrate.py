@@ -7,7 +7,7 @@ import pytest
 from simulated_calibration import aligned, change_to, deviating, measured
 from strategies import ROBOT
 
-from stewart_drake.calibration.measurements import MeasurementNoise, load_measurements
+from stewart_drake.calibration.poses import MeasurementNoise, load_measurements
 from stewart_drake.robot.robot_files import load_robot
 
 
