@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
+from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.control.objective import CostScales
 from stewart_drake.plotting import draw
 from stewart_drake.plotting.tuner_plots import plot_front
-from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import (
     Baselines,
@@ -61,7 +61,7 @@ def front(folder, policy, settings, seeds=SEEDS):
     cases = cases_of(cells_for("paper"), HELD_OUT[:seeds])
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
-        ProgressBar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        progress_bar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)

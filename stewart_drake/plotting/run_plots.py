@@ -19,8 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.log import SIGNALS, SimulationLog
-from stewart_drake.logs.metrics import run_metrics, tracking_error
-from stewart_drake.logs.rows import INTEGRAL_TIME
+from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 from stewart_drake.plotting import panels as look
 
 DPI = 150

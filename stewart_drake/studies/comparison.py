@@ -21,7 +21,7 @@ from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.logs.metric_table import Column
+from stewart_drake.logs.metrics import Column
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.comparison_table import (

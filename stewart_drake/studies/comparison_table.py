@@ -15,11 +15,9 @@ import numpy as np
 
 from stewart_drake.control.objective import CostScales
 from stewart_drake.files.whole import locked_folder
-from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import OUTCOME, Column
-from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.logs.metrics import error_norms
+from stewart_drake.logs.metrics import FAILED, OUTCOME, Column, error_norms, mean_cost, run_cost
+from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.studies.runs import Row, RunFunction, measure, outcome
 from stewart_drake.studies.study import flat, markdown, run_study
 from stewart_drake.studies.workers import Workers

@@ -17,9 +17,9 @@ from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.hardware.motors import holdable_load
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.logs.rows import pose_distance
+from stewart_drake.logs.metrics import Column
+from stewart_drake.logs.metrics import columns as run_columns
+from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot.robot_scale import LENGTH

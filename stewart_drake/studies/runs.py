@@ -21,8 +21,7 @@ from stewart_drake.files.code_trust import code_rule
 from stewart_drake.files.named_files import file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import MetricError, columns, flat, run_metrics
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.registry import REGISTERED
 from stewart_drake.runs.outputs import prepare_folder
@@ -61,7 +60,7 @@ def simulate_unchecked(scenario: Scenario) -> SimulationLog:
 
 
 def outcome(log: SimulationLog) -> Row:
-    """How a run ended, see `metric_table.OUTCOME`, but for status, reason and message."""
+    """How a run ended, see `metrics.OUTCOME`, but for status, reason and message."""
     safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
     return {
         "outcome_time": log.outcome_time,
@@ -295,7 +294,7 @@ def identity(
         **work,
         "files": file_digests(work, code),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
+        "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in (*CODE, *more)},
     }

@@ -20,8 +20,7 @@ from stewart_drake.files.code_path import CodePath
 from stewart_drake.files.named_files import anchored, code_named
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import NOT_FINITE, write_atomically
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import Column, run_metrics
 from stewart_drake.logs.outcomes import told
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario, load_scenario

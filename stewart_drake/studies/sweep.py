@@ -24,8 +24,8 @@ from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import plain_json
 from stewart_drake.files.yaml_files import find_file, read_mapping
 from stewart_drake.keys import split_key, value_at
-from stewart_drake.logs.metric_table import Column, ValueKind
-from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.metrics import Column, ValueKind
+from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import Row, RunFunction

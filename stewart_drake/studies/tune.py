@@ -18,10 +18,8 @@ from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import find_file, read_mapping, to_yaml
 from stewart_drake.keys import value_at
-from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import FAILED, Column, mean_cost, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.studies.comparison import Comparison, TuneOptions
 from stewart_drake.studies.comparison_table import ComparisonResult, Sheet, number, run_comparison

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 from conftest import resealed
+from stewart_drake.runs.terminal import shown_compiling
 
 from stewart_drake import scenario as scenario_module
 from stewart_drake.cli.app import cli
@@ -16,7 +17,6 @@ from stewart_drake.control.network import default_network_path
 from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.logs.log import load_log
 from stewart_drake.runs import simulation
-from stewart_drake.runs.terminal import shown_compiling
 from stewart_drake.scenario import load_scenario, scenario_schema
 from stewart_drake.studies import workers
 from stewart_drake.systems.diagram import ClosedLoop

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from stewart_drake.planning.limits import RULES
-from stewart_drake.runs.motion_fit import motion_report
+from stewart_drake.runs.checks import motion_report
 from stewart_drake.scenario import load_scenario
 
 FAST = ("--set", "reference.angular_frequency=[14,14,14,14,14,14]", "--set", "duration=1")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stewart_drake.control.objective import CostScales, cost
-from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
+from stewart_drake.logs.metrics import FAILED, mean_cost, run_cost
 
 SCALES = CostScales(rotation=0.5, position=0.02, torque_change=0.1)
 sizes = st.just(0.0) | st.floats(1e-6, 1e3)

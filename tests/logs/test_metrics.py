@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.logs.metric_table import METRICS, columns, flat
 from stewart_drake.logs.metrics import (
+    METRICS,
+    columns,
     error_norms,
+    flat,
     integral_at,
     run_metrics,
     second_half,

@@ -7,8 +7,7 @@ from made_logs import made_log
 
 from stewart_drake.errors import NotFiniteError, SafetyStop
 from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.logs.outcomes import find_warnings, judge
-from stewart_drake.logs.rows import RunRows
+from stewart_drake.logs.outcomes import RunRows, find_warnings, judge
 from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
 from stewart_drake.scenario import load_scenario

@@ -17,7 +17,7 @@ from stewart_drake.paper.sensitivity import changes, scaled_network
 from stewart_drake.paper.study import PAIRS, RATIOS, Study, growth, outcome, pair_of, paper_scenario, score
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import paper_reference
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.training.collect import FREQUENCIES
 from stewart_drake.training.dataset import Dataset

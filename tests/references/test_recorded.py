@@ -10,7 +10,8 @@ from references.laws import check_derivatives, check_means, check_shapes, check_
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.references import RecordedReference, SineReference, center_of, recorded
 from stewart_drake.references.recorded import load_recording
-from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")

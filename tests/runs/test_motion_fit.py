@@ -14,7 +14,7 @@ from stewart_drake.references import (
     SineReference,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.motion_fit import adjusted, fit_amplitude, fit_speed
+from stewart_drake.runs.checks import adjusted, fit_amplitude, fit_speed
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)

@@ -18,8 +18,7 @@ from stewart_drake.errors import ConfigurationError, DrakeCheckError
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.runs import replay
-from stewart_drake.runs.picture import render_png
-from stewart_drake.runs.replay import nearest_rows, write_replay
+from stewart_drake.runs.replay import nearest_rows, render_png, write_replay
 from stewart_drake.scenario import Scenario
 
 needs_egl = pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="Drake's renderer needs libEGL")
