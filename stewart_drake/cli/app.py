@@ -120,25 +120,18 @@ def _lost_output(error: OSError) -> int:
 def _interruptible() -> Iterator[None]:
     """Takes SIGTERM and SIGHUP as Ctrl-C, and raises again what Python has dropped of them.
 
-    Python drops what is raised in a `__del__` or in a callback from C, but for a call of `sys.unraisablehook`. While
-    numba compiles many interrupts arrive there: a signal waits for the next line of Python, and what LLVM calls when it
-    is done is such a callback. Without it numba may fail; that error is the interrupt's too.
-
-    Raises:
-        KeyboardInterrupt: In place of an error after an interrupt that was dropped.
+    Python drops what is raised in a `__del__` or in a callback from C, as LLVM calls one when numba has compiled, but
+    for a call of `sys.unraisablehook`. Without its callback numba may fail; that error is the interrupt's too.
     """
-    interrupted = dropped = False
+    dropped, before = False, sys.unraisablehook
 
     def interrupt(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
         raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         # What `nohup` has shut out stays out.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
-    before = sys.unraisablehook
 
     def hook(what: UnraisableHookArgs) -> None:
         nonlocal dropped
@@ -146,7 +139,7 @@ def _interruptible() -> Iterator[None]:
             dropped = True
             # Raised here it would be dropped too.
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-        elif not interrupted:
+        elif not dropped:
             before(what)
 
     sys.unraisablehook = hook
@@ -158,6 +151,5 @@ def _interruptible() -> Iterator[None]:
         raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        # After an interrupt what is half made complains until the process ends.
-        if not interrupted:
+        if not dropped:
             sys.unraisablehook = before

@@ -37,9 +37,7 @@ _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limi
 """What no table says and no robot shares with another."""
 
 robot_option = click.option("--robot", help="Name or YAML file [default: that of the scenario].")
-scenario_option = click.option(
-    "--scenario", default="hold", help="Take robot and plant of this scenario [default: the paper's]."
-)
+scenario_option = click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
 report_option = click.option("--report", "report_folder", type=OUT_FOLDER, help="Folder for a page, tables, a picture.")
 hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Keep these parameters as they are.")
 

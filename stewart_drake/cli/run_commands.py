@@ -234,7 +234,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
 @click.option(
     "--scenario",
     default="paper_fig7",
-    help="Take robot, limits and controller of this scenario [default: the paper's].",
+    help="Take robot, limits and controller of this scenario.",
 )
 @overrides("limits.clearance=0.01")
 @trust_flag

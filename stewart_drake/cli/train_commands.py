@@ -67,9 +67,10 @@ def train(
 
     Exit status: 0 done, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    foreign, other = {"--generations": generations}, "policy"
+    foreign: dict[str, object] = {"--generations": generations}
     if tuner == "policy":
-        foreign, other = {"DATASET": dataset, "--split": split, "--epochs": epochs}, "paper"
+        foreign = {"DATASET": dataset, "--split": split, "--epochs": epochs}
+    other = "paper" if tuner == "policy" else "policy"
     for option, given in foreign.items():
         if given is not None:
             raise ConfigurationError(option, str(given), f"nothing: it goes with --tuner {other}")

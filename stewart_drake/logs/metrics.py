@@ -132,14 +132,11 @@ def _both(
 ) -> list[Metric]:
     """A metric of angles [deg] and one of lengths [mm]; `of` has both, (2,) or (6,) [rad, m]."""
     metrics = []
-    words = (
-        ("deg", np.degrees, "roll, pitch, yaw", "angle"),
-        ("mm", lambda length: 1e3 * length, "position", "distance"),
-    )
-    for index, (unit, scaled, what, size) in enumerate(words):
+    for index, (unit, what, size) in enumerate((("deg", "roll, pitch, yaw", "angle"), ("mm", "position", "distance"))):
 
-        def value(rows: RunRows, index: int = index, scaled: Callable[[Any], Any] = scaled) -> Any:
-            return scaled(of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index])
+        def value(rows: RunRows, index: int = index) -> Any:
+            found = of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index]
+            return 1e3 * found if index else np.degrees(found)
 
         axes = (_ANGLES, _LENGTHS)[index] if by_axis else ()
         parts = tuple(f"{name}_{axis}_{unit}" for axis in axes)

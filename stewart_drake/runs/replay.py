@@ -9,24 +9,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    Cylinder,
-    GeometryInstance,
-    LightParameter,
-    MakeRenderEngineVtk,
-    Meshcat,
-    MeshcatParams,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    PerceptionProperties,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    RenderLabel,
-    Rgba,
-    SceneGraph,
-)
+from pydrake import geometry
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, ImageFileFormat, ImageIo, ImageRgba8U
@@ -114,21 +97,23 @@ def _record(log: SimulationLog, frames: np.ndarray, rows: np.ndarray, rate: floa
     level = drake_log.level
     drake_log.setLevel(logging.WARNING)
     try:
-        meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+        meshcat = geometry.Meshcat(geometry.MeshcatParams(host="localhost", show_stats_plot=False))
     finally:
         drake_log.setLevel(level)
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
+    meshcat.SetCamera(geometry.Meshcat.PerspectiveCamera(fov=_REPLAY_LENS))
     meshcat.SetCameraPose(*_viewpoint(robot))
     meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Background", "bottom_color", [0.80, 0.83, 0.87])
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
     # Wider than the platform and thinner: it shows as a ring around a platform that tracks well.
-    disc = Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
-    meshcat.SetObject("reference", disc, Rgba(0.0, 0.62, 0.45, 0.4))
+    disc = geometry.Cylinder(1.15 * robot.platform_radius, 0.4 * robot.link_radius)
+    meshcat.SetObject("reference", disc, geometry.Rgba(0.0, 0.62, 0.45, 0.4))
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, PlantOptions(rod_joint=log.scenario.plant.rod_joint), visuals=True)
-    MeshcatVisualizer.AddToBuilder(builder, stewart.scene_graph, meshcat, MeshcatVisualizerParams(prefix="robot"))
+    geometry.MeshcatVisualizer.AddToBuilder(
+        builder, stewart.scene_graph, meshcat, geometry.MeshcatVisualizerParams(prefix="robot")
+    )
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     plant_context = stewart.plant.GetMyMutableContextFromRoot(context)
@@ -177,7 +162,7 @@ def render_png(
     """
     builder = DiagramBuilder()
     stewart = add_plant(builder, robot, visuals=True)
-    scene_graph: SceneGraph = stewart.scene_graph
+    scene_graph: geometry.SceneGraph = stewart.scene_graph
     _add_floor(scene_graph, robot, pose)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
@@ -193,38 +178,42 @@ def render_png(
     for lights, (dx, dy) in zip(_studio(passes), _spread(passes) - 0.5, strict=True):
         # VTK knows only hard shadows and rough edges. Many pictures, each under other lights and shifted by a fraction
         # of a pixel, average to soft ones.
-        engine = RenderEngineVtkParams(
+        engine = geometry.RenderEngineVtkParams(
             default_clear_color=[1.0, 1.0, 1.0], lights=lights, cast_shadows=True, shadow_map_size=1024
         )
-        scene_graph.AddRenderer(scene, "studio", MakeRenderEngineVtk(engine))
+        scene_graph.AddRenderer(scene, "studio", geometry.MakeRenderEngineVtk(engine))
         # A renderer added to a Context learns where things are from the next change of the state only.
         stewart.set_state(context, pose)
         lens = CameraInfo(width, height, focal, focal, 0.5 * (width - 1) + dx, 0.5 * (height - 1) + dy)
-        core = RenderCameraCore("studio", lens, ClippingRange(0.01, 100.0), RigidTransform())
+        core = geometry.RenderCameraCore("studio", lens, geometry.ClippingRange(0.01, 100.0), RigidTransform())
         query = scene_graph.get_query_output_port().Eval(scene)
-        total += query.RenderColorImage(ColorRenderCamera(core, False), SceneGraph.world_frame_id(), X_WC).data
+        total += query.RenderColorImage(
+            geometry.ColorRenderCamera(core, False), geometry.SceneGraph.world_frame_id(), X_WC
+        ).data
         scene_graph.RemoveRenderer(scene, "studio")
     image = ImageRgba8U(width, height)
     image.mutable_data[:] = np.rint(total / passes).astype(np.uint8)
     path.write_bytes(ImageIo().Save(image, ImageFileFormat.kPng))
 
 
-def _add_floor(scene_graph: SceneGraph, robot: RobotParameters, pose: np.ndarray) -> None:
+def _add_floor(scene_graph: geometry.SceneGraph, robot: RobotParameters, pose: np.ndarray) -> None:
     """A white disc just below the base, or below the cranks where they hang lower."""
     tips = robot.shaft_positions[:, 2] + robot.crank_lengths * leg_geometry(robot, pose).crank[:, 2]
     top = min(robot.base_height - 6.0 * robot.link_radius, float(tips.min()) - 3.0 * robot.link_radius)
     thickness = 0.01
-    floor = GeometryInstance(
-        RigidTransform([0.0, 0.0, top - 0.5 * thickness]), Cylinder(3.5 * robot.base_radius, thickness), "floor"
+    floor = geometry.GeometryInstance(
+        RigidTransform([0.0, 0.0, top - 0.5 * thickness]),
+        geometry.Cylinder(3.5 * robot.base_radius, thickness),
+        "floor",
     )
-    paint = PerceptionProperties()
-    paint.AddProperty("phong", "diffuse", Rgba(1.0, 1.0, 1.0, 1.0))
-    paint.AddProperty("label", "id", RenderLabel.kDontCare)
+    paint = geometry.PerceptionProperties()
+    paint.AddProperty("phong", "diffuse", geometry.Rgba(1.0, 1.0, 1.0, 1.0))
+    paint.AddProperty("label", "id", geometry.RenderLabel.kDontCare)
     floor.set_perception_properties(paint)
     scene_graph.RegisterAnchoredGeometry(scene_graph.RegisterSource("studio"), floor)
 
 
-def _studio(passes: int) -> list[list[LightParameter]]:
+def _studio(passes: int) -> list[list[geometry.LightParameter]]:
     """Lights of each pass: samples of a lamp above, of a lamp round the camera, and of a bright sky."""
     per_pass = 5
     spread = _spread(passes * per_pass)
@@ -241,7 +230,9 @@ def _studio(passes: int) -> list[list[LightParameter]]:
     )
     return [
         [
-            LightParameter(type="directional", frame=frame, direction=direction, intensity=intensity / per_pass)
+            geometry.LightParameter(
+                type="directional", frame=frame, direction=direction, intensity=intensity / per_pass
+            )
             for frame, intensity, directions in groups
             for direction in directions[start::passes]
         ]
