@@ -65,6 +65,7 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
 def test_a_robot_goes_into_files_for_other_programs(call, tmp_path, name):
     assert call("write-sdf", "robot.sdf", "--robot", name)[0] == 0
     assert call("write-mjcf", "robot.xml", "--robot", name, "--set", "plant.motor_damping=0.1")[0] == 0
+    assert 'type="universal"' in (tmp_path / "robot.sdf").read_text()
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     assert (model.nu, model.neq, model.nv) == (6, 6, 24)
     assert model.joint("motor_3").damping == 0.1
