@@ -13,45 +13,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stewart_drake.cli import robot_commands, run_commands, study_commands, train_commands
-from stewart_drake.cli.options import EXIT_INTERRUPTED
-from stewart_drake.cli.run_commands import EXIT_RUN_FAILED
+from stewart_drake.cli import robot_commands, run_commands, study_commands, train_commands  # noqa: F401 - fill `cli`
+from stewart_drake.cli.options import EXIT_BAD_INPUT, EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_RUN_FAILED, cli
 from stewart_drake.cli.terminal import drop_output, say
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
-from stewart_drake.logs.versions import package_version
 from stewart_drake.runs.engine import quiet_libraries
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-EXIT_BAD_INPUT, EXIT_INTERNAL = 2, 4
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
 """Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
 _AGAIN = 0.05
 """[s] after which an interrupt that was dropped is raised again."""
-
-
-@click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120, "show_default": True},
-    invoke_without_command=True,
-)
-@click.version_option(package_version("stewart-drake") or "not installed", message="stewart-drake %(version)s")
-@click.pass_context
-def cli(context: click.Context) -> None:
-    """Closed-loop torque control of rotary Stewart platforms in Drake."""
-    if context.invoked_subcommand is None:
-        click.echo(context.get_help())
-
-
-for _command in (
-    *(run_commands.run, run_commands.check, run_commands.margins, run_commands.workspace),
-    *(run_commands.schema, run_commands.reproduce),
-    *(robot_commands.robots, robot_commands.write_sdf_command, robot_commands.write_mjcf_command),
-    *(robot_commands.calibrate, robot_commands.identify, robot_commands.excite),
-    *(study_commands.sweep, study_commands.compare, study_commands.tune, study_commands.faults, study_commands.tuner),
-    *(train_commands.collect, train_commands.train),
-):
-    cli.add_command(_command)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what all commands of many runs do."""
+"""The group of all commands, options that several of them share, and what all commands of many runs do."""
 
 from __future__ import annotations
 
@@ -15,10 +15,23 @@ from stewart_drake.cli.terminal import progress_bar, say
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import write_atomically
+from stewart_drake.logs.versions import package_version
 from stewart_drake.runs.outputs import prepare_file, prepare_folder
 from stewart_drake.studies.workers import Workers
 
-EXIT_INTERRUPTED = 130
+EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED = 2, 3, 4, 130
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120, "show_default": True},
+    invoke_without_command=True,
+)
+@click.version_option(package_version("stewart-drake") or "not installed", message="stewart-drake %(version)s")
+@click.pass_context
+def cli(context: click.Context) -> None:
+    """Closed-loop torque control of rotary Stewart platforms in Drake."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 class OutPath(click.Path):

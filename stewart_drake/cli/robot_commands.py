@@ -14,6 +14,7 @@ from stewart_drake.cli.options import (
     IN_FILE,
     OUT_FILE,
     OUT_FOLDER,
+    cli,
     guess_option,
     out_file,
     overrides,
@@ -28,7 +29,7 @@ from stewart_drake.files.yaml_files import parse_yaml, to_yaml
 from stewart_drake.identification.parameters import KINDS, Kind
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
-from stewart_drake.runs.outputs import prepare_file, prepare_folder
+from stewart_drake.runs.outputs import prepare_file
 from stewart_drake.scenario import Scenario, load_scenario
 
 _PASSES = 16
@@ -45,7 +46,7 @@ hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), he
 # --- files of robots ----------------------------------------------------------------------------------------------
 
 
-@click.group(invoke_without_command=True)
+@cli.group(invoke_without_command=True)
 @click.option("--out", type=OUT_FOLDER, help="Folder for a picture of each, NAME.png.")
 @click.pass_context
 def robots(context: click.Context, out: Path | None) -> None:
@@ -135,7 +136,7 @@ def _loaded(scenario: str, robot: str | None, overrides: tuple[str, ...]) -> Sce
     return load_scenario(scenario, (*([] if robot is None else [f"robot={robot}"]), *overrides))
 
 
-@click.command("write-sdf")
+@cli.command("write-sdf")
 @click.argument("out", type=OUT_FILE)
 @robot_option
 @scenario_option
@@ -150,7 +151,7 @@ def write_sdf_command(out: Path, robot: str | None, scenario: str, overrides: tu
     write_sdf(loaded.robot, out, rod_joint=loaded.plant.rod_joint, collision=collision)
 
 
-@click.command("write-mjcf")
+@cli.command("write-mjcf")
 @click.argument("out", type=OUT_FILE)
 @robot_option
 @scenario_option
@@ -167,7 +168,7 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
 # --- robots from measurements ---------------------------------------------------------------------------------------
 
 
-@click.command()
+@cli.command()
 @click.argument("poses", required=False, type=IN_FILE)
 @guess_option
 @click.option("--out", type=OUT_FILE, help="File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv].")
@@ -241,23 +242,24 @@ def calibrate(
         found = fit(guess, poses, noise, known_frames, hold)
         out = out or Path("runs/calibrated.yaml")
         write_text(out, result.robot_file(found))
-        facts = [*result.summary(found), ("robot in", str(out))]
         if report_folder is not None:
-            prepare_folder(report_folder)
             write_text(report_folder / "parameters.csv", result.parameter_table(found))
             write_text(report_folder / "residuals.csv", result.residual_table(found))
             plot_calibration(found, report_folder / "calibration.png")
             write_text(report_folder / "report.md", result.report(found))
-            facts.append(("report in", str(report_folder)))
         if not quiet:
-            print_table(f"{poses}", facts)
+            print_table(f"{poses}", [*result.summary(found), *_places(out, report_folder)])
         header, rows = result.leg_table(found)
         title = "change against the guess, 95 % interval"
     if not quiet:
         print_table(title, rows, header)
 
 
-@click.command()
+def _places(out: Path, report_folder: Path | None) -> list[tuple[str, str]]:
+    return [("robot in", str(out)), *([("report in", str(report_folder))] if report_folder else [])]
+
+
+@cli.command()
 @click.argument("logs", nargs=-1, required=True, type=IN_FILE)
 @guess_option
 @out_file("runs/identified.yaml")
@@ -295,21 +297,18 @@ def identify(
 
     found = fit(load_robot(robot), logs, hold, ask or ASKED, validate, bandwidth, torque_lag)
     write_text(out, identified.robot_file(found))
-    facts = [*identified.summary(found), ("robot in", str(out))]
     if report_folder is not None:
-        prepare_folder(report_folder)
         write_text(report_folder / "parameters.csv", identified.parameter_table(found))
         write_text(report_folder / "friction.yaml", identified.friction_file(found))
         plot_identification(found, report_folder / "identification.png")
         write_text(report_folder / "report.md", identified.report(found))
-        facts.append(("report in", str(report_folder)))
     if not quiet:
-        print_table(", ".join(map(str, logs)), facts)
+        print_table(", ".join(map(str, logs)), [*identified.summary(found), *_places(out, report_folder)])
         header, rows = identified.parameter_columns(found)
         print_table("parameters, 95 % intervals", rows, header, (1, 2))
 
 
-@click.command()
+@cli.command()
 @guess_option
 @out_file("runs/excitation.yaml")
 @click.option("--duration", type=click.FloatRange(min=5.0), default=60.0, help="Of the run [s].")

@@ -12,8 +12,10 @@ import click
 
 from stewart_drake.cli.options import (
     EXIT_INTERRUPTED,
+    EXIT_RUN_FAILED,
     OUT_FILE,
     OutPath,
+    cli,
     out_folder,
     overrides,
     quiet_flag,
@@ -31,12 +33,10 @@ from stewart_drake.logs.outcomes import told
 from stewart_drake.runs.outputs import Results, prepare_folder, results_place, write_run
 from stewart_drake.scenario import load_scenario, scenario_schema
 
-EXIT_DIFFERENT, EXIT_RUN_FAILED = 1, 3
-_LONG = 100.0
-"""[s] of a run whose check takes more than a second or two."""
+EXIT_DIFFERENT = 1
 
 
-@click.command()
+@cli.command()
 @click.argument("scenario")
 @click.option("--out", type=OutPath(), help="Folder for the results [default: runs/NAME, or runs/NAME-2, ...].")
 @overrides()
@@ -56,8 +56,6 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
     refuse_too_long(loaded)
-    if loaded.duration > _LONG and not quiet:
-        click.echo("checking the motion", err=True)
     with shown_compiling(quiet):
         check_scenario(loaded)
     viewer = None
@@ -99,7 +97,7 @@ def _print_run(log: SimulationLog, results: Results) -> None:
     print_table(log.scenario.name, rows)
 
 
-@click.command()
+@cli.command()
 @click.argument("scenario")
 @overrides()
 @click.option("--scale", is_flag=True, help="If it cannot be done, find how much smaller it can.")
@@ -163,7 +161,7 @@ def check(scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, 
     check_scenario(loaded)
 
 
-@click.command()
+@cli.command()
 @click.option("--out", type=OUT_FILE, help="File to write [default: standard output].")
 def schema(out: Path | None) -> None:
     """JSON schema of scenario files, for editors."""
@@ -174,7 +172,7 @@ def schema(out: Path | None) -> None:
         write_atomically(out, text.encode())
 
 
-@click.command()
+@cli.command()
 @click.argument("scenario", default="exact_breathing")
 @out_folder("runs/margins")
 @click.option("--poses", type=click.IntRange(1, 100_000), default=1000, help="Drawn from the near box.")
@@ -219,7 +217,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
         print_table("", [*margin_report.facts(loops, found), ("results in", str(folder))])
 
 
-@click.command()
+@cli.command()
 @out_folder("runs/workspace")
 @click.option(
     "--samples", type=click.IntRange(1_000, 10_000_000), default=1_000_000, help="Poses in each of the two workspaces."
@@ -299,7 +297,7 @@ def workspace(
     print_table(f"numbers and figures in {out}", rows)
 
 
-@click.command()
+@cli.command()
 @click.option("--quick", is_flag=True, help="Smaller sizes, a minute or two.")
 @click.option("--out", type=OutPath(), help="Folder for numbers.json and figures/ [default: none is written].")
 @quiet_flag

@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from stewart_drake.cli.options import IN_FILE, out_folder, overrides, sized_option, study_options, under_way
+from stewart_drake.cli.options import IN_FILE, cli, out_folder, overrides, sized_option, study_options, under_way
 from stewart_drake.cli.terminal import console, print_table, say
 
 WIDE = 150
 """Characters of a terminal that has room for all columns of a comparison; a narrower one shows the main ones."""
 
 
-@click.command()
+@cli.command()
 @click.argument("sweep")
 @out_folder()
 @click.option("--runs", type=click.IntRange(1), help="In place of the number in the file; run i stays the same.")
@@ -39,7 +39,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
             click.echo(made.engine)
 
 
-@click.command()
+@cli.command()
 @click.argument("comparison", default="tracking")
 @out_folder()
 @click.option("--quick", is_flag=True, help="Short runs and few bands: figures to look at, not to quote.")
@@ -74,7 +74,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
     click.echo(f"tables and pictures in {folder}")
 
 
-@click.command()
+@cli.command()
 @click.argument("comparison")
 @out_folder()
 @click.option("--controller", "controllers", multiple=True, metavar="NAME", help="Of those to search [default: all].")
@@ -107,7 +107,7 @@ def tune(
     click.echo(f"settings in {folder / 'tuned.yaml'}, tables of the verdict in {result.judged_in}")
 
 
-@click.command()
+@cli.command()
 @out_folder("runs/faults")
 @click.option("--quick", is_flag=True, help="The held platform alone, a third of the runs.")
 @sized_option
@@ -135,7 +135,7 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
         click.echo(text)
 
 
-@click.group()
+@cli.group()
 def tuner() -> None:
     """Look at the tuners of settings, and assess them."""
 

@@ -7,14 +7,14 @@ from typing import Literal
 
 import click
 
-from stewart_drake.cli.options import IN_FILE, out_file, quiet_flag
+from stewart_drake.cli.options import IN_FILE, cli, out_file, quiet_flag
 from stewart_drake.cli.terminal import print_table, progress_bar
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.runs.outputs import prepare_file
 from stewart_drake.studies.workers import Workers
 
 
-@click.command()
+@cli.command()
 @out_file("runs/dataset.parquet")
 @quiet_flag
 def collect(out: Path, quiet: bool) -> None:
@@ -31,7 +31,7 @@ def collect(out: Path, quiet: bool) -> None:
     click.echo(f"{len(dataset.inputs)} samples in {out}")
 
 
-@click.command()
+@cli.command()
 @click.argument("dataset", type=IN_FILE, required=False)
 @out_file("runs/tuner.json")
 @click.option(
