@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stewart_drake.files.whole import checksum
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping
-from stewart_drake.logs.cost import mean_cost
+from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.scenario import Scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
 from stewart_drake.stability.margins import loop_margins

@@ -18,8 +18,7 @@ from stewart_drake.identification.identified import identify as identify
 from stewart_drake.identification.samples import Recording as Recording
 from stewart_drake.logs.log import SimulationLog as SimulationLog
 from stewart_drake.logs.log import load_log as load_log
-from stewart_drake.logs.metric_table import Metric as Metric
-from stewart_drake.logs.metric_table import add_metric as add_metric
+from stewart_drake.logs.metrics import Metric as Metric
 from stewart_drake.logs.metrics import run_metrics as run_metrics
 from stewart_drake.mechanics.dynamics import forward_dynamics as forward_dynamics
 from stewart_drake.mechanics.dynamics import inverse_dynamics as inverse_dynamics

@@ -26,8 +26,8 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.mujoco_model import MujocoRobot
 from stewart_drake.plant.sdf_model import sdf_text
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.replay import write_replay
-from stewart_drake.runs.simulation import check_scenario
 from stewart_drake.studies import robots as robot_table
 from stewart_drake.studies.comparison import load_comparison
 from stewart_drake.studies.faults import FAULTS, fault_study
@@ -184,7 +184,6 @@ def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
 
 
 def test_a_region_needs_no_feasible_motion(call, monkeypatch):
-    from stewart_drake.cli import workspace_command
     from stewart_drake.planning import workspace
 
     class DoneError(Exception):
@@ -196,7 +195,6 @@ def test_a_region_needs_no_feasible_motion(call, monkeypatch):
     monkeypatch.setattr(workspace, "study_poses", stop)
     monkeypatch.setenv("STEWART_DRAKE_TRACEBACK", "")
     status, _, error = call("workspace", "--set", "robot.platform_joint_radius=0.16", "--quiet")
-    assert workspace_command.workspace.name == "workspace"
     assert "left out is the scenario's own motion: reference: breaks the limit joint_swing" in error
     assert (status, "DoneError" in error) == (4, True)
 

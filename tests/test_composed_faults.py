@@ -15,7 +15,8 @@ from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import task_inertia
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, rotation_angle, rotation_matrix
-from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.simulation import run
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SAFE_HOLD, SafetyOptions
 from stewart_drake.scenario import load_scenario
 

@@ -16,13 +16,13 @@ from stewart_drake.hardware.faults import EncoderFault, FaultKind
 from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.jit import fields, new_record
 from stewart_drake.logs.log import load_log
-from stewart_drake.logs.metric_table import Metric, MetricError
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import Metric, MetricError, run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
-from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.runs import identity
 from stewart_drake.studies.sweep import Sweep, SweepFile

@@ -17,10 +17,10 @@ from identification_study import ROBOT_OF, motions
 from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
-from stewart_drake.calibration.poses import plan_poses
 from tuner_safety_study import LOOPS, setting_loops
 
 from stewart_drake import load_robot, load_scenario, run, run_metrics
+from stewart_drake.calibration.poses import plan_poses
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.paper import kinematics, state_space

@@ -21,7 +21,7 @@ from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utili
 from stewart_drake.plotting.style import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 

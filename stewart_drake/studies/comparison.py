@@ -14,9 +14,8 @@ from stewart_drake.config import to_plain
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.files.yaml_files import read_mapping
-from stewart_drake.logs.cost import FAILED, mean_cost
-from stewart_drake.logs.metric_table import OUTCOME, Column
-from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.metrics import FAILED, OUTCOME, Column, mean_cost
+from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.scenario import Scenario

@@ -16,9 +16,9 @@ from stewart_drake.config import Flag, NotNegative, Section, Text, Vector6
 from stewart_drake.errors import UnreachablePoseError
 from stewart_drake.files.yaml_files import parse_yaml
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metric_table import columns as run_columns
-from stewart_drake.logs.rows import pose_distance
+from stewart_drake.logs.metrics import Column
+from stewart_drake.logs.metrics import columns as run_columns
+from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.robot.robot_scale import LENGTH

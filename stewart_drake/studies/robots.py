@@ -19,7 +19,7 @@ from stewart_drake.planning.workspace import Kind, boundary, spanning_grid, spre
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
-from stewart_drake.runs.motion_fit import adjusted, fit_amplitude
+from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.studies.study import markdown

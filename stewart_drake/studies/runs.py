@@ -20,10 +20,8 @@ from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.code import CodePath, code_rule, file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
-from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat
-from stewart_drake.logs.metrics import error_norms, run_metrics
+from stewart_drake.logs.metrics import MetricError, columns, error_norms, flat, run_cost, run_metrics
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.registry import REGISTERED
 from stewart_drake.runs.outputs import prepare_folder
@@ -129,7 +127,7 @@ def _outcome(task: Task) -> Row:
 
 
 def outcome(log: SimulationLog) -> Row:
-    """How a run ended, see `metric_table.OUTCOME`, but for status, reason and message."""
+    """How a run ended, see `metrics.OUTCOME`, but for status, reason and message."""
     safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
     return {
         "outcome_time": log.outcome_time,
@@ -314,7 +312,7 @@ def identity(
         **work,
         "files": file_digests(work, code),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
-        "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
+        "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
         "versions": {name: versions[name] for name in CODE},
     }

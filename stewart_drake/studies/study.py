@@ -22,8 +22,7 @@ from stewart_drake.files.code import CodePath, anchored, code_named, trusting_co
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.files.yaml_files import find_file, read_mapping
-from stewart_drake.logs.metric_table import Column
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import Column, run_metrics
 from stewart_drake.logs.outcomes import told
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario, load_scenario

@@ -20,8 +20,8 @@ from stewart_drake.config import Count, Flag, Positive, Real, Section, Seed, Tex
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
 from stewart_drake.families import Family, refuse_given
 from stewart_drake.files.whole import plain_json
-from stewart_drake.logs.metric_table import Column, ValueKind
-from stewart_drake.logs.metric_table import columns as run_columns
+from stewart_drake.logs.metrics import Column, ValueKind
+from stewart_drake.logs.metrics import columns as run_columns
 from stewart_drake.logs.outcomes import told
 from stewart_drake.scenario import Scenario, split_key, value_at
 from stewart_drake.studies.runs import Row, Task

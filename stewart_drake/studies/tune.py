@@ -17,8 +17,7 @@ from stewart_drake.control.objective import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.logs.cost import FAILED, mean_cost
-from stewart_drake.logs.metric_table import Column
+from stewart_drake.logs.metrics import FAILED, Column, mean_cost
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import value_at
 from stewart_drake.studies.comparison import Comparison

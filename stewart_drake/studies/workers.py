@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, closing
 from functools import lru_cache
@@ -21,8 +21,7 @@ from joblib.externals.loky.backend import context
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
-from stewart_drake.logs.metric_table import METRICS
-from stewart_drake.runs.terminal import quiet_libraries
+from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -126,12 +125,12 @@ def run_jobs(
 def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
     """Does a batch as far as the workers live; what is not done, and whether it was under way."""
     left = dict.fromkeys(batch, False)
-    setup = str(versions.source_digest()), [metric.name for metric in METRICS]
+    source = str(versions.source_digest())
 
     def jobs() -> Iterator[Any]:
         for key, (function, arguments) in batch.items():
             left[key] = True
-            yield delayed(_do)(key, setup, function, arguments)
+            yield delayed(_do)(key, source, function, arguments)
 
     try:
         with closing(workers.results(jobs(), alone)) as results:  # type: ignore[type-var]
@@ -144,24 +143,18 @@ def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers:
     return left
 
 
-def _do(key: K, setup: tuple[str, Sequence[str]], function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """What a worker does."""
-    check_worker(*setup)
+    check_worker(source)
     return key, function(*arguments)
 
 
-def check_worker(source: str, metrics: Iterable[str]) -> None:
-    """Refuses to work with another source of the package, or without a metric, as they stand where the study is."""
+def check_worker(source: str) -> None:
+    """Refuses to work with another source of the package than that of where the study is."""
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a study runs"
-        )
-    missing = set(metrics) - {metric.name for metric in METRICS}
-    if missing:
-        raise StewartDrakeError(
-            f"a worker does not have the metric {min(missing)}: `add_metric` must be called in a module that it imports"
-            ' too, or in the script that called, outside of `if __name__ == "__main__":`'
         )
 
 

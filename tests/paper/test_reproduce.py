@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from stewart_drake.cli import reproduce_command
+from stewart_drake.cli import run_commands
 from stewart_drake.paper import reproduce as module
 from stewart_drake.paper.reproduce import MODULES, Claim, Result, differences, markdown, rows
 
@@ -51,7 +51,7 @@ def test_the_command_prints_the_table_writes_its_numbers_and_fails_on_a_changed_
 
     monkeypatch.setattr(module, "reproduce", made)
     result = CliRunner(env={"COLUMNS": "200"}).invoke(
-        reproduce_command.reproduce, ["--quick", "--out", str(tmp_path / "new")]
+        run_commands.reproduce, ["--quick", "--out", str(tmp_path / "new")]
     )
     assert result.exit_code == status
     words = " ".join(result.stdout.split())

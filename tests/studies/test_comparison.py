@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.logs.cost import FAILED
+from stewart_drake.logs.metrics import FAILED
 from stewart_drake.planning.feasibility import largest_amplitude
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import AXES, BANDS, Comparison, load_comparison, write_pictures

@@ -14,11 +14,9 @@ from joblib.externals.loky import get_reusable_executor
 from sweep_functions import deadly, faulty, killed_once, number, with_function
 
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.logs import metric_table, versions
-from stewart_drake.logs.metric_table import Metric, add_metric
+from stewart_drake.logs import versions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies import workers
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.study import COMPARED, INCIDENTAL, run_study
 from stewart_drake.studies.sweep import Sweep, summary
@@ -147,31 +145,6 @@ def test_a_sweep_on_the_reduced_engine_says_how_far_its_first_run_is_from_drakes
         other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.engine).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
         assert off == pytest.approx(100.0 * (made.rows["sweep"][0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
-
-
-@pytest.fixture
-def _metrics_as_they_were():
-    before = list(metric_table.METRICS)
-    yield
-    metric_table.METRICS[:] = before
-
-
-@pytest.mark.usefixtures("_metrics_as_they_were", "code_as_it_is")
-def test_a_metric_from_outside_is_in_every_table_and_with_another_body_it_is_another(tmp_path):
-    add_metric(Metric("own_mm", "mm", "a number", lambda _: 1.0))
-    made = run_study(sweep(runs=1), tmp_path / "a", HERE)
-    assert made.tables["sweep"].column("own_mm").to_pylist() == [1.0]
-    with pytest.raises(ConfigurationError, match="a name that no metric or column has"):
-        add_metric(Metric("wall_s", "", "a number", lambda _: 1.0))
-    add_metric(Metric("own_mm", "mm", "a number", lambda _: 1 / 0, "steps"))
-    with pytest.raises(ConfigurationError, match="differs in columns"):
-        run_study(sweep(runs=1), tmp_path / "a", HERE)
-    (row,) = run_study(sweep(runs=1), tmp_path / "b", HERE).rows["sweep"]
-    assert (row["status"], row["reason"]) == ("raised", "metric_raised")
-    assert re.fullmatch(r"metric own_mm: ZeroDivisionError: .* \(test_runs\.py, line \d+\)", row["message"])
-    names = [metric.name for metric in metric_table.METRICS]
-    with pytest.raises(StewartDrakeError, match="a worker does not have the metric another"):
-        workers.check_worker("as it is", [*names, "another"])
 
 
 # --- workers ---

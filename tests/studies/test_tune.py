@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import parse_yaml
-from stewart_drake.logs.cost import mean_cost
+from stewart_drake.logs.metrics import mean_cost
 from stewart_drake.studies.comparison import Comparison
 from stewart_drake.studies.tune import (
     SEARCHED,

@@ -12,8 +12,9 @@ from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.plant.multibody_plant import add_plant
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.outputs import write_run
-from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS, SafetyOptions, first_trip
 from stewart_drake.scenario import Scenario, load_scenario
 from stewart_drake.systems import ReferenceSource, SafetyLayer, TaskSpaceSensor

@@ -8,8 +8,7 @@ from stewart_drake.control.policy import answer, default_policy_path, load_polic
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import record
-from stewart_drake.logs.cost import run_cost
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
