@@ -30,6 +30,7 @@ def sweep(sweep: str, runs: int | None, restart: bool, **options: Any) -> None:
 
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
+    from stewart_drake.studies.study import run_study
     from stewart_drake.studies.sweep import load_sweep, summary
 
     loaded = load_sweep(sweep, runs)
@@ -58,6 +59,7 @@ def compare(comparison: str, quick: bool, robot: str | None, restart: bool, **op
     Exit status: 0 all runs have their row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
     from stewart_drake.studies.comparison import load_comparison, write_pictures
+    from stewart_drake.studies.study import run_study
 
     loaded, ending = load_comparison(comparison, quick, robot), "-quick" if quick else ""
     with under_way(f"{loaded.name}{ending}", loaded.runs, **options) as (folder, where, progress):
@@ -118,7 +120,8 @@ def faults(quick: bool, robot: str | None, overrides: tuple[str, ...], restart: 
 
     Exit status: 0 every fault has its row, 2 bad input, 3 no workers are left, 130 interrupted.
     """
-    from stewart_drake.studies.faults import fault_study, holdable_lines
+    from stewart_drake.studies.faults import fault_study, holdable_lines, sheet
+    from stewart_drake.studies.study import run_study
 
     plan = fault_study(quick, robot, overrides)
     with under_way(plan.name, plan.runs, **options) as (folder, where, progress):

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.config import keys_of
 from stewart_drake.control.objective import CostScales, cost
 from stewart_drake.errors import ConfigurationError, StewartDrakeError, raised_at
 from stewart_drake.families import UserMade
