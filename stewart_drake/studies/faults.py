@@ -300,7 +300,7 @@ def _holdable(log: SimulationLog) -> Row:
         )
     except (UnreachablePoseError, np.linalg.LinAlgError):
         return {}
-    return dict(zip((column.name for column in OWN[-4:]), vars(load).values(), strict=True))
+    return dict(zip((column.name for column in OWN[-4:]), load, strict=True))
 
 
 HEADERS = ("fault", *MOTIONS, "peak error", "travel", "peak torque")

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.hardware.command_link import LinkOptions, delay_part, link_part
 from stewart_drake.hardware.faults import CommandFault
+from stewart_drake.hardware.motors import LinkOptions, delay_part, link_part
 
 STEPS = 4
 

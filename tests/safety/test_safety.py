@@ -33,7 +33,7 @@ from stewart_drake.safety import (
     refuse_start,
     safety_part,
 )
-from stewart_drake.safety import monitors as numbers
+from stewart_drake.safety import limits as numbers
 
 PERIOD = 0.001
 HOME = ROBOT.home_pose

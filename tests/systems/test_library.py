@@ -15,8 +15,7 @@ from stewart_drake.control.computed_torque import ComputedTorqueOptions
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.hardware.command_link import LinkOptions
-from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.observer import ObserverOptions
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
