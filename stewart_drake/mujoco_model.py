@@ -19,7 +19,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 if TYPE_CHECKING:
-    from stewart_drake.plant.state_map import StateMap
+    from stewart_drake.plant.sdf_model import StateMap
 
 Integrator = Literal["Euler", "implicit", "implicitfast", "RK4"]
 

@@ -8,8 +8,7 @@ import pytest
 from stewart_drake.planning.pose_box import NEAR, sample_poses
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops
-from stewart_drake.stability.margin_report import HEADER, document, facts, rows, table
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.stability.margins import HEADER, document, facts, loop_margins, rows, table
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stewart_drake.stability.structured_value import balanced, lower_bound, refined, upper_bound
+from stewart_drake.stability.margins import balanced, lower_bound, refined, upper_bound
 
 
 def random_matrices(seed, count, spread=1.0):
