@@ -33,12 +33,6 @@ def test_a_late_command_acts_so_many_steps_later(late_steps):
     np.testing.assert_array_equal(told[3, :, 0], 4.0)
 
 
-def test_one_that_is_a_whole_period_late_is_overtaken_unless_all_are():
-    np.testing.assert_array_equal(arrivals(LinkOptions(late=(2,), late_steps=STEPS))[:, 0, 0], [1, 2, 2, 4, 5, 6, 7, 8])
-    all_late = arrivals(LinkOptions(late_probability=1.0, late_steps=STEPS))
-    np.testing.assert_array_equal(all_late[1:, :, 0], np.arange(1.0, 8.0)[:, None] * np.ones(STEPS))
-
-
 def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
     options = LinkOptions(drop_probability=0.2, late_probability=0.3, seed=4)
     fates = [options.fate(tick, 0.0) for tick in range(20_000)]

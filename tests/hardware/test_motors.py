@@ -14,21 +14,12 @@ from stewart_drake.hardware.motors import (
     MotorOptions,
     friction_part,
     holdable_load,
-    motor_part,
 )
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, twist_jacobian
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)
-
-
-def test_by_default_a_motor_gives_what_is_asked_for():
-    assert MotorOptions().perfect
-    part = motor_part(MotorOptions())
-    state = part.initial.copy()
-    part.tick(WANTED, np.ones(1), np.concatenate([ANGLES, np.zeros(6)]), state)
-    np.testing.assert_array_equal(state["torque"][0], WANTED)
 
 
 def test_steps_ripple_and_a_dead_motor():
@@ -88,10 +79,6 @@ def test_it_is_friction_of_the_cranks_of_the_reference_and_smooth_at_reversals(p
     dry = SIX + (0.1 - SIX) * np.exp(-((rates / 0.05) ** 2))
     expected = dry * np.tanh(rates / 0.002) + 0.2 * rates
     np.testing.assert_allclose(against_friction(pose, size * rate), expected, atol=1e-9)
-
-
-def test_a_reference_out_of_reach_asks_for_nothing():
-    np.testing.assert_array_equal(against_friction(ROBOT.home_pose + [0, 0, 0, 0, 0, 1.0], np.ones(6)), np.zeros(6))
 
 
 # --- what five motors hold ----------------------------------------------------------------------------------------
