@@ -40,15 +40,8 @@ def mjcf_text(
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide.
 
-    Args:
-        robot: Geometry, masses, stops, effort limit.
-        gravity: [m/s^2] along -z.
-        options: Of them count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no
-            break-away level; None takes the defaults.
-        integrator: MuJoCo's.
-
-    Returns:
-        The text; the same robot always gives the same text.
+    Of the options count `time_step`, `universal_damping` and the motors' friction, of which MuJoCo has no break-away
+    level. Gravity is in m/s^2 along -z.
     """
     options = PlantOptions() if options is None else options
     frames, friction = home_frames(robot), options.friction

@@ -281,9 +281,9 @@ def _margins(
     # Of these limits none asks for gravity or period.
     out, setup = np.empty((len(motion[0]), len(LIMITS), 6)), setup_of(robot, options, 0.0, 1.0)
     setup["horizon"] = horizon
-    arrays = (np.ascontiguousarray(each, dtype=float) for each in motion)
-    scratch = np.empty(1, laws.LEGS), np.empty(1, SEEN)
-    return out, margins_along(laws.robot_record(robot), setup, *arrays, side, *scratch, out)
+    poses, rates, wanted = (np.ascontiguousarray(each, dtype=float) for each in motion)
+    own, legs, seen = laws.robot_record(robot), np.empty(1, laws.LEGS), np.empty(1, SEEN)
+    return out, margins_along(own, setup, poses, rates, wanted, side, legs, seen, out)
 
 
 def _refuse(
