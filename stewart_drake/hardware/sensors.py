@@ -12,7 +12,7 @@ from pydantic import Field
 
 from stewart_drake.config import Natural, NotNegative, Positive, PositivePair, Section, Seed, Vector6
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
-from stewart_drake.jit import fields, new_record
+from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.part import Part, Setup
 from stewart_drake.robot.leg import LARGEST
 from stewart_drake.robot.robot_scale import LENGTH
@@ -112,28 +112,39 @@ class EncoderOptions(SensorOptions):
         true = encoder_part(self)._replace(says={"reading": "true_reading"})
         return true, faulty_sensor_part(self.faults, 6, setup.period)._replace(reads={"reading": "true_reading"})
 
-    @cached_property
-    def _offset(self) -> np.ndarray:
-        return np.array(self.offset)
-
     def read(self, crank_angles: np.ndarray) -> np.ndarray:
         """Readings (..., 6) [rad] of angles: with the offset, rounded to whole counts; without noise and faults."""
-        angles = crank_angles + self._offset
+        angles = crank_angles + np.array(self.offset)
         return np.rint(angles / self.quantum) * self.quantum if self.quantum > 0.0 else angles
+
+
+_ENCODERS = fields(offset=6, noise=(), quantum=())
+"""[rad] each."""
+_ENCODER_STATE = fields(reading=6, ticks=())
+"""[rad], and ticks done, of which each has its own noise."""
+
+
+@njit
+def _read(setups: Any, crank_state: Any, drawn: Any, states: Any) -> None:
+    """`EncoderOptions.read` for a tick of a loop, of true angles with noise for standard normal numbers (6,)."""
+    setup, state = record(setups), record(states)
+    for k in range(6):
+        angle = crank_state[k] + setup.offset[k] + setup.noise * drawn[k]
+        state.reading[k] = np.rint(angle / setup.quantum) * setup.quantum if setup.quantum > 0.0 else angle
+    state.ticks += 1.0
 
 
 def encoder_part(options: EncoderOptions) -> Part:
     """Encoders, while none fails: `crank_state` (12,), angles [rad] and rates, -> `reading` (6,) [rad]."""
+    setup, noisy, nothing = new_record(_ENCODERS, options), options.noise > 0.0, np.zeros(6)
 
     def tick(crank_state: np.ndarray, state: np.ndarray) -> None:
-        angles = crank_state[:6]
-        if options.noise > 0.0:
-            ticks = int(state["ticks"][0])
-            angles = angles + options.noise * tick_numbers(options.noise_seed, _STREAM, ticks, 6, normal=True)
-        state["reading"][0] = options.read(angles)
-        state["ticks"] += 1.0
+        drawn = nothing
+        if noisy:
+            drawn = tick_numbers(options.noise_seed, _STREAM, int(state["ticks"][0]), 6, normal=True)
+        _read(setup, crank_state, drawn, state)
 
-    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(fields(reading=6, ticks=())), tick)
+    return Part("encoders", {"crank_state": 12}, ("reading",), new_record(_ENCODER_STATE), tick)
 
 
 def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
