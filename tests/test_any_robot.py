@@ -1,4 +1,4 @@
-"""All works for the three shipped robots; mechanics, SDF, MuJoCo and a run for twenty with legs of any kind."""
+"""All works for the three shipped robots; mechanics, SDF, MuJoCo and a run for ten with legs of any kind."""
 
 import mujoco
 import numpy as np
@@ -34,7 +34,7 @@ from stewart_drake.studies.faults import FAULTS, fault_study
 from stewart_drake.studies.runs import execute
 
 SHIPPED = ["paper", "reachy_mini", "servo_hexapod"]
-RANDOM = range(20)
+RANDOM = range(10)
 STEP = 1e-4
 
 

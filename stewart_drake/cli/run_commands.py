@@ -203,18 +203,17 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     import pyarrow.parquet as pq
 
     from stewart_drake.plotting.model_plots import plot_margins
-    from stewart_drake.stability import margin_report
-    from stewart_drake.stability.margins import loop_margins
+    from stewart_drake.stability import margins as report
 
-    found = loop_margins(loops)
-    numbers = json.dumps(margin_report.document(loops, found), indent=1, allow_nan=False) + "\n"
+    found = report.loop_margins(loops)
+    numbers = json.dumps(report.document(loops, found), indent=1, allow_nan=False) + "\n"
     write_atomically(folder / "margins.json", numbers.encode())
-    pq.write_table(margin_report.rows(loops, found), folder / "margins.parquet")
+    pq.write_table(report.rows(loops, found), folder / "margins.parquet")
     plot_margins(found, folder / "margins.png")
     if not quiet:
         title = f"{loaded.name}: margins at {len(loops.poses)} poses, beside {loaded.command_delay} ticks of delay"
-        print_table(title, margin_report.table(found, loops.period), margin_report.HEADER)
-        print_table("", [*margin_report.facts(loops, found), ("results in", str(folder))])
+        print_table(title, report.table(found, loops.period), report.HEADER)
+        print_table("", [*report.facts(loops, found), ("results in", str(folder))])
 
 
 @cli.command()

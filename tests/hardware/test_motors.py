@@ -12,20 +12,11 @@ from stewart_drake.hardware.motors import (
     FrictionCompensation,
     MotorOptions,
     friction_part,
-    motor_part,
 )
 from stewart_drake.mechanics.kinematics import pose_jacobian
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)
-
-
-def test_by_default_a_motor_gives_what_is_asked_for():
-    assert MotorOptions().perfect
-    part = motor_part(MotorOptions())
-    state = part.initial.copy()
-    part.tick(WANTED, np.ones(1), np.concatenate([ANGLES, np.zeros(6)]), state)
-    np.testing.assert_array_equal(state["torque"][0], WANTED)
 
 
 def test_steps_ripple_and_a_dead_motor():
