@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.plotting import draw
 from stewart_drake.plotting.tuner_plots import plot_front
 from stewart_drake.runs.terminal import ProgressBar

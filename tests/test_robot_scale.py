@@ -3,7 +3,7 @@ import pytest
 
 from stewart_drake.control.joint_pid import PidOptions
 from stewart_drake.control.lqi import LqiOptions, lqi_gain, lqi_part
-from stewart_drake.control.state_space import POSITION
+from stewart_drake.control.riccati import POSITION
 from stewart_drake.control.tuners import BlockTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.sensors import EncoderOptions

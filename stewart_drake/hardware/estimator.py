@@ -32,7 +32,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     rate_of,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -124,9 +124,9 @@ def difference_tick(robots: Any, setups: Any, angles: Any, leg_records: Any, sta
 @njit
 def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any:
     """`difference_tick` without the bridge; where the status is not OK only `candidate` changes."""
-    pose, last = state.candidate, state.measurement
+    pose, last = state.candidate[:], state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
-    pose[:] = last[:6]
+    copy_to(pose, last[:6])
     for i in range(6):
         if not np.isfinite(angles[i]):
             return NOT_FINITE, -1, 0.0
@@ -148,7 +148,7 @@ def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any
         if started:
             rate[i] += setup.smoothing * ((angles[i] - state.angles[i]) / elapsed - rate[i])
         twist[i, 0] = legs.lever[i] * rate[i]
-    side = solve(legs.line, twist)
+    side = solve(legs.line[:], twist)
     near = True
     for k in range(6):
         near = near and abs(pose[k] - last[k]) <= (setup.max_turn if k < 3 else setup.max_shift)
@@ -156,9 +156,10 @@ def _estimate(robot: Any, setup: Any, angles: Any, state: Any, legs: Any) -> Any
         return OTHER_MODE, -1, 0.0
     if side == 0.0:
         return PARALLEL, -1, 0.0
-    state.measurement[:6] = pose
+    copy_to(state.measurement[:6], pose)
     rate_of(pose, twist[:, 0], state.measurement[6:])
-    state.angles[:], state.crank_rate[:] = angles, rate
+    copy_to(state.angles[:], angles)
+    copy_to(state.crank_rate[:], rate)
     state.held, state.side, state.started = 0.0, side, 1.0
     return OK, -1, 0.0
 

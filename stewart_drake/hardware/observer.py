@@ -42,8 +42,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     rate_of,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import solve
-from stewart_drake.mechanics.spectral import spectral_factor
+from stewart_drake.mechanics.linear_algebra import copy_to, solve, spectral_factor
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -131,8 +130,9 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
     """Gains of the steady Kalman filter of one crank, in closed form.
 
     With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
-    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: disturbance and acceleration
-    reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
+    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral_factor`: disturbance and
+    acceleration reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the
+    filter's poles.
 
     Args:
         noise: [rad] standard deviation of a reading.
@@ -198,10 +198,10 @@ def observe(
     status, leg, margin = _directions(robot, reading, cosine, sine, legs)
     if status == OK:
         for row in range(int(setup.delay)):
-            state.commands[row] = state.commands[row + 1]
+            copy_to(state.commands[row], state.commands[row + 1])
         # What is not a number no motor gives; the safety layer repeats the last command for it.
         if np.isfinite(sent).all():
-            state.commands[int(setup.delay)] = sent
+            copy_to(state.commands[int(setup.delay)], sent)
         status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected[0], state, legs)
     if status == OK:
         status, leg, margin = _look_ahead(robot, setup, state, legs)
@@ -212,7 +212,7 @@ def observe(
 def begin(robots: Any, setups: Any, pose: Any, leg_records: Any, states: Any) -> Any:
     """The first tick, from the pose (6,) that its readings tell; the rate is that of the state. As `observe`."""
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    state.measurement[:6] = pose
+    copy_to(state.measurement[:6], pose)
     legs_at(robot, pose, legs)
     state.side = solve(legs.line.copy(), np.empty((6, 1)))
     return _look_ahead(robot, setup, state, legs)
@@ -226,7 +226,8 @@ def _directions(robot: Any, reading: Any, cosine: Any, sine: Any, legs: Any) -> 
             cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
         return OK, -1, 0.0
     bad = legs_at(robot, reading[:6], legs)
-    cosine[:], sine[:] = legs.cosine, legs.sine
+    copy_to(cosine, legs.cosine[:])
+    copy_to(sine, legs.sine[:])
     if bad >= 0 and np.isfinite(reading[:6]).all():
         return UNREACHABLE, bad, legs.reach[bad]
     if bad >= 0:
@@ -241,12 +242,12 @@ def _correct(
     """Prediction and correction; pose and rate in the state become those of now."""
     h = setup.period
     pose, rate = state.measurement[:6].copy(), state.measurement[6:].copy()
-    status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance, pose, rate, legs)
+    status, leg, margin = predict(robot, setup, state.commands[0], state.disturbance[:], pose, rate, legs)
     if status != OK:
         return status, leg, margin
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
-        state.measurement[:6] = pose
+        copy_to(state.measurement[:6], pose)
         return SERIAL, bad, legs.reach[bad]
     to_angle, to_rate, to_disturbance = kalman_gains(setup.noise, expected, h)
     worst = 0
@@ -269,14 +270,15 @@ def _correct(
         turned[i, 1] = legs.lever[i] * to_rate * state.innovation[i]
     side = solve(lines, turned)
     if side != state.side:
-        state.measurement[:6] = pose
+        copy_to(state.measurement[:6], pose)
         return PARALLEL, -1, 0.0
     predicted = pose.copy()
     rate_of(predicted, turned[:, 0], change)
     pose += change
     rate_of(predicted, turned[:, 1], change)
     rate += change
-    state.measurement[:6], state.measurement[6:] = pose, rate
+    copy_to(state.measurement[:6], pose)
+    copy_to(state.measurement[6:], rate)
     if not _stands(setup, legs, expected, pose, reference):
         for i in range(6):
             state.disturbance[i] += to_disturbance * state.innovation[i]
@@ -293,7 +295,8 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
     off, wanted = np.empty(6), np.empty(6)
     angular_velocity(pose[:3], pose[:3] - reference[:3], off[:3])
     angular_velocity(pose[:3], reference[6:9], wanted[:3])
-    off[3:], wanted[3:] = pose[3:] - reference[3:6], reference[9:12]
+    for k in range(3, 6):
+        off[k], wanted[k] = pose[k] - reference[k], reference[6 + k]
     for i in range(6):
         apart = dot(legs.line[i, :3], off[:3]) + dot(legs.line[i, 3:], off[3:])
         turning = dot(legs.line[i, :3], wanted[:3]) + dot(legs.line[i, 3:], wanted[3:])
@@ -307,9 +310,11 @@ def _stands(setup: Any, legs: Any, expected: float, pose: Any, reference: Any) -
 def _look_ahead(robot: Any, setup: Any, state: Any, legs: Any) -> Any:
     """The rest of a tick: what will be when its command acts, and what the disturbance takes then."""
     ahead, inertia = state.ahead, np.empty((6, 6))
-    ahead[:] = state.measurement
+    copy_to(ahead[:], state.measurement[:])
     for row in range(1, int(setup.delay) + 1):
-        status, leg, margin = predict(robot, setup, state.commands[row], state.disturbance, ahead[:6], ahead[6:], legs)
+        status, leg, margin = predict(
+            robot, setup, state.commands[row], state.disturbance[:], ahead[:6], ahead[6:], legs
+        )
         if status != OK:
             return status, leg, margin
     bad = legs_at(robot, ahead[:6], legs)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from statistics import fmean
 from typing import Any
 
-from stewart_drake.control.objective import CostScales, cost
+from stewart_drake.control.features import CostScales, cost
 
 FAILED = 1000.0
 """Cost of a run that was not completed; no other costs more."""

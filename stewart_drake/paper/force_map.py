@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake.control.state_space import mass_diagonal
+from stewart_drake.control.riccati import mass_diagonal
 from stewart_drake.errors import drake_guard
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.force_map import crank_map, force_map_of_legs
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, crank_map, force_map_of_legs
 from stewart_drake.mechanics.kinematics import euler_rate_matrix, leg_geometry, rotation_matrix
 from stewart_drake.paper.as_printed import rod_map_11
 from stewart_drake.paper.study import ANNOUNCED, SEED, Claim, Result, Study, quantiles

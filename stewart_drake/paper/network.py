@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from stewart_drake.control.density import DensityKind
+from stewart_drake.control.network import DensityKind
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.paper.nine_experiments import distinct
 from stewart_drake.paper.study import PAIRS, Claim, Result, Study

@@ -16,9 +16,9 @@ import numpy as np
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.mechanics.batch import over_rows
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
+from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     conditioning,
@@ -76,7 +76,7 @@ def home_record(robot: RobotParameters) -> np.ndarray:
 def _look_from_home(robots: Any, pose: Any, store: Any, homes: Any) -> None:
     robot, home, legs = record(robots), record(homes), record(store)
     legs_at(robot, pose, legs)
-    rod_directions(legs, home.rod)
+    rod_directions(legs, home.rod[:])
     home.side = solve(legs.line.copy(), np.eye(6))
 
 
@@ -168,21 +168,24 @@ def measure(
         cross(rods[i], home.rod[i], normal)
         made.swing[i] = np.arctan2(np.sqrt(dot(normal, normal)), dot(rods[i], home.rod[i]))
     link_distances(robot, legs, made.distance)
-    made.distance[:] -= 2.0 * home.radius
+    for pair in range(len(made.distance)):
+        made.distance[pair] -= 2.0 * home.radius
     lines = legs.line.copy()
     inverse[:] = 0.0
+    dead = False
     for i in range(6):
         inverse[i, i] = 1.0
         made.transmission[i] = abs(legs.transmission[i])
+        dead = dead or made.transmission[i] == 0.0
         off = np.arctan2(legs.sine[i], legs.cosine[i]) - home.middle[i]
         made.stroke[i] = abs(np.arctan2(np.sin(off), np.cos(off)))
     made.conditioning, made.side = conditioning(robot, legs, 1e-14), solve(lines, inverse)
-    if made.side == 0.0 or made.transmission.min() == 0.0:
+    if made.side == 0.0 or dead:
         made.speed[:], made.torque[:] = np.inf, np.inf
         return True
     twist, twist_rate, wrench, own = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     twists_of_motion(pose, rate, acceleration, twist, twist_rate)
-    crank_rates(legs, twist, made.speed)
+    crank_rates(legs, twist, made.speed[:])
     loads(robot, legs, twist, twist_rate, gravity, wrench, own)
     for i in range(6):
         force = 0.0

@@ -27,7 +27,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     roll_pitch_yaw,
     with_payload,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.plant.plant_options import PlantOptions
 from stewart_drake.plant.sdf_model import home_frames
 from stewart_drake.robot import RobotParameters
@@ -92,13 +92,13 @@ def chain_step(robots: Any, frictions: Any, setups: Any, torque: Any, wrench: An
 @njit
 def _step(robot: Any, friction: Any, setup: Any, torque: Any, wrench: Any, state: Any, scratch: Any) -> Any:
     legs, step = record(scratch), setup.step
-    bad = legs_at(robot, state.pose, legs)
+    bad = legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return bad, legs.reach[bad]
     jacobian, inertia, columns = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
     load, own, still = np.empty(6), np.empty(6), np.zeros(6)
     task_inertia(robot, legs, inertia)
-    loads(robot, legs, state.twist, still, setup.gravity, load, own)
+    loads(robot, legs, state.twist[:], still, setup.gravity, load, own)
     crank_jacobian(legs, jacobian)
     # M a = J' (torque - own) - load + wrench; beside it M^-1 J' for friction.
     for k in range(6):
@@ -121,13 +121,14 @@ def _step(robot: Any, friction: Any, setup: Any, torque: Any, wrench: Any, state
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
         return bad, legs.reach[bad]
-    state.pose[:], state.twist[:] = pose, twist
-    rate_of(pose, twist, state.pose_rate)
-    crank_rates(legs, twist, state.crank_rate)
+    copy_to(state.pose[:], pose)
+    copy_to(state.twist[:], twist)
+    rate_of(pose, twist, state.pose_rate[:])
+    crank_rates(legs, twist, state.crank_rate[:])
     for i in range(6):
         ahead = np.arctan2(legs.sine[i], legs.cosine[i]) - state.angles[i]
         state.angles[i] += ahead - 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
-    drag_anchors(friction, state.angles, step, state.anchor, state.slip)
+    drag_anchors(friction, state.angles[:], step, state.anchor[:], state.slip[:])
     return -1, 0.0
 
 

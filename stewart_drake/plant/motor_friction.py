@@ -19,6 +19,7 @@ from pydrake.systems.primitives import LinearSystem, MatrixGain, Multiplexer
 
 from stewart_drake.jit import njit, record
 from stewart_drake.mechanics.friction import drag_anchors, level
+from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.robot.leg import LEGS
 
 Relax = Callable[[Context, np.ndarray], None]
@@ -57,7 +58,7 @@ def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out
     Relief is the torques that take friction's from break-away to its level, along the slips.
     """
     friction = record(frictions)
-    out[:12] = before
+    copy_to(out[:12], before)
     drag_anchors(friction, state[cranks], step, out[:6], out[6:12])
     for i in range(6):
         slip = out[6 + i]

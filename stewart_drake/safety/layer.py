@@ -11,6 +11,7 @@ from stewart_drake.errors import FAILURES, SafetyStop
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.kinematics_laws import LEGS, robot_record
+from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.monitors import (
@@ -108,7 +109,7 @@ def safety_tick(
     is_measured = measured(setup, measurement)
     is_seen = is_measured and not failed(setup, health[0])
     if is_seen:
-        see(robot, setup.home, setup.horizon, measurement[:6], measurement[6:], wanted, state.side, legs, seen)
+        see(robot, setup.home[:], setup.horizon, measurement[:6], measurement[6:], wanted, state.side, legs, seen)
         _weigh(robot, setup, legs, seen, state)
     if state.safety[0] >= RAMP:
         return _stop(setup, is_seen, seen, state)
@@ -138,7 +139,7 @@ def _weigh(robot: Any, setup: Any, legs: Any, seen: Any, state: Any) -> None:
     far = seen.transmission.min() > USABLE_TRANSMISSION and abs(seen.conditioning) > USABLE_CONDITIONING
     torque = np.empty(6)
     if seen.reached > 0.0 and far and static_torque(robot, legs, setup.gravity, torque):
-        state.weight[:] = torque
+        copy_to(state.weight[:], torque)
 
 
 @njit
@@ -157,8 +158,8 @@ def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
             most_steep = i
     if steep:
         # Led after it, a command that chatters would leave a mean torque that nobody asked for.
-        torque[:] = state.good
-    state.command[:] = command
+        copy_to(torque, state.good[:])
+    copy_to(state.command[:], command)
     state.at_limit = max(0.0, state.at_limit + (1.0 if full else -1.0))
     state.too_fast = max(0.0, state.too_fast + (1.0 if steep else -1.0))
     state.unexplained = max(0.0, state.unexplained + (1.0 if state.acceleration > setup.innovation else -1.0))
@@ -170,8 +171,8 @@ def _pass_on(setup: Any, command: Any, state: Any) -> tuple[int, int]:
         return INNOVATION, -1
     led = _led(setup, torque, state)
     if not (full or steep) and (led == torque).all():
-        state.good[:] = torque
-    state.torque[:] = led
+        copy_to(state.good[:], torque)
+    copy_to(state.torque[:], led)
     state.safety[0], state.safety[1], state.safety[2] = NONE, QUIET, -1.0
     state.held = max(0.0, state.held - REFILL)
     return QUIET, -1
@@ -206,7 +207,7 @@ def _react(setup: Any, monitor: int, level: int, leg: int, cause: int, is_seen: 
         first[0], first[1], first[2], first[3], first[4] = monitor, level, leg, state.ticks - 1.0, cause
     if level == RAMP:
         return _stop(setup, is_seen, seen, state)
-    state.torque[:] = _led(setup, state.good, state)
+    copy_to(state.torque[:], _led(setup, state.good[:], state))
     return GOES_ON, 0.0
 
 
@@ -219,7 +220,7 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
         return BLIND, 0.0
     speed, torque, elapsed = np.zeros(6), np.empty(6), state.since * setup.period
     if is_seen and seen.reached > 0.0:
-        speed[:] = seen.speed
+        copy_to(speed, seen.speed[:])
     fastest = np.abs(speed).max()
     if fastest > setup.most_speed:
         return RUNAWAY, fastest
@@ -230,7 +231,7 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
         limit = setup.most_torque[i]
         wanted = (1.0 - share) * state.good[i] + share * state.weight[i] - setup.damping * speed[i]
         torque[i] = min(max(wanted, -limit), limit)
-    state.torque[:] = _led(setup, torque, state)
+    copy_to(state.torque[:], _led(setup, torque, state))
     state.safety[0] = SAFE_HOLD if share >= 1.0 else RAMP
     state.worst = max(state.worst, state.safety[0])
     state.held = 0.0 if is_seen else state.held + 1.0

@@ -14,13 +14,14 @@ import numpy as np
 from stewart_drake.errors import failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics.kinematics_laws import (
+    QUICK,
     conditioning,
     crank_rates,
     legs_at,
     rotation,
     twist_of,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.safety_options import SafetyOptions
 
@@ -140,14 +141,14 @@ def see(
     if reached:
         seen.side = _side(legs)
         crossed = side != 0.0 and seen.side != side
-        seen.conditioning = conditioning(robot, legs) * (-1.0 if crossed else 1.0)
+        seen.conditioning = conditioning(robot, legs, QUICK) * (-1.0 if crossed else 1.0)
     twist_of(pose, rate, twist)
     for i in range(6):
         size = abs(legs.transmission[i])
         if size < SMALLEST:
             legs.lever[i] = SMALLEST * robot.crank_length[i] * (-1.0 if legs.transmission[i] < 0.0 else 1.0)
         seen.transmission[i] = size if reach[i] >= 0.0 else 0.0
-    crank_rates(legs, twist, seen.speed)
+    crank_rates(legs, twist, seen.speed[:])
     if not within:
         seen.speed[:] = 0.0
 
@@ -166,7 +167,7 @@ def _angle(trace: float) -> float:
 
 @njit
 def _distance(pose: Any, other: Any) -> float:
-    return np.sqrt(((pose[3:6] - other[3:6]) ** 2).sum())
+    return np.sqrt((pose[3] - other[3]) ** 2 + (pose[4] - other[4]) ** 2 + (pose[5] - other[5]) ** 2)
 
 
 @njit
@@ -213,7 +214,7 @@ def margins_along(
     """
     robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
     for row in range(len(poses)):
-        see(robot, setup.home, horizon, poses[row], rates[row], references[row], side, legs, seen)
+        see(robot, setup.home[:], horizon, poses[row], rates[row], references[row], side, legs, seen)
         margins(setup, seen, out[row])
     return seen.side
 
@@ -304,7 +305,7 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
     for i in range(6):
         # NaN never equals itself; the monitor `measurement_not_finite` looks for it.
         if angles[i] != state.readings[i]:
-            state.anchors[i] = angles
+            copy_to(state.anchors[i], angles)
         # How far the last but one has turned: one that jumps would make all that stand still look frozen.
         most, travel = 0.0, 0.0
         for k in range(6):
@@ -313,7 +314,7 @@ def frozen(robot: Any, setup: Any, angles: Any, pose: Any, reference: Any, state
             most, travel = max(most, moved), max(travel, min(most, moved))
         if limit < travel < np.inf and travel > farthest and not _stands_near(robot, angles, i, reference, limit, legs):
             leg, farthest = i, travel
-    state.readings[:] = angles
+    copy_to(state.readings[:], angles)
     return leg
 
 
@@ -328,9 +329,9 @@ def _stands_near(robot: Any, angles: Any, leg: int, reference: Any, limit: float
 @njit
 def _frozen_pose(setup: Any, pose: Any, reference: Any, state: Any) -> int:
     same = (pose == state.readings).all()
-    state.readings[:] = pose
+    copy_to(state.readings[:], pose)
     if not same:
-        state.anchors[0] = reference
+        copy_to(state.anchors[0], reference)
     for k in range(6):
         if abs(reference[k] - state.anchors[0, k]) > setup.frozen_pose[k]:
             return -1

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.config import Count, Fraction, NotNegative, Positive, PositivePair, Section, Seed, Text, to_plain
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.yaml_files import find_file, read_mapping

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.files.whole import locked_folder
 from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 from stewart_drake.logs.log import SimulationLog

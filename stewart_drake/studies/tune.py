@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.config import is_finite
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code_trust import trusting_code
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.control.computed_torque import ComputedTorqueOptions, computed_torque_part
-from stewart_drake.control.density import DensityKind, density_part
 from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
-from stewart_drake.control.network import TunerNetwork, network_part
+from stewart_drake.control.network import DensityKind, TunerNetwork, density_part, network_part
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.command_link import LinkOptions, link_part
 from stewart_drake.hardware.estimator import difference_part

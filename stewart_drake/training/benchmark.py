@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from stewart_drake.config import Real, Section, Text
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import PACKAGE, checksum
 from stewart_drake.files.yaml_files import read_mapping

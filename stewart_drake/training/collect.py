@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.config import Vector6
-from stewart_drake.control.density import DensityKind, density
+from stewart_drake.control.network import DensityKind, density
 from stewart_drake.errors import ConfigurationError, RunFailure
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.planning.feasibility import amplitude_table, largest_scale

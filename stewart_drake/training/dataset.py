@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.config import Window, check_value
-from stewart_drake.control.density import DensityKind
+from stewart_drake.control.network import DensityKind
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.tables import parquet_about, read_columns, to_parquet, with_about
 from stewart_drake.files.whole import write_atomically

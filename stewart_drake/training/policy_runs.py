@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.control.features import FEATURES, features
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import FEATURES, CostScales, features
 from stewart_drake.control.policy import SIZE, Chooser, Layers, Policy, policy_tick
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.jit import njit, record

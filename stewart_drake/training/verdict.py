@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.files.whole import locked_folder, write_atomically
 from stewart_drake.studies.study import markdown, write_table
 from stewart_drake.studies.workers import Workers

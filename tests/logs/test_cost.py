@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stewart_drake.control.objective import CostScales, cost
+from stewart_drake.control.features import CostScales, cost
 from stewart_drake.logs.cost import FAILED, mean_cost, run_cost
 
 SCALES = CostScales(rotation=0.5, position=0.02, torque_change=0.1)

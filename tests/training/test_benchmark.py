@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.logs.cost import FAILED, run_cost
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
