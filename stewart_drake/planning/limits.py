@@ -24,9 +24,9 @@ from pydantic import Field
 from stewart_drake.config import Positive, Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import fields, njit, record
-from stewart_drake.mechanics.batch import over_rows
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
+from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import (
     LEGS,
     conditioning,
@@ -336,24 +336,26 @@ def _measure(
             m.reach[i] = -np.inf if np.isnan(legs.reach[i]) else legs.reach[i]
         if not within:
             continue
-        _rod_directions(legs, m.rod)
-        _link_distances(robot, legs, apart, m.distance)
+        _rod_directions(legs, m.rod[:])
+        _link_distances(robot, legs, apart, m.distance[:])
         lines = legs.line.copy()
         inverse[:] = 0.0
+        dead = False
         for i in range(6):
             inverse[i, i] = 1.0
+            dead = dead or legs.transmission[i] == 0.0
             m.transmission[i], m.angle[i] = abs(legs.transmission[i]), np.arctan2(legs.sine[i], legs.cosine[i])
         m.conditioning, m.side = conditioning(robot, legs, 1e-14), solve(lines, inverse)
-        if m.side == 0.0 or m.transmission.min() == 0.0:
+        if m.side == 0.0 or dead:
             m.speed[:], m.torque[:] = np.inf, np.inf
             m.force, m.moment = 0.0, 0.0
             continue
         twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
-        crank_rates(legs, twist, m.speed)
+        crank_rates(legs, twist, m.speed[:])
         loads(robot, legs, twist, twist_rate, gravity, wrench, own)
         for i in range(6):
             force = 0.0
             for k in range(6):
                 force += inverse[k, i] * wrench[k]
             m.torque[i], m.speed[i] = abs(legs.lever[i] * force + own[i]), abs(m.speed[i])
-        m.force, m.moment = strength(legs, inverse, m.torque, limit)
+        m.force, m.moment = strength(legs, inverse, m.torque[:], limit)

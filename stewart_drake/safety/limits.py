@@ -12,7 +12,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import copy_to, solve
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.safety_options import MONITORS, SafetyInputs, SafetyOptions
 
@@ -108,7 +108,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
     `side` is the sign of the rods' determinant at the start, 0 if that is now. The `LEGS` become those of the pose led
     ahead; where that is out of reach those of the pose, or else of home.
     """
-    home, wanted, margin, twist = setup.home, np.empty((3, 3)), seen.margin, np.empty(6)
+    home, wanted, margin, twist = setup.home[:], np.empty((3, 3)), seen.margin, np.empty(6)
     ahead, turn = pose + setup.horizon * rate, np.empty((3, 3))
     reached = laws.legs_at(robot, ahead, legs) < 0
     within, reach = reached, legs.reach.copy()
@@ -125,7 +125,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
     if reached:
         seen.side = solve(legs.line.copy(), np.empty((6, 1)))
         crossed = side != 0.0 and seen.side != side
-        seen.conditioning = laws.conditioning(robot, legs) * (-1.0 if crossed else 1.0)
+        seen.conditioning = laws.conditioning(robot, legs, laws.QUICK) * (-1.0 if crossed else 1.0)
     margin[3] = np.inf if setup.conditioning == -np.inf else seen.conditioning - setup.conditioning
     laws.twist_of(pose, rate, twist)
     seen.least_transmission = np.inf
@@ -137,7 +137,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
         size = size if reach[i] >= 0.0 else 0.0
         seen.least_transmission = min(seen.least_transmission, size)
         margin[2, i] = size - setup.transmission
-    laws.crank_rates(legs, twist, seen.speed)
+    laws.crank_rates(legs, twist, seen.speed[:])
     if not within:
         seen.speed[:] = 0.0
     for i in range(6):
@@ -157,7 +157,8 @@ def margins_along(
     robot, setup, legs, seen = record(robots), record(setups), record(leg_records), record(seens)
     for row in range(len(poses)):
         see(robot, setup, poses[row], rates[row], references[row], side, legs, seen)
-        out[row] = seen.margin
+        for k in range(len(LIMITS)):
+            copy_to(out[row, k], seen.margin[k])
     return seen.side
 
 

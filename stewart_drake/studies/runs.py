@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
 from stewart_drake.files.code import CodePath, code_rule, file_digests
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.config import is_finite
-from stewart_drake.control.objective import CostScales
+from stewart_drake.control.features import CostScales
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.whole import checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import to_yaml

@@ -5,7 +5,7 @@ import pytest
 
 from stewart_drake import run
 from stewart_drake.control.lqi import lqi_gain
-from stewart_drake.control.state_space import INTEGRAL, POSITION, RATE
+from stewart_drake.control.riccati import INTEGRAL, POSITION, RATE
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.code import trusting_code
 from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration_map
