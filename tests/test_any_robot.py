@@ -127,7 +127,7 @@ def test_mujoco_moves_it_with_its_rotors_as_drake_does(which):
     assert np.abs(engine.platform[:3] - pose[3:]).max() < 0.01 * way
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("which", RANDOM)
 def test_a_robot_with_legs_of_any_kind_holds_and_sways(which):
     robot = random_robot(which)
@@ -152,7 +152,7 @@ def test_a_shipped_robot_holds_sways_and_is_replayed(name, tmp_path, call):
         write_replay(log, tmp_path / f"{scenario}.html")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
     comparison = load_comparison("tracking", True, name)
@@ -162,7 +162,7 @@ def test_a_shipped_robot_is_compared_and_its_motions_can_all_be_done(name):
     assert log.status == "completed"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
     plan = fault_study(quick=True, robot=name)
@@ -172,7 +172,7 @@ def test_faults_of_a_shipped_robot_do_what_they_do_to_the_papers(name):
         assert row["reaction"] in FAULTS[wanted].expected, (wanted, row)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_table_of_robots_has_a_row_for_each(monkeypatch):
     monkeypatch.setattr(robot_table, "SAMPLES", 2000)
     monkeypatch.setattr(robot_table, "SCENARIO", "hold")

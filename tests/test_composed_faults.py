@@ -202,7 +202,7 @@ def check_energy(log):
 
 
 # Four faults are few enough to be looked at as they were drawn; shrinking would take minutes.
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=SEQUENCES, print_blob=True, phases=(Phase.explicit, Phase.reuse, Phase.generate), deadline=None)
 @given(motion=motions, encoders=st.booleans(), chosen=st.lists(FAULTS, min_size=2, max_size=4))
 def test_composed_faults(motion, encoders, chosen):

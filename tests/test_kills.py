@@ -74,7 +74,7 @@ def results(folder):
     return {path.name for path in folder.iterdir()}, table.to_pylist(), (folder / "study.json").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
     start = time.monotonic()

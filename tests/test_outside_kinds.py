@@ -246,6 +246,7 @@ class ToyMonitor:
         return -1 if inputs.pose[5] < self.lowest else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [ToyMonitor, ToyMonitor(), {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}])
 def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(given, tmp_path):
     base = {**SHORT, "duration": 1.0, "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.302]}}

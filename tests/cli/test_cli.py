@@ -279,7 +279,7 @@ def test_a_run_that_breaks_keeps_everything_and_ends_with_status_3(call, tmp_pat
     assert "Traceback" not in err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_keeps_the_log_and_ends_with_status_130(start, tmp_path):
     code = (
         "from rich.progress import Progress\n"

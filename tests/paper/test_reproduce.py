@@ -67,7 +67,7 @@ def test_rows_show_value_unit_and_verdict_and_markdown_has_a_dash_for_nothing():
     assert markdown(["a", "|b|"], [[None, 1 / 3]]) == "| a | \\|b\\| |\n| --- | --- |\n| - | 0.3333 |"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_quick_reproduction_is_the_committed_one(tmp_path):
     results = module.reproduce(True, tmp_path)
     assert list(results) == list(MODULES)

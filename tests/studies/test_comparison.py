@@ -70,7 +70,7 @@ def test_every_run_that_is_asked_for_is_there_once():
     assert small().scenario(7).sensors.noise_seed == 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_comparisons_load_and_their_first_run_works(name):
     comparison = shipped(name)

@@ -52,7 +52,7 @@ def bad_ending(fault, row):
     return f"{row['latency_ms']} ms, not within {fault.within} s" if late else None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "motion"), IN_TURN, ids=lambda v: getattr(v, "name", v))
 def test_a_fault_ends_as_the_catalogue_says(fault, motion):
     row = fault_row(fault, motion)

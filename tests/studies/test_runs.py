@@ -173,7 +173,7 @@ def assert_two_died(result, reference):
     assert "alone in it" in result.rows["sweep"][1]["message"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_that_kills_its_worker_twice_is_a_row_and_the_runs_beside_it_are_whole(reference, tmp_path):
     assert_two_died(run_study(sweep(deadly), tmp_path, Workers(2)), reference)
 

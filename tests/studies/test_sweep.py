@@ -223,7 +223,7 @@ def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path)
     assert more.slice(0, 4).to_pylist() == table.to_pylist()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path):
     write(tmp_path, runs=12, duration=0.3)

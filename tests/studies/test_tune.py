@@ -107,7 +107,7 @@ def test_what_is_found_goes_into_the_comparison(done):
     assert (folder / "tune.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_it_goes_on_and_finds_the_same(done, tmp_path):
     plan, result, _, _ = done
 

@@ -105,7 +105,7 @@ def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
     whole = train_policy(SMALL, workers=Workers(0))
