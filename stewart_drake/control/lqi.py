@@ -13,7 +13,6 @@ from stewart_drake.control.base import (
     REFERENCE,
     TORQUE,
     OwnControllerOptions,
-    all_finite,
     controller_part,
     failure,
     measured_legs,
@@ -48,7 +47,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     legs_at,
     robot_record,
 )
-from stewart_drake.mechanics.linear_algebra import copy_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST

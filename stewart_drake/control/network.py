@@ -15,11 +15,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from stewart_drake.config import Real, Window, check_value
-from stewart_drake.control.base import all_finite
 from stewart_drake.errors import ConfigurationError, NotFiniteError
 from stewart_drake.files.whole import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.jit import fields, new_record, njit, record
-from stewart_drake.mechanics.linear_algebra import copy_to
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import Part
 
 DensityKind = Literal["magnitude", "signed"]

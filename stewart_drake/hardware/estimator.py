@@ -22,7 +22,7 @@ from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import NO_CONVERGENCE, NOT_FINITE, OK, PARALLEL, SERIAL
-from stewart_drake.mechanics.linear_algebra import copy_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -100,9 +100,9 @@ def _difference(robots: Any, setups: Any, angles: Any, leg_records: Any, states:
     pose, last = state.candidate[:], state.measurement
     started, elapsed = state.started > 0.0, setup.period * (1.0 + state.held)
     copy_to(pose, last[:6])
-    if not np.isfinite(angles).all():
+    if not all_finite(angles):
         return NOT_FINITE, -1, 0.0
-    if started and np.abs(angles - state.angles).max() > setup.max_speed * elapsed:
+    if started and (np.abs(angles - state.angles) > setup.max_speed * elapsed).any():
         return TOO_FAST, -1, 0.0
     error, steps = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= TOLERANCE:

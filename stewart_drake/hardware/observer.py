@@ -32,7 +32,7 @@ from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import copy_to, solve, spectral_factor
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve, spectral_factor
 from stewart_drake.part import WELL, Part, Setup
 from stewart_drake.robot import RobotParameters
 
@@ -167,17 +167,19 @@ def _observe(
         Status, leg or -1, margin. SERIAL and PARALLEL are said of the pose in the state.
     """
     robot, setup, legs, state = record(robots), record(setups), record(leg_records), record(states)
-    cosine, sine = np.cos(reading[:6]), np.sin(reading[:6])
+    cosine, sine = np.empty(6), np.empty(6)
+    for i in range(6):
+        cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
     if reading.size == 12:
         bad = legs_at(robot, reading[:6], legs)
-        if bad >= 0 and np.isfinite(reading[:6]).all():
+        if bad >= 0 and all_finite(reading[:6]):
             return UNREACHABLE, bad, legs.reach[bad]
         for i in range(6):
             cosine[i], sine[i] = (legs.cosine[i], legs.sine[i]) if bad < 0 else (np.nan, np.nan)
     for row in range(int(setup.delay)):
         copy_to(state.commands[row], state.commands[row + 1])
     # What is not a number no motor gives; the safety layer repeats the last command for it.
-    if np.isfinite(sent).all():
+    if all_finite(sent):
         copy_to(state.commands[int(setup.delay)], sent)
     status, leg, margin = _correct(robot, setup, cosine, sine, reference, expected, state, legs)
     if status != OK:

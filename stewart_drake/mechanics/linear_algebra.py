@@ -25,6 +25,15 @@ def copy_to(out: Any, values: Any) -> None:
 
 
 @njit
+def all_finite(values: Any) -> bool:
+    """Whether all numbers of a vector are finite."""
+    for value in values:  # noqa: SIM110 - numba knows no generators here
+        if not np.isfinite(value):
+            return False
+    return True
+
+
+@njit
 def solve(matrix: Any, right: Any) -> float:
     """Gaussian elimination with partial pivoting, in place: `right` (n, k) becomes the solution, `matrix` is destroyed.
 

@@ -35,6 +35,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     dot,
     legs_at,
     robot_record,
+    turned,
 )
 from stewart_drake.mechanics.linear_algebra import solve
 from stewart_drake.robot import RobotParameters
@@ -248,10 +249,9 @@ def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, n
 @njit
 def _rod_directions(legs: Any, made: Any) -> None:
     """Fills `MEASURES.rod`."""
-    lateral = np.empty(3)
+    lateral, to_platform = np.empty(3), np.ascontiguousarray(legs.rotation.T)
     for i in range(6):
-        for k in range(3):
-            made[i, k] = dot(legs.rotation[:, k], legs.e_l[i])
+        turned(to_platform, legs.e_l[i], made[i])
         cross(legs.e_n[i], legs.crank[i], lateral)
         made[6 + i, 0], made[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
         made[6 + i, 2] = legs.transmission[i]
@@ -313,11 +313,11 @@ def strength(legs: Any, inverse: Any, torque: Any, limit: Any) -> Any:
     """
     force, moment = np.inf, np.inf
     for i in range(6):
-        spare, size = limit[i] - torque[i], abs(legs.lever[i])
+        spare, size, row = limit[i] - torque[i], abs(legs.lever[i]), inverse[:, i].copy()
         if not spare > 0.0:
             return 0.0, 0.0
-        force = min(force, spare / (size * np.sqrt(dot(inverse[3:, i], inverse[3:, i]))))
-        moment = min(moment, spare / (size * np.sqrt(dot(inverse[:3, i], inverse[:3, i]))))
+        force = min(force, spare / (size * np.sqrt(dot(row[3:], row[3:]))))
+        moment = min(moment, spare / (size * np.sqrt(dot(row[:3], row[:3]))))
     return force, moment
 
 

@@ -15,7 +15,7 @@ from stewart_drake.errors import FAILURES, SafetyStop, failure_code
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import static_torque
-from stewart_drake.mechanics.linear_algebra import copy_to
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.part import WELL, Part
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety.limits import (
@@ -176,7 +176,7 @@ def _tick(
     if leg != _NOTHING_FROZEN:
         health[0], health[1] = FROZEN, leg
     state.ticks += 1.0
-    is_measured = np.isfinite(rate).all() and np.isfinite(pose + setup.horizon * rate).all()
+    is_measured = all_finite(rate) and all_finite(pose + setup.horizon * rate)
     is_seen = is_measured and not _failed(setup, health[0])
     if is_seen:
         see(robot, setup, pose, rate, wanted, state.side, legs, seen)
@@ -280,7 +280,9 @@ def _stop(setup: Any, is_seen: bool, seen: Any, state: Any) -> Any:
     speed, elapsed, limit = np.zeros(6), state.since * setup.period, setup.most_torque
     if is_seen and seen.reached > 0.0:
         copy_to(speed, seen.speed[:])
-    fastest = np.abs(speed).max()
+    fastest = 0.0
+    for i in range(6):
+        fastest = max(fastest, abs(speed[i]))
     if fastest > setup.most_speed:
         return RUNAWAY, fastest
     if elapsed > setup.ramp_time + setup.safe_hold_time + _ROUNDING:

@@ -96,6 +96,12 @@ def _angle(trace: float) -> float:
 
 
 @njit
+def _distance(pose: Any, other: Any) -> float:
+    """[m]."""
+    return np.sqrt((pose[3] - other[3]) ** 2 + (pose[4] - other[4]) ** 2 + (pose[5] - other[5]) ** 2)
+
+
+@njit
 def _left(limit: float, value: float) -> float:
     """What is left up to a limit; of one that is off infinity, whatever the value is."""
     return np.inf if limit == np.inf else limit - value
@@ -113,7 +119,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
     reached = laws.legs_at(robot, ahead, legs) < 0
     within, reach = reached, legs.reach.copy()
     angle = _angle(legs.rotation[0, 0] + legs.rotation[1, 1] + legs.rotation[2, 2])
-    distance = np.sqrt(((ahead[3:] - home[3:]) ** 2).sum())
+    distance = _distance(ahead, home)
     margin[0] = min(_left(setup.workspace[0], angle), _left(setup.workspace[1], distance))
     if not reached:
         # Of a pose that is itself out of reach there is nothing to say; any that is within will do.
@@ -144,7 +150,7 @@ def see(robot: Any, setup: Any, pose: Any, rate: Any, reference: Any, side: floa
         margin[1, i] = _left(setup.crank_speed, abs(seen.speed[i]))
     laws.rotation(pose[:3], turn)
     laws.rotation(reference[:3], wanted)
-    angle, distance = _angle((turn * wanted).sum()), np.sqrt(((pose[3:] - reference[3:]) ** 2).sum())
+    angle, distance = _angle((turn * wanted).sum()), _distance(pose, reference)
     margin[4] = np.minimum(_left(setup.following_error[0], angle), _left(setup.following_error[1], distance))
 
 
