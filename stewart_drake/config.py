@@ -31,7 +31,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic_core import ArgsKwargs, CoreSchema, InitErrorDetails, PydanticCustomError
 
-from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError
+from stewart_drake.errors import ConfigurationError
 
 TINY = float(np.finfo(float).tiny)
 """Smallest number whose reciprocal is finite: what counts as above 0."""
@@ -296,22 +296,19 @@ def unknown(key: Any, keys: Sequence[str]) -> str:
 
 def as_problem(error: ConfigurationError) -> PydanticCustomError:
     """An error with a key of its own section as pydantic passes it on to the sections around it."""
-    context = {"key": error.key, "got": error.value, "allowed": error.allowed, "reason": error.reason}
+    context = {"key": error.key, "got": error.value, "allowed": error.allowed}
     return PydanticCustomError("rule", "expected {allowed}", context)
 
 
 def _told(error: ValidationError, section: str) -> ConfigurationError:
-    """Problems that are in our words already as one error: code that is not trusted first, then unknown keys."""
+    """Problems that are in our words already as one error, unknown keys first."""
     found: dict[str, ConfigurationError] = {}
     for report in error.errors(include_url=False):
         context = report["ctx"]
         keys = [section, *(shown(str(part)) for part in report["loc"] if part != "[key]"), context["key"]]
         problem = ConfigurationError(".".join(filter(None, keys)) or "scenario", context["got"], context["allowed"])
-        problem.reason = context["reason"]
         found[str(problem)] = problem
-    first, *others = sorted(
-        found.values(), key=lambda each: (each.reason != UNTRUSTED_CODE, not each.allowed.startswith("no such"))
-    )
+    first, *others = sorted(found.values(), key=lambda each: not each.allowed.startswith("no such"))
     first.others = tuple(others)
     return first
 

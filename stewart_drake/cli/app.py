@@ -88,10 +88,10 @@ def run(scenario: str, out: Path | None, overrides: tuple[str, ...], force: bool
     loaded = load_scenario(scenario, overrides)
     place = results_place(loaded, out, force)
 
-    from stewart_drake.runs.simulation import check_scenario, engine_of, refuse_too_long
+    from stewart_drake.runs.simulation import check_scenario, engine_of, refuse_unrunnable
     from stewart_drake.runs.simulation import run as simulate
 
-    refuse_too_long(loaded)
+    refuse_unrunnable(loaded)
     if loaded.duration > _LONG and not quiet:
         click.echo("checking the motion", err=True)
     with shown_compiling(quiet):

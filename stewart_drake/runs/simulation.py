@@ -77,12 +77,12 @@ def run(
 
     Raises:
         ConfigurationError: Found before the run: see `check_scenario`; options that the plant cannot have; weights file
-            that cannot be used; a user's controller that cannot; too many rows for memory.
+            that cannot be used; code that is not trusted; a user's controller that cannot; too many rows for memory.
         UnreachablePoseError: The start pose is out of reach, with `check` off.
         TypeError: Something else than a Scenario.
     """
     require_scenario(scenario)
-    refuse_too_long(scenario)
+    refuse_unrunnable(scenario)
     if check:
         check_scenario(scenario)
     # What lies on the disk now is what the run is made of.
@@ -162,8 +162,10 @@ def _versions() -> dict[str, str | None]:
     return collect_versions()
 
 
-def refuse_too_long(scenario: Scenario) -> None:
-    """Refuses a run whose rows, one for each step of the plant, are too many for memory."""
+def refuse_unrunnable(scenario: Scenario) -> None:
+    """Refuses code that is not trusted, and a run whose rows, one a step of the plant, are too many for memory."""
+    for part in user_parts(scenario):
+        part.code.check(part.code_key)
     step = scenario.plant.time_step
     if scenario.duration > MAX_ROWS * step * (1.0 + 1e-9):
         allowed = f"at most {MAX_ROWS * step:g} s at a plant.time_step of {step:g} s"

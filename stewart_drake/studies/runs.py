@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
-from stewart_drake.errors import UNTRUSTED_CODE, ConfigurationError, RunFailure, raised_at
-from stewart_drake.files.code import CodePath, code_rule, file_digests
+from stewart_drake.errors import ConfigurationError, RunFailure, raised_at
+from stewart_drake.files.code import file_digests, trusting_code
 from stewart_drake.files.whole import NOT_FINITE, checksum, locked_folder, plain_json, write_atomically
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metric_table import MetricError, added_code, columns, flat
@@ -84,12 +84,12 @@ class Task:
     Attributes:
         index: Number of the run.
         seed: Of the run.
-        base: The scenario before the changes, as `Scenario.to_dict` gives it.
+        base: The scenario before the changes, as `families.given_again` gives it.
         changes: Scenario key -> value.
         drawn: What tells the run from others; goes into the row.
         measure: What goes into the row.
         function: Simulates it.
-        code: Keys of the user's code that it may run, see `CodePath.key`.
+        trust_code: Whether code that the changes name may run.
     """
 
     index: int
@@ -99,7 +99,7 @@ class Task:
     drawn: Mapping[str, Any]
     measure: Measure = measure
     function: RunFunction = simulate
-    code: frozenset[str] = frozenset()
+    trust_code: bool = False
 
     def row(self, status: str, reason: str | None, message: str | None) -> Row:
         """A row of which nothing else is known."""
@@ -113,7 +113,6 @@ def execute(task: Task) -> Row:
     """Runs a task and turns whatever comes of it into a row, in values that strict JSON has: see `whole.plain_json`.
 
     Raises:
-        ConfigurationError: The user's code is not that of the task.
         KeyboardInterrupt: The run was interrupted; it is no row.
     """
     start = time.perf_counter()
@@ -128,7 +127,7 @@ def _outcome(task: Task) -> Row:
     from stewart_drake.scenario import Scenario
 
     try:
-        with code_rule(task.code):
+        with trusting_code(task.trust_code):
             log = task.function(Scenario.from_dict(task.base).replace(task.changes))
         # A finite blow-up overflows in the squares; its row says so.
         with np.errstate(all="ignore"):
@@ -136,8 +135,6 @@ def _outcome(task: Task) -> Row:
     except KeyboardInterrupt:
         raise
     except ConfigurationError as error:
-        if error.reason == UNTRUSTED_CODE:
-            raise  # it has changed in the midst of the study
         return task.row("rejected", error.reason, str(error))
     except RunFailure as error:
         return {**task.row("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
@@ -273,7 +270,6 @@ def identity(
     scenarios: Iterable[Scenario] = (),
     versions: Mapping[str, str | None] | None = None,
     more: Iterable[str] = (),
-    code: Iterable[CodePath] | None = None,
 ) -> dict[str, Any]:
     """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
 
@@ -282,7 +278,6 @@ def identity(
         scenarios: Of the work; of networks the weights count, and not what their file is called.
         versions: From `collect_versions`; None collects them.
         more: Names of versions beside `CODE`.
-        code: See `file_digests`.
 
     Raises:
         ConfigurationError: A weights file cannot be read.
@@ -291,7 +286,7 @@ def identity(
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
         **work,
-        "files": file_digests(work, code),
+        "files": file_digests(work),
         "weights": sorted(hashlib.sha256(text.encode()).hexdigest()[:24] for text in texts),
         "columns": checksum([[asdict(column) for column in columns(*scenarios)], added_code()])[:8],
         "kinds": checksum([each.added_code() for each in REGISTERED])[:8],

@@ -15,8 +15,8 @@ from pydantic import Field
 
 from stewart_drake.config import NAME, NAME_WORDS, Section, Text
 from stewart_drake.errors import ConfigurationError, StewartDrakeError
-from stewart_drake.families import refuse_given, user_parts
-from stewart_drake.files.code import CodePath, anchored, code_named
+from stewart_drake.families import given_again, refuse_given, user_parts
+from stewart_drake.files.code import anchored, code_is_trusted, trusting_code
 from stewart_drake.files.tables import to_csv, to_parquet
 from stewart_drake.files.whole import NOT_FINITE, write_atomically
 from stewart_drake.logs.metric_table import Column
@@ -86,6 +86,7 @@ class Study(ABC):
         base: The scenario, with everything fixed in it.
         runs: How many.
         name: For folders and titles.
+        trust_code: Whether code that it names beside `base` may run.
     """
 
     kind: ClassVar[str]
@@ -96,6 +97,7 @@ class Study(ABC):
     base: Scenario
     runs: int = field(kw_only=True)
     name: str = field(kw_only=True)
+    trust_code: bool = field(kw_only=True, default_factory=code_is_trusted)
 
     @abstractmethod
     def draw(self, index: int) -> dict[str, Any]:
@@ -152,36 +154,33 @@ class Study(ABC):
         drawn = self.draw(index)
         # Figures are those of every tick, whatever the scenario wants in a log.
         changes = {"name": self.run_name(index), **self.changes(drawn), "log_period": None}
-        how = self.measure(index), self.simulation(index), self._trusted
+        how = self.measure(index), self.simulation(index), self.trust_code
         return Task(index, self.run_seed(index), self._base_values, changes, drawn, *how)
 
     def scenario(self, index: int) -> Scenario:
         """The scenario of run `index`; ConfigurationError where its values do not make one."""
-        return vary(self.base, {"name": self.run_name(index), **self.changes(self.draw(index))})
+        return self.vary({"name": self.run_name(index), **self.changes(self.draw(index))})
 
-    @cached_property
-    def code(self) -> list[CodePath]:
-        """The user's code that the runs name, as it was when this was asked first: no row comes from another."""
-        return code_named(self.work)
-
-    @cached_property
-    def _trusted(self) -> frozenset[str]:
-        return frozenset(code.key for code in self.code if code.trusted)
+    def vary(self, changes: Mapping[str, Any]) -> Scenario:
+        """See `vary`, of the scenario of all runs."""
+        with trusting_code(self.trust_code):
+            return vary(self.base, changes)
 
     @cached_property
     def _base_values(self) -> dict[str, Any]:
-        return self.base.to_dict()
+        values: dict[str, Any] = given_again(self.base)
+        return values
 
     def identity(self, versions: Mapping[str, str | None]) -> dict[str, Any]:
         """What the rows depend on; the user's classes are loaded: one that lacks shows early.
 
         Raises:
-            ConfigurationError: A weights file, or a class, that cannot be read.
+            ConfigurationError: A weights file, or a class, that cannot be read; code that is not trusted.
         """
-        code, variants = self.code, self.variants()
+        variants = self.variants()
         for part in {part.code: part for variant in variants for part in user_parts(variant)}.values():
             part.load()
-        return identity(self.work, variants, versions, code=code)
+        return identity(self.work, variants, versions)
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,7 +177,8 @@ class Tuning:
             for reference, condition in dict.fromkeys((cell.reference, cell.condition) for cell in cells):
                 runs.append({"controllers": list(named), "references": [reference], "conditions": [condition]})
         changed = {"controllers": controllers, "runs": runs, "best_of": {}, "tune": None, "tuned": None, "bands": None}
-        return Comparison.from_dict({**self.data, **changed}, self.folder, self.quick)
+        with trusting_code(self.comparison.trust_code):
+            return Comparison.from_dict({**self.data, **changed}, self.folder, self.quick)
 
 
 def load_tuning(
