@@ -99,8 +99,6 @@ class Section:
     section_key: ClassVar[str] = ""
     own_keys: ClassVar[frozenset[str]] = frozenset()
     """Of sections with a `kind`: keys that mean something else in each kind, which a change of kind drops."""
-    kinds_with: ClassVar[Callable[[str], list[str]]] = staticmethod(lambda _: [])
-    """Of those: which kinds of the family have a key, for messages."""
     __pydantic_validator__: ClassVar[Any]
     __pydantic_fields__: ClassVar[Mapping[str, Any]]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -166,7 +164,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls), cls.kinds_with) from None  # type: ignore[arg-type]
+            raise _in_words(error, schema_of(cls)) from None
 
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -313,9 +311,7 @@ def _told(error: ValidationError, section: str) -> ConfigurationError:
     return first
 
 
-def _in_words(
-    error: ValidationError, schema: Mapping[str, Any], kinds_with: Callable[[str], list[str]] = lambda _: []
-) -> ValidationError:
+def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
     lines: list[InitErrorDetails] = []
     order = {key: place for place, key in enumerate(_options(schema, schema)[0].get("properties", {}))}
@@ -329,8 +325,6 @@ def _in_words(
                 location = location[:-1]
             value = None if required else value
             allowed = _allowed(kind, location, value, schema) + "; this key is required" * required
-            kinds = kinds_with(str(location[0])) if allowed.startswith("no such") and len(location) == 1 else []
-            allowed += f". It is a key of kind {either(kinds)}" if kinds else ""
             problem = as_problem(ConfigurationError("", value, allowed))
         lines.append(InitErrorDetails(type=problem, loc=location, input=value))
     return ValidationError.from_exception_data("section", lines)
@@ -431,7 +425,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 @lru_cache(maxsize=256)
 def schema_of(kind: Any) -> dict[str, Any]:
-    """JSON schema of a type, in which a family of kinds is but its words and `family`, the `families.Family` itself."""
+    """JSON schema of a type, in which a family of kinds is but its words."""
     try:
         return _adapter(kind).json_schema()
     except PydanticInvalidForJsonSchema:  # a user's own section may have what JSON has not

@@ -214,7 +214,6 @@ def test_an_override_sets_one_key(text, key, value):
         ("durration=3", "durration", "did you mean duration?"),
         (".=3", ".", "a key such as"),
         ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; the keys here are kind, density, window"),
-        ("tuner.kappa=2", "tuner.kappa", "It is a key of kind policy"),
         ("duration='3'", "duration", "without quotes"),
         ("duration=", "duration", "a positive number [s]"),
         ("reference.kind=splin", "reference.kind", "hold, sine, sine_bursts, breathing"),
