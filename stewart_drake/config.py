@@ -164,7 +164,7 @@ class Section:
             error.key = error.key.removeprefix(f"{cls.section_key}.")
             raise as_problem(error) from None
         except ValidationError as error:
-            raise _in_words(error, schema_of(cls)) from None
+            raise _in_words(error, schema_of(cls)) from None  # type: ignore[arg-type]
 
     @classmethod
     def prepared(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -314,8 +314,7 @@ def _told(error: ValidationError, section: str) -> ConfigurationError:
 def _in_words(error: ValidationError, schema: Mapping[str, Any]) -> ValidationError:
     """Pydantic's report on a section, or on one value, with what its JSON schema says."""
     lines: list[InitErrorDetails] = []
-    order = {key: place for place, key in enumerate(_options(schema, schema)[0].get("properties", {}))}
-    for report in sorted(error.errors(include_url=False), key=lambda each: order.get(str((*each["loc"], "")[0]), -1)):
+    for report in error.errors(include_url=False):
         kind, location, value = report["type"], report["loc"], report["input"]
         if kind == "rule":
             problem = PydanticCustomError("rule", "expected {allowed}", report["ctx"])
@@ -341,8 +340,6 @@ def _allowed(kind: str, location: tuple[int | str, ...], value: Any, schema: Map
     expected = in_words(part, unit, schema)
     if kind == "finite_number":
         return expected.replace("number", "finite number", 1)
-    if isinstance(value, str) and "number" in expected and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value):
-        return f"{expected}; write it without quotes"
     return expected + meant(value, [str(each) for option in _options(schema, part) for each in _choices(option)])
 
 

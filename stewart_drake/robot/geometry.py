@@ -94,9 +94,11 @@ Cranks = Literal["outwards", "towards", "away"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
 _GROUPS = (("crank_x", "crank_y", "crank_z"), ("up_x", "up_y", "up_z"), ("low", "high"))
 _OTHERS = (*(name for group in _GROUPS for name in group), "crank_length", "rod_length", "branch")
-_LENGTHS = dict.fromkeys(("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"), Size)
+_LENGTHS: dict[str, Any] = dict.fromkeys(
+    ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length"), Size
+)
 _LENGTHS |= {"platform_center_of_mass": Signed3}
-_MASSES = dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
+_MASSES: dict[str, Any] = dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11
 """Of a link, over the characteristic length: as the paper's robot has it."""
