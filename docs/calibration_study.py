@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 from simulated_calibration import coverage, gains, run_trial
 
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.parameters import FRAMES, PER_LEG
-from stewart_drake.calibration.pose_plan import candidate_poses, plan_poses
-from stewart_drake.calibration.result import IN_THOUSANDTHS
+from stewart_drake.calibration.model import FRAMES, IN_THOUSANDTHS, PER_LEG
+from stewart_drake.calibration.poses import MeasurementNoise, Measurements, candidate_poses, plan_poses
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario import load_scenario

@@ -14,9 +14,9 @@ from simulated_identification import Setting, coverage, deviating, run_trial
 
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.identification.excitation import excite
-from stewart_drake.identification.identify import identify
+from stewart_drake.identification.identified import identify
 from stewart_drake.identification.parameters import COULOMB, GAIN, VISCOUS, as_robot, of_robot
-from stewart_drake.identification.recording import of_log
+from stewart_drake.identification.samples import of_log
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import load_scenario

@@ -9,8 +9,7 @@ from stewart_drake.planning.pose_box import NEAR
 from stewart_drake.plotting.model_plots import plot_margins
 from stewart_drake.scenario import load_scenario
 from stewart_drake.stability.linear_loop import linear_loops, poses_to_stand_at
-from stewart_drake.stability.margin_report import HEADER, facts, quantities, spread, table
-from stewart_drake.stability.margins import loop_margins
+from stewart_drake.stability.margins import HEADER, facts, loop_margins, quantities, spread, table
 
 OUT = Path(__file__).parent / "results"
 POSES = 1000

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.studies.tune import minimise
 from stewart_drake.training.benchmark import (
     DIGITS,
@@ -125,7 +125,7 @@ def find(benchmark):
 def main(folder: Path) -> None:
     """Writes the file."""
     with (
-        ProgressBar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
+        progress_bar("baselines", 13_000.0, quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         found = find(benchmark)

@@ -12,10 +12,10 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 from scipy.stats import qmc
 
+from stewart_drake.cli.terminal import progress_bar
 from stewart_drake.control.objective import CostScales
 from stewart_drake.plotting import save_figure
 from stewart_drake.plotting import style as look
-from stewart_drake.runs.terminal import ProgressBar
 from stewart_drake.studies.study import markdown
 from stewart_drake.training.benchmark import (
     Baselines,
@@ -64,7 +64,7 @@ def front(folder, policy, settings):
     cases = cases_of(cells_for("paper"), HELD_OUT[:SEEDS])
     entered = [*map(with_setting, settings), *(always({"tuner": {**policy, "kappa": kappa}}) for kappa in KAPPAS)]
     with (
-        ProgressBar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
+        progress_bar("front", float(len(entered) * len(cases)), quiet=False, unit="runs") as advance,
         Benchmark(folder, "reduced", tell=advance) as benchmark,
     ):
         rows = benchmark.run(entered, cases)

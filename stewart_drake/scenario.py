@@ -32,10 +32,9 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.families import Family, given_again, json_schema, place_users
 from stewart_drake.files.code import ROBOT_KEYS, anchored, trusting_code
 from stewart_drake.files.yaml_files import find_file, parse_yaml, read_mapping, to_yaml
-from stewart_drake.hardware.command_link import LinkOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.estimator import DifferenceOptions, EstimatorOptions
-from stewart_drake.hardware.motors import FrictionCompensation, MotorOptions
+from stewart_drake.hardware.motors import FrictionCompensation, LinkOptions, MotorOptions
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.planning.limits import Bounds, Limits

@@ -33,7 +33,7 @@ from stewart_drake.config import (
 from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.hardware.disturbances import UserDisturbance
-from stewart_drake.references.user_reference import UserReference
+from stewart_drake.references.recorded import UserReference
 from stewart_drake.registry import CONTROLLERS, DISTURBANCES, ESTIMATORS, REFERENCES, SENSORS, TUNERS
 from stewart_drake.scenario import FixedTuner, Scenario, load_scenario, scenario_schema
 

@@ -60,6 +60,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["reduced", "drake"])
 @pytest.mark.parametrize(("name", "changes"), CASES.values(), ids=CASES.keys())
 def test_fed_with_what_a_run_read_it_says_what_the_run_logged(name, changes, engine):

@@ -16,16 +16,16 @@ from stewart_drake.hardware.faults import EncoderFault, FaultKind
 from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.jit import fields, new_record
 from stewart_drake.logs.log import load_log
-from stewart_drake.logs.metric_table import Metric, MetricError
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import Metric, MetricError, run_metrics
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.part import Part
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
-from stewart_drake.runs.simulation import check_scenario, run
+from stewart_drake.runs.checks import check_scenario
+from stewart_drake.runs.simulation import run
 from stewart_drake.scenario import Scenario, load_scenario, scenario_schema
 from stewart_drake.studies.runs import identity
-from stewart_drake.studies.sweep import Sweep, Uniform
+from stewart_drake.studies.sweep import Sweep, SweepFile
 
 SHORT = {"duration": 0.1, "tuner": {"kind": "fixed"}}
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
@@ -246,6 +246,7 @@ class ToyMonitor:
         return -1 if inputs.pose[5] < self.lowest else None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [ToyMonitor, ToyMonitor(), {"kind": ToyMonitor, "arguments": {"lowest": 0.3}}])
 def test_a_monitor_stops_a_run_by_its_name_and_refuses_a_motion_that_would_trip_it(given, tmp_path):
     base = {**SHORT, "duration": 1.0, "reference": {"kind": "hold", "pose": [0, 0, 0, 0, 0, 0.302]}}
@@ -307,8 +308,9 @@ def test_a_metric_of_another_form_than_it_says_is_refused_by_its_name(of, parts,
 
 def test_what_was_given_in_python_is_refused_where_results_are_kept():
     own = Scenario.from_dict(SHORT).replace({"reference": ToyReference(0.002)})
+    drawn = {"gravity": {"kind": "uniform", "low": 9.0, "high": 10.0}}
     with pytest.raises(ConfigurationError, match=r"reference.kind: .*a class by its import path.*ToyReference"):
-        Sweep(own, {"robot.platform_mass": Uniform(low=0.9, high=1.1)}, runs=2)
+        Sweep(own, SweepFile(scenario="own", distributions=drawn), name="own", indices=range(2))
 
 
 def test_a_copy_keeps_what_was_given_in_python_and_another_object_is_another_scenario():

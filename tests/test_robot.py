@@ -13,8 +13,7 @@ from stewart_drake.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning, inverse_kinematics
 from stewart_drake.mujoco_model import mjcf_text
-from stewart_drake.planning.limits import Limits, limit_margins
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import Limits, limit_margins, measure_poses
 from stewart_drake.plant.sdf_model import sdf_text
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LegParameters

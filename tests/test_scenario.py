@@ -213,6 +213,7 @@ documents = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(documents)
 @settings(max_examples=60)
 @example({"tuner": {"kind": "paper", "weights_file": "/."}})
@@ -272,6 +273,7 @@ def test_names_that_nothing_has_are_told_what_was_meant():
             load(name)
 
 
+@pytest.mark.slow
 def test_the_package_imports_nothing_and_a_scenario_neither_drake_nor_compiled_laws():
     code = (
         "import sys, stewart_drake; assert not {'numpy', 'pydantic'} & set(sys.modules);"

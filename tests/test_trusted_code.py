@@ -183,7 +183,7 @@ def test_a_study_asks_before_it_begins_and_its_workers_take_its_word(parts, tmp_
     assert not ran(parts)
     with trusting_code():
         plan = Sweep.from_dict(study)
-    assert run_study(plan, tmp_path / "out", Workers(0))["sweep"].rows[0]["status"] in ("completed", "lost")
+    assert run_study(plan, tmp_path / "out", Workers(0)).rows["sweep"][0]["status"] in ("completed", "lost")
 
 
 def test_a_study_whose_code_has_changed_does_not_go_on(parts, tmp_path):

@@ -40,6 +40,13 @@ ENDINGS: Mapping[str, Mapping[str, float]] = {
 }
 """Unit -> endings of a column's name, the first that of what is written, and what one of each is in the unit."""
 
+POSE = (
+    *((f"pose_{name}", "rad") for name in ("roll", "pitch", "yaw")),
+    *((f"pose_{name}", "m") for name in ("x", "y", "z")),
+)
+CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
+"""Quantities of poses and of cranks with their units."""
+
 Chosen = Mapping[str, tuple[str, float]]
 """What a column holds -> its name in the file, and the factor to the unit that is kept."""
 
@@ -78,6 +85,17 @@ def read_numbers(
         return {quantity: _column(names, quantity, unit, source) for quantity, unit in quantities}
 
     return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
+
+
+def refuse_cells(
+    source: str, quantities: Sequence[tuple[str, str]], values: np.ndarray, wrong: np.ndarray, allowed: str
+) -> None:
+    """Raises a `ConfigurationError` for the first of the cells of a table (n, k) that are `wrong`."""
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise ConfigurationError(
+            f"{source}: row {row + 1}, {quantities[column][0]}", float(values[row, column]), allowed
+        )
 
 
 def read_columns(

@@ -77,9 +77,10 @@ def locked_folder(folder: Path) -> Iterator[None]:
     lock = FileLock(folder / ".lock", blocking=False)
     try:
         lock.acquire()
-    except (Timeout, OSError) as error:
-        allowed = "a folder that can be locked, and that no other process is using"
-        raise ConfigurationError("--out", str(folder), f"{allowed} ({error})") from None
+    except Timeout:
+        raise ConfigurationError("--out", str(folder), "a folder that no other process is using") from None
+    except OSError as error:
+        raise ConfigurationError("--out", str(folder), f"a folder that can be locked ({error})") from None
     try:
         for part in folder.glob(".*.part"):
             part.unlink(missing_ok=True)

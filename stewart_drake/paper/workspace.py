@@ -16,12 +16,12 @@ from stewart_drake.mechanics.dynamics import inverse_dynamics
 from stewart_drake.mechanics.kinematics import pose_jacobian, reach_margin
 from stewart_drake.paper.reproduce import Claim, Result, Study
 from stewart_drake.planning.feasibility import largest_amplitude, largest_scale
-from stewart_drake.planning.measures import measure_poses
+from stewart_drake.planning.limits import measure_poses
 from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
 from stewart_drake.plotting.style import COORDINATES, chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.robot.robot_scale import LENGTH
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stewart_drake.calibration.parameters import OF_LEG, OF_ROBOT, PER_LEG
+from stewart_drake.calibration.model import OF_LEG, OF_ROBOT, PER_LEG
 from stewart_drake.calibration.result import Calibration
 from stewart_drake.identification.identified import Identification
 from stewart_drake.plotting import style as look

@@ -13,8 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SIGNALS, SimulationLog
-from stewart_drake.logs.metrics import run_metrics, tracking_error
-from stewart_drake.logs.rows import INTEGRAL_TIME
+from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 from stewart_drake.plotting import style as look
 
 _AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)

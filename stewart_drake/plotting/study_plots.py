@@ -31,7 +31,7 @@ def plot_rmse(rows: Rows) -> Figure:
     """RMSE of the pose by reference and controller, a panel a condition, look.logarithmic; failures at the right edge.
 
     Args:
-        rows: See `comparison_table.table_rows`; `pose_rmse_mm` is drawn, of several seeds each.
+        rows: Of a comparison; `pose_rmse_mm` is drawn, of several seeds each.
     """
     styles = _styles(rows)
     references: dict[str, list[str]] = {}
@@ -71,7 +71,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
     """Size of the pose error over time on one reference, a panel a condition, look.logarithmic.
 
     Args:
-        rows: With `trace`, see `comparison_table.measure_run`.
+        rows: With `trace`, see `runs.measure_run`.
         band: [mm] drawn as the band within which a run counts as settled.
     """
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
@@ -102,7 +102,7 @@ def plot_bands(rows: Rows) -> Figure:
     """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis.
 
     Args:
-        rows: See `comparison_table.band_rows`.
+        rows: Of the bands of a comparison.
     """
     styles = _styles(rows)
     names = list(dict.fromkeys(row["reference"] for row in rows))

@@ -18,9 +18,8 @@ from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.files.whole import PACKAGE, checksum, locked_folder, write_atomically
 from stewart_drake.files.yaml_files import read_mapping
 from stewart_drake.hardware.observer import ObserverOptions
-from stewart_drake.logs.cost import run_cost
 from stewart_drake.logs.log import SimulationLog
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.registry import TUNERS
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import KeptRuns, Row, Task, identity, simulate_unchecked

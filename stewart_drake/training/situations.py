@@ -18,7 +18,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.planning.pose_box import NEAR
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from stewart_drake.cli import reproduce_command
+from stewart_drake.cli import run_commands
 from stewart_drake.paper import reproduce as module
 from stewart_drake.paper.reproduce import MODULES, Claim, Result, differences, markdown, rows
 
@@ -51,7 +51,7 @@ def test_the_command_prints_the_table_writes_its_numbers_and_fails_on_a_changed_
 
     monkeypatch.setattr(module, "reproduce", made)
     result = CliRunner(env={"COLUMNS": "200"}).invoke(
-        reproduce_command.reproduce, ["--quick", "--out", str(tmp_path / "new")]
+        run_commands.reproduce, ["--quick", "--out", str(tmp_path / "new")]
     )
     assert result.exit_code == status
     words = " ".join(result.stdout.split())
@@ -67,7 +67,7 @@ def test_rows_show_value_unit_and_verdict_and_markdown_has_a_dash_for_nothing():
     assert markdown(["a", "|b|"], [[None, 1 / 3]]) == "| a | \\|b\\| |\n| --- | --- |\n| - | 0.3333 |"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_quick_reproduction_is_the_committed_one(tmp_path):
     results = module.reproduce(True, tmp_path)
     assert list(results) == list(MODULES)

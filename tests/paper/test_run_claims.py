@@ -17,7 +17,7 @@ from stewart_drake.paper.reproduce import PAIRS, RATIOS, Study, growth, outcome,
 from stewart_drake.paper.sensitivity import changes, scaled_network
 from stewart_drake.planning.feasibility import check_reference
 from stewart_drake.references import paper_reference
-from stewart_drake.runs.simulation import check_scenario
+from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.training.collect import FREQUENCIES, Dataset
 from stewart_drake.training.train import r_squared

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.control.objective import CostScales
-from stewart_drake.logs.cost import FAILED, run_cost
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import FAILED, run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (

@@ -8,8 +8,7 @@ from stewart_drake.control.policy import answer, default_policy_path, load_polic
 from stewart_drake.control.tuners import PolicyTuner
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.jit import record
-from stewart_drake.logs.cost import run_cost
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake.logs.metrics import run_cost, run_metrics
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
@@ -106,7 +105,7 @@ def test_evolution_goes_down_and_keeps_its_best_generation(bowl, monkeypatch):
     assert np.sum((state.best - bowl) ** 2) - bowl @ bowl == pytest.approx(state.least)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_training, "cells_for", lambda robot, **_: [("hold", robot)])
     whole = train_policy(SMALL, workers=Workers(0))

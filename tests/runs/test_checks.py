@@ -1,12 +1,10 @@
 import dataclasses
-import math
 
-import numpy as np
 import pytest
 
 from stewart_drake.errors import InfeasibleReferenceError
 from stewart_drake.planning.feasibility import check_reference
-from stewart_drake.planning.limits import PLACES, Limits, limit_bounds, limit_margins
+from stewart_drake.planning.limits import Limits
 from stewart_drake.references import (
     AdjustedReference,
     HeartbeatReference,
@@ -14,7 +12,7 @@ from stewart_drake.references import (
     SineReference,
 )
 from stewart_drake.robot import RobotParameters
-from stewart_drake.runs.motion_fit import adjusted, fit_amplitude, fit_speed
+from stewart_drake.runs.checks import adjusted, fit_amplitude, fit_speed
 
 ROBOT, LIMITS, GRAVITY = RobotParameters(), Limits(), 9.81
 WEAK = dataclasses.replace(ROBOT, effort_limit=0.45)
@@ -34,7 +32,7 @@ def feasible(robot, reference, duration):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "reference", "duration"),
-    [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (ROBOT, TOO_FAR, 4.0)],
+    [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)],
 )
 def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
     fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
@@ -45,9 +43,7 @@ def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, referenc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "reference", "duration"), [(ROBOT, FAST, 1.0), (WEAK, BEATS, 2.0), (WEAK, REACH, 0.4)]
-)
+@pytest.mark.parametrize(("robot", "reference", "duration"), [(WEAK, BEATS, 2.0), (WEAK, REACH, 0.4)])
 def test_the_speed_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
     fitted, slowdown = fit_speed(robot, LIMITS, reference, duration, GRAVITY)
     assert 1.0 < slowdown < 20.0
@@ -70,9 +66,6 @@ def test_what_is_adjusted_already_is_adjusted_further():
     start = AdjustedReference(motion=FAST, scale=0.95, slowdown=0.5, fade_in=0.1)
     fitted, factor = fit_speed(ROBOT, LIMITS, start, 1.0, GRAVITY)
     assert fitted == dataclasses.replace(start, slowdown=0.5 * factor)
-    fitted, factor = fit_amplitude(ROBOT, LIMITS, start, 1.0, GRAVITY)
-    assert fitted == dataclasses.replace(start, scale=0.95 * factor)
-    assert feasible(ROBOT, fitted, 1.0)
 
 
 def test_a_motion_out_of_reach_is_feasible_at_no_speed():
@@ -80,26 +73,3 @@ def test_a_motion_out_of_reach_is_feasible_at_no_speed():
         fit_speed(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY)
     given = check_reference(ROBOT, LIMITS, TOO_FAR, 4.0, GRAVITY).first_violation
     assert (caught.value.limit, caught.value.time, caught.value.leg) == (given.limit, given.time, given.leg)
-
-
-@pytest.mark.parametrize(
-    "limit", ["reach", "euler_pitch", "conditioning", "transmission", "joint_swing", "crank_speed", "torque"]
-)
-def test_each_limit_alone_names_the_first_bad_time_and_leg(limit):
-    """Of the swing, branch, singularity, speed and torque of a motion; clearance hardly changes along this one."""
-    reference = SineReference(amplitude=(0.3, 0.2, 0.5, 0.0, 0.0, 0.0), angular_frequency=(math.pi,) * 6)
-    times = np.linspace(0.0, 2.0, 1001)
-    margins = limit_margins(ROBOT, LIMITS, *reference.evaluate(times), GRAVITY)[limit].min(axis=1)
-    # Halfway between the start and the worst, the motion breaks it on the way.
-    halfway = 0.5 * (margins[0] + margins.min())
-    bound = limit_bounds(ROBOT, LIMITS)[limit]
-    strict = bound + halfway if limit in ("conditioning", "transmission") else bound - halfway
-    off = dict.fromkeys((field.name for field in dataclasses.fields(Limits)), None)
-    key, value = ("torque_fraction", strict / ROBOT.effort_limit) if limit == "torque" else (limit, strict)
-    first = check_reference(ROBOT, Limits(**off | {key: value}), reference, 2.0, GRAVITY).first_violation
-    row = int(np.argmax(margins < halfway))
-    assert row > 0
-    assert (first.limit, first.time) == (limit, times[row])
-    assert first.margin == pytest.approx(margins[row] - halfway)
-    worst = np.argmin(limit_margins(ROBOT, LIMITS, *reference.evaluate(times), GRAVITY)[limit][row])
-    assert first.leg == PLACES[limit][worst][0]

@@ -1,7 +1,13 @@
+"""The commands `compare`, `tune` and `tuner`."""
+
 import functools
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from stewart_drake.control.policy import default_policy_path, load_policy
+from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.yaml_files import shipped_folder
 
 TEXT = """
@@ -50,7 +56,7 @@ def test_a_search_is_done_and_what_it_found_is_compared(call, tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT + TUNE)
     status, out, _ = call("tune", "mine.yaml", "--workers", 1, "--budget", 8)
     assert status == 0
-    assert all(word in out for word in ("weak", "verdict: tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
+    assert all(word in out for word in ("weak", "weak, tuned", "plant.engine reduced", "tuned.yaml", "verdict-"))
     made = tmp_path / "runs" / "mine-tune"
     names = {path.name for path in made.iterdir()}
     assert {"tuned.yaml", "tune.parquet", "tune.csv", "tune.md", "tune.png"} <= names
@@ -74,3 +80,52 @@ def test_a_search_that_cannot_be_done_says_why_in_a_line(call, tmp_path):
         assert err.startswith(f"stewart-drake: {why}")
         assert err.count("\n") == 1
     assert not (tmp_path / "runs").exists()
+
+
+# --- tuner --------------------------------------------------------------------------------------------------------
+
+
+def test_the_card_of_a_policy_says_box_and_provenance(call):
+    status, out, err = call("tuner", "show")
+    assert (status, err) == (0, "")
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "│" in line]
+    policy = load_policy()
+    assert all(list(row) in rows for row in policy.box_rows())
+    told = " ".join(cell for row in rows for cell in row)
+    assert all(name in told for name, _ in policy.facts())
+
+
+@pytest.mark.parametrize("command", [("show",), ("judge", "--out", "verdict")])
+@pytest.mark.parametrize("content", [None, "{}"])
+def test_a_file_that_is_no_policy_is_refused_before_anything_is_written(call, tmp_path, command, content):
+    if content is not None:
+        (tmp_path / "mine.json").write_text(content)
+    status, out, err = call("tuner", *command, "mine.json")
+    assert (status, out) == (2, "")
+    assert "mine.json" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "verdict").exists()
+
+
+def test_one_seed_of_each_kind_gives_no_interval_and_is_refused(call):
+    status, out, err = call("tuner", "judge", "--seeds", 1)
+    assert (status, out) == (2, "")
+    assert "--seeds" in err
+
+
+CONTENT = default_policy_path().read_bytes()
+
+
+@given(st.integers(0, 8 * len(CONTENT) - 1))
+def test_every_flipped_bit_is_refused_or_changes_nothing(tmp_path_factory, bit):
+    path = tmp_path_factory.getbasetemp() / "flipped.json"
+    content = bytearray(CONTENT)
+    content[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(content)
+    said = ""
+    try:
+        found = load_policy(path).to_bytes()
+    except ConfigurationError as error:
+        found, said = CONTENT, str(error)
+    assert found == CONTENT
+    assert "\n" not in said

@@ -1,16 +1,24 @@
-import re
+"""What a sweep draws, what it refuses, and the command."""
+
+import dataclasses
+import os
+import signal
+import time
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from conftest import alive
+from scipy.stats import truncnorm
 
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.files.yaml_files import find_file, shipped_folder
-from stewart_drake.scenario import Scenario, load_scenario
+from stewart_drake.files.yaml_files import shipped_folder
 from stewart_drake.studies.sweep import Sweep, SweepFile, load_sweep
 
 UNIFORM = {"kind": "uniform", "low": -1.0, "high": 1.0}
 PLAIN = {"scenario": "paper_fig7", "runs": 4, "distributions": {"initial_offset[0]": UNIFORM}}
-QUANTILES = np.linspace(0.0, 1.0, 1001)
+QUANTILES = np.linspace(0.0, 1.0, 1000, endpoint=False)
 
 
 def sweep(**changes):
@@ -27,19 +35,18 @@ def drawn_from(**data):
 
 
 @pytest.mark.parametrize(
-    ("mean", "std", "low", "high"),
-    [(1.0, 2.0, None, None), (0.0, 1.0, -1.0, 2.0), (0.0, 1.0, 5.0, None), (0.0, 1.0, None, -5.0), (3.0, 0.1, 2.9, 3)],
+    ("mean", "std", "low", "high"), [(1.0, 2.0, None, None), (0.0, 1.0, -1.0, 2.0), (0.0, 1.0, 5.0, None)]
 )
 def test_a_normal_distribution_is_cut_off_and_has_its_shape_between(mean, std, low, high):
-    from scipy.stats import truncnorm
-
     values = drawn_from(kind="normal", mean=mean, std=std, low=low, high=high)
     a, b = (-np.inf if low is None else (low - mean) / std), (np.inf if high is None else (high - mean) / std)
-    inside = slice(1, -1)
-    np.testing.assert_allclose(values[inside], truncnorm.ppf(QUANTILES[inside], a, b, mean, std), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(values[1:], truncnorm.ppf(QUANTILES[1:], a, b, mean, std), rtol=1e-9, atol=1e-9)
     assert np.isfinite(values[0])
-    assert low is None or values.min() >= low
-    assert high is None or values.max() <= high
+
+
+def test_uniform_and_loguniform_are_even_in_the_number_and_in_its_logarithm():
+    np.testing.assert_allclose(drawn_from(kind="uniform", low=-1.0, high=3.0), 4.0 * QUANTILES - 1.0, atol=1e-12)
+    np.testing.assert_allclose(drawn_from(kind="loguniform", low=0.1, high=10.0), 10.0 ** (2.0 * QUANTILES - 1.0))
 
 
 def test_integers_and_choices_come_equally_often():
@@ -60,7 +67,7 @@ SEVERAL = {
 
 
 def draws(s):
-    return [s.draw(index) for index in range(s.runs)]
+    return [s.draw(index) for index in s.indices]
 
 
 @pytest.mark.parametrize("sampler", ["random", "sobol"])
@@ -94,7 +101,7 @@ def test_grids_run_through_all_their_combinations_the_first_key_fastest():
     s = Sweep.from_dict({"scenario": "paper_fig7", "distributions": grids})
     assert s.runs == 4
     assert [tuple(d.values()) for d in draws(s)] == [(1.0, "split"), (2.0, "split"), (1.0, "drake"), (2.0, "drake")]
-    assert s.replace(runs=5).draw(4) == s.draw(0)
+    assert dataclasses.replace(s, indices=range(5)).draw(4) == s.draw(0)
 
 
 def test_a_scenario_gets_what_was_drawn():
@@ -105,7 +112,7 @@ def test_a_scenario_gets_what_was_drawn():
     assert scenario.robot.platform_inertia == tuple(2.0 * x for x in s.base.robot.platform_inertia)
     assert scenario.tuner.omega_q == 1.0
     assert scenario.model_robot is None
-    untouched = {"name", "robot", "initial_offset", "tuner"}
+    untouched = {"name", "robot", "initial_offset", "tuner", "log_period"}
     assert {k: v for k, v in scenario.to_dict().items() if k not in untouched} == {
         k: v for k, v in s.base.to_dict().items() if k not in untouched
     }
@@ -119,34 +126,6 @@ def test_with_mismatch_the_controller_keeps_the_robot_of_the_scenario():
     assert scenario.robot.platform_mass == s.draw(0)["robot.platform_mass"]
     assert scenario.model_robot == s.base.robot
     assert (scenario.model_robot.platform_mass, scenario.model_robot.rod_length) == (1.0, 0.41)
-    # A belief that the scenario has already stays.
-    own = sweep(mismatch=True, distributions=masses, set={"model_robot.rod_mass": 0.1})
-    assert own.scenario(0).model_robot == own.base.model_robot
-    assert own.base.model_robot.rod_mass == 0.1
-
-
-def test_the_numbers_of_one_leg_are_drawn_in_any_scenario_and_nothing_else_changes():
-    legs = {
-        "robot.legs[2].rod_length": {"kind": "uniform", "low": 0.999, "high": 1.001, "factor": True},
-        "robot.legs[4].shaft_position[1]": {"kind": "grid", "values": [0.03]},
-    }
-    s = sweep(distributions=legs, mismatch=True)
-    robot, believed = s.scenario(1).robot, s.base.robot
-    rods = believed.rod_lengths.copy()
-    rods[2] *= s.draw(1)["robot.legs[2].rod_length"]
-    np.testing.assert_array_equal(robot.rod_lengths, rods)
-    shafts = believed.shaft_positions.copy()
-    shafts[4, 1] = 0.03
-    np.testing.assert_array_equal(robot.shaft_positions, shafts)
-    assert s.scenario(1).believed_robot == believed == Scenario().robot
-    # What stays null follows the symmetric robot still.
-    assert s.scenario(1).replace({"robot.rod_length": 0.41}).robot.rod_lengths[[1, 2]].tolist() == [0.41, rods[2]]
-    shell = load_scenario("paper_fig7", ["robot.legs[2].rod_length=0.405", "robot.rod_length=0.41"])
-    assert shell.robot.rod_lengths.tolist() == [0.41, 0.41, 0.405, 0.41, 0.41, 0.41]
-    slips = {"robot.legs[6].rod_length": "from 0 to 5", "robot.legs[0].rod_lenght": "did you mean rod_length?"}
-    for key, words in slips.items():
-        with pytest.raises(ConfigurationError, match=re.escape(words)):
-            load_scenario("paper_fig7", [f"{key}=0.4"])
 
 
 def test_paths_are_relative_to_the_sweep_file(tmp_path):
@@ -166,8 +145,7 @@ def test_the_shipped_sweeps_are_found_by_name_and_make_scenarios():
     assert "initial_offset" in names
     for name in names:
         s = load_sweep(name)
-        assert find_file("sweep", name) == shipped_folder("sweeps") / f"{name}.yaml"
-        assert all(s.scenario(index).name == f"{name} {index}" for index in range(s.runs))
+        assert all(s.scenario(index).name == f"{name} {index}" for index in s.indices[:100])
 
 
 ANY = {"kind": "uniform", "low": 1, "high": 2}
@@ -179,36 +157,19 @@ def only(key, **distribution):
 
 BAD = [
     # changes, words that the line must have
-    ({"runs": None}, ["runs", "None", "grid"]),
-    ({"sampler": "halton"}, ["sampler", "'halton'", "random or sobol"]),
     ({"scenario": "paper_fig8"}, ["scenario", "'paper_fig8'", "paper_fig7"]),
-    ({"set": {"durration": 3}}, ["durration", "did you mean duration?"]),
     ({"set": {"initial_offset[6]": 3}}, ["set.initial_offset[6]", "0 to 5"]),
     ({"distributions": {}}, ["distributions", "at least one"]),
     (only("gravity", kind="unifrom"), ["distributions.gravity.kind", "'unifrom'", "uniform"]),
     (only("gravity", kind="uniform", low=2, high=1), ["distributions.gravity.high", "more than low, 2"]),
-    (only("gravity", kind="uniform", low=-1e308, high=1), ["distributions.gravity.low", "at most 1e+100"]),
     (only("gravity", kind="loguniform", low=0, high=1), ["distributions.gravity.low", "a positive number"]),
-    (only("gravity", kind="normal", mean=0, std=1, low=9), ["distributions.gravity.low", "bounds that keep"]),
     (only("gravity", kind="choice", values=["x"], factor=True), ["distributions.gravity.values", "'x'", "numbers"]),
     (only("gravity", kind="choice", values=["9.81"]), ["distributions.gravity", "'9.81'", "a number"]),
-    (only("gravty", **ANY), ["distributions.gravty", "did you mean gravity?"]),
     (only("initial_offset", **ANY), ["distributions.initial_offset", "initial_offset[0]"]),
-    (only("initial_offset[6]", **ANY), ["initial_offset[6]", "0 to 5"]),
     (only("model_robot.rod_mass", **ANY), ["model_robot.rod_mass", "mismatch: true"]),
     (only("controller.solver", **ANY), ["controller.solver", "choice and grid"]),
     (only("controller.solver", kind="choice", values=["sprit"]), ["controller.solver", "'sprit'", "split"]),
-    (only("controller.solver", factor=True, **ANY), ["controller.solver", "to multiply"]),
     (only("tuner.window", **ANY), ["tuner.window", "'uniform'", "integers"]),
-    (only("log_period", **ANY), ["log_period", "every tick"]),
-    (
-        {"distributions": {"robot": {"kind": "choice", "values": [{}]}, "robot.rod_mass": UNIFORM}},
-        ["distributions.robot.rod_mass", "outside of robot"],
-    ),
-    (
-        {"distributions": {"initial_offset[0]": UNIFORM, "initial_offset": {"kind": "choice", "values": [[0] * 6]}}},
-        ["distributions.initial_offset[0]", "outside of initial_offset"],
-    ),
 ]
 
 
@@ -220,3 +181,70 @@ def test_bad_input_is_one_line_that_names_the_key(changes, words):
     assert [word for word in words if word not in text] == [], text
     assert "\n" not in text
     assert len(text) < 700
+
+
+# --- the command ---
+
+TINY = """
+scenario: paper_fig7
+runs: {runs}
+set: {{duration: {duration}, tuner: {{kind: fixed}}, limits.clearance: null}}
+distributions:
+  initial_offset[0]: {{kind: uniform, low: -0.05, high: 0.05}}
+  initial_offset[5]: {{kind: choice, values: [0.0, 0.0, 0.3]}}
+"""
+
+
+def write(folder, name="tiny", runs=4, duration=0.05):
+    (folder / f"{name}.yaml").write_text(TINY.format(runs=runs, duration=duration))
+
+
+@pytest.mark.slow
+def test_a_sweep_leaves_its_table_prints_its_summary_and_goes_on(call, tmp_path):
+    write(tmp_path)
+    status, out, err = call("sweep", "tiny.yaml", "--workers", 2)
+    assert status == 0, err
+    files = {path.name for path in (tmp_path / "runs" / "tiny").iterdir()}
+    assert files == {"sweep.parquet", "sweep.csv", "study.json", "rows.jsonl"}
+    table = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
+    rejected = table.column("status").to_pylist().count("rejected")
+    assert table.num_rows == 4
+    assert 1 <= rejected <= 3
+    lines = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in out.splitlines() if "│" in line}
+    assert lines["completed"] == str(4 - rejected)
+    assert lines["rejected, configuration"] == str(rejected)
+    assert lines["RMSE of rotation, percentiles 50 95 99, largest"].endswith("deg")
+    assert lines["table in"] == "runs/tiny/sweep.parquet"
+    assert "4 / 4 runs" in err
+    # Two more: the first four are not run again.
+    assert call("sweep", "tiny.yaml", "--runs", 6, "--quiet", "--workers", 1) == (0, "", "")
+    more = pq.read_table(tmp_path / "runs" / "tiny" / "sweep.parquet")
+    assert more.num_rows == 6
+    assert more.slice(0, 4).to_pylist() == table.to_pylist()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(start, tmp_path):
+    write(tmp_path, runs=12, duration=0.3)
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out")
+    rows = tmp_path / "out" / "rows.jsonl"
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline and (not rows.exists() or rows.read_bytes().count(b"\n") < 2):
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # what a terminal sends: to every process of the group
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out == ""
+    assert "Traceback" not in err
+    kept = rows.read_bytes().splitlines()
+    assert 2 <= len(kept) < 12
+    assert f"interrupted; {len(kept)} of 12 runs are kept in out; the same command goes on from there" in err
+    while time.monotonic() < deadline and alive(process.pid):  # a worker may be a moment behind its caller
+        time.sleep(0.1)
+    assert alive(process.pid) == []
+    process = start("sweep", "tiny.yaml", "--workers", 2, "--out", "out", "--quiet")
+    assert process.communicate(timeout=120) == ("", "")
+    assert process.returncode == 0
+    assert rows.read_bytes().splitlines()[: len(kept)] == kept
+    assert pq.read_table(tmp_path / "out" / "sweep.parquet").column("index").to_pylist() == list(range(12))

@@ -1,26 +1,43 @@
-"""Which poses tell most: a D-optimal choice among poses within the robot's limits."""
+"""Poses that a tracker measured, with the encoders' readings at each; and which poses tell most."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from stewart_drake.calibration.frames import Frame
-from stewart_drake.calibration.measurements import MeasurementNoise, Measurements
-from stewart_drake.calibration.model import Model
-from stewart_drake.calibration.parameters import LARGEST, OF_ROBOT, SIZE, FrameName, Name, free_directions, scales
-from stewart_drake.calibration.result import IN_THOUSANDTHS
+from stewart_drake.calibration.model import (
+    IN_THOUSANDTHS,
+    LARGEST,
+    OF_ROBOT,
+    SIZE,
+    FrameName,
+    Model,
+    Name,
+    free_directions,
+    scales,
+    transform_of,
+)
+from stewart_drake.config import Positive, Section
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
-from stewart_drake.planning.limits import Limits, limit_bounds
-from stewart_drake.planning.measures import measure_poses
-from stewart_drake.planning.workspace import LIMIT_NAMES, governing_limit, utilisation
+from stewart_drake.files.tables import CRANK_ANGLES, POSE, column_name, numbers_to_csv, read_numbers, refuse_cells
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.planning.limits import Limits
+from stewart_drake.planning.workspace import LIMIT_NAMES, way_out
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
+MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
+_FARTHEST = 1e6
+"""[m] beyond which no tracker is."""
+QUANTITIES = (*POSE, *CRANK_ANGLES)
+COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
 CANDIDATES = 1500
 MARGIN = 0.85
 """[-] of each limit that a pose may take up: the robot is not quite the guess."""
@@ -28,9 +45,78 @@ AMPLIFICATION = 1.3
 """[-] most by which parameters act on a pose more than at home. Poses near a parallel singularity tell much, but a
 robot that is not quite the guess cannot be assembled there. With both numbers each of a hundred robots of any of the
 three shipped kinds, off by 1 mm and 1 mrad, could be at the cranks' angles of a plan of 60 poses."""
-_STEPS, _FARTHEST = 40, 2.0
+_WAY = np.linspace(0.0, 2.0, 41)
 _PASSES, _DRAWS = 20, 20
 _GAIN = 1e-6
+
+
+class MeasurementNoise(Section, key="noise"):
+    """Standard deviations of what is measured; each is independent and alike in all directions."""
+
+    position: Annotated[Positive, Field(le=1.0)] = 2e-5
+    """[m] of each coordinate of a measured position."""
+    rotation: Annotated[Positive, Field(le=1.0)] = 1e-4
+    """[rad] of a measured orientation about each axis."""
+    encoder: Annotated[Positive, Field(le=1.0)] = 2.0 * math.pi / 2**17 / math.sqrt(12.0)
+    """[rad] of a reading. An encoder that is exact but for its steps has a step over the root of 12: here 17 bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Poses (n, 6) [rad, m] of the marker in the tracker's frame, and encoder readings (n, 6) [rad] there; checked."""
+
+    pose: np.ndarray
+    angles: np.ndarray
+    source: str = "poses"
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "angles"):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.ndim != 2 or values.shape[1] != 6 or len(values) != len(self.pose):
+                raise ConfigurationError(f"{self.source}: {name}", values.shape, "numbers of shape (n, 6)")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        # A stroke of pi covers what roll, pitch and yaw can be; an encoder may have been homed a turn away.
+        most = np.array([math.pi, math.pi / 2.0, math.pi] + [_FARTHEST] * 3 + [4.0 * math.pi] * LEGS)
+        allowed = (
+            "metres, and radians, roll and yaw within +-pi, pitch within +-pi/2, readings within +-4 pi; "
+            "millimetres go by _mm, degrees by _deg"
+        )
+        refuse_cells(self.source, QUANTITIES, self.table, ~np.isfinite(self.table), "a finite number")
+        refuse_cells(self.source, QUANTITIES, self.table, np.abs(self.table) > most * (1.0 + 1e-9), allowed)
+        _, first, which = np.unique(self.pose, axis=0, return_index=True, return_inverse=True)
+        again = np.flatnonzero(first[which.ravel()] != np.arange(len(self)))
+        if again.size:
+            got = f"the pose of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
+            allowed = "poses that were each measured: a tracker never gives the same numbers twice"
+            raise ConfigurationError(self.source, got, allowed)
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """(n, 12) of `QUANTITIES`."""
+        return np.concatenate([self.pose, self.angles], axis=-1)
+
+    @cached_property
+    def marker(self) -> np.ndarray:
+        """Poses (n, 4, 4) of the marker in the tracker's frame."""
+        return transform_of(self.pose)
+
+    def to_csv(self) -> str:
+        """A table that `load_measurements` reads."""
+        return numbers_to_csv(QUANTITIES, self.table)
+
+
+def load_measurements(path: str | Path) -> Measurements:
+    """Measured poses of a table with `COLUMNS`, in any order and unit; further columns are left alone.
+
+    The pose is that of the marker in the tracker's frame, R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    source = f"poses file {path}"
+    values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)
+    return Measurements(values[:, :6], values[:, 6:], source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +162,7 @@ def plan_poses(
     Args:
         robot: The guess.
         count: How many poses.
-        limits: What poses keep to, on the straight way from home too, with a twentieth to spare.
+        limits: What poses keep to, on the straight way from home too, with `MARGIN`.
         noise: Of tracker and encoders.
         known_frames: As for `calibrate`.
         hold: As for `calibrate`.
@@ -93,7 +179,7 @@ def plan_poses(
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
     pose = candidate_poses(robot, candidates, Limits() if limits is None else limits, rng)
-    at, angles, model = _frames(pose), inverse_kinematics(robot, pose), Model(robot)
+    at, angles, model = transform_of(pose), inverse_kinematics(robot, pose), Model(robot)
     ways = scales(robot)[:, None] * free
     slope = model.tracker_slope(np.zeros(SIZE), at, angles)
     rows = model.whitening(np.zeros(SIZE), at, angles, noise) @ slope @ ways
@@ -109,16 +195,17 @@ def plan_poses(
     )
 
 
-def candidate_poses(
-    robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator, margin: float = MARGIN
-) -> np.ndarray:
+def candidate_poses(robot: RobotParameters, count: int, limits: Limits, rng: np.random.Generator) -> np.ndarray:
     """Poses (count, 6) [rad, m] on straight ways from home in all directions, up to where a limit ends them."""
     home, size = robot.home_pose, np.array([1.0] * 3 + [robot.characteristic_length] * 3)
     found = np.empty((0, 6))
     for _ in range(_DRAWS):
         way = rng.standard_normal((count, 6)) * size
         way /= np.linalg.norm(way / size, axis=1, keepdims=True)
-        last = _ends(robot, limits, home, way, margin)
+        last, limit = way_out(robot, limits, home, way, _WAY, most=MARGIN)
+        if not last.any():
+            got = f"a limit {LIMIT_NAMES[limit[0]]} that no way from home keeps to"
+            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")
         # Nearer to the end than to home, where poses tell more; the step before the last holds the limits.
         share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
         pose = (home + (last * share)[:, None] * way)[last > 0.0]
@@ -129,32 +216,10 @@ def candidate_poses(
     raise ConfigurationError("limits", f"{len(found)} poses of {_DRAWS * count} tries", "limits that leave more room")
 
 
-def _ends(robot: RobotParameters, limits: Limits, home: np.ndarray, way: np.ndarray, margin: float) -> np.ndarray:
-    """How far (n,) along ways (n, 6) from home all limits hold, in whole steps."""
-    torque = limit_bounds(robot, limits).get("torque")
-    last, going = np.zeros(len(way)), np.arange(len(way))
-    for step in np.linspace(0.0, _FARTHEST, _STEPS + 1):
-        pose = home + step * way[going]
-        measures = measure_poses(robot, pose, STANDARD_GRAVITY, torque)
-        use, limit = governing_limit(utilisation(robot, limits, pose, measures))
-        if step == 0.0 and use[0] > margin:
-            got = f"a limit {LIMIT_NAMES[limit[0]]} of which home takes {use[0]:.3g}"
-            raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {margin:g}")
-        going = going[use <= margin]
-        last[going] = step
-        if going.size == 0:
-            break
-    return last
-
-
-def _frames(pose: np.ndarray) -> Frame:
-    return Frame(rotation_matrix(pose[:, :3]), pose[:, 3:])
-
-
 def _amplification(robot: RobotParameters, pose: np.ndarray) -> np.ndarray:
     """Size (n,) of the derivatives of poses (n, 6) by a robot's parameters, both in `scales`."""
     size = scales(robot)
-    slope = Model(robot).tracker_slope(np.zeros(SIZE), _frames(pose), inverse_kinematics(robot, pose))
+    slope = Model(robot).tracker_slope(np.zeros(SIZE), transform_of(pose), inverse_kinematics(robot, pose))
     return np.asarray(np.linalg.norm(slope[..., :OF_ROBOT] * size[:OF_ROBOT] / size[-6:, None], axis=(1, 2)))
 
 
@@ -177,10 +242,10 @@ def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
         for place, now in enumerate(list(chosen)):
             rest = chosen[:place] + chosen[place + 1 :]
             covariance = _covariance(rows[rest])
-            had = float(gains(covariance, rows[now]))
             other, gain = best(covariance, rest)
-            if gain > had + _GAIN:
-                won += gain - had
+            more = gain - float(gains(covariance, rows[now]))
+            if more > _GAIN:
+                won += more
                 chosen[place] = other
         if won < _GAIN:
             break
