@@ -28,11 +28,6 @@ _SLACK = 1e-6
 def check_geometry(robot: RobotParameters) -> None:
     """Refuses directions that are not perpendicular unit vectors, joints out of order, and a home that is none."""
     for leg, own in enumerate(robot.legs or ()):
-        for name in ("crank_zero_direction", "crank_quarter_direction"):
-            given = getattr(own, name)
-            if given is not None and abs(math.hypot(*given) - 1.0) > PARALLEL:
-                allowed = f"a vector of length 1, not {math.hypot(*given):.4g}"
-                raise ConfigurationError(f"robot.legs.{leg}.{name}", given, allowed)
         quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > PARALLEL:
             allowed = "a direction at a right angle to crank_zero_direction"

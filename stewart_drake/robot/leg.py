@@ -68,6 +68,10 @@ class LegParameters(Section, key="robot.legs"):
             allowed = "two angles [rad], rising, within one turn"
             allowed += "; degrees?" if max(-low, high) > 2.0 * math.pi else ""
             raise ConfigurationError("crank_angle_range", self.crank_angle_range, allowed)
+        for name in ("crank_zero_direction", "crank_quarter_direction"):
+            length = math.hypot(*(getattr(self, name) or (1.0,)))
+            if abs(length - 1.0) > PARALLEL:
+                raise ConfigurationError(name, getattr(self, name), f"a vector of length 1, not {length:.4g}")
 
 
 def _leg(given: Any) -> Any:

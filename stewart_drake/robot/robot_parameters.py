@@ -12,19 +12,7 @@ import numpy as np
 from stewart_drake.config import Section
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
-from stewart_drake.robot.leg import (
-    LEGS,
-    Branch,
-    Coordinate,
-    HalfAngle,
-    Length,
-    Moderate,
-    Signed,
-    Signed3,
-    SixLegs,
-    Size,
-    Size3,
-)
+from stewart_drake.robot.leg import LEGS, Branch, HalfAngle, Length, Moderate, Signed, Signed3, SixLegs, Size, Size3
 
 _PAIR_ANGLES = np.arange(LEGS) // 2 * (2.0 * math.pi / 3.0)
 """(6,) [rad] direction c_k of each leg's pair."""
@@ -70,7 +58,7 @@ class RobotParameters(Section, key="robot"):
 
     shaft_circle_radius: Length = 0.20
     """[m] radius of the circle of the motor shafts."""
-    shaft_height: Coordinate = -0.07
+    shaft_height: Signed = -0.07
     """[m] z of the motor shafts in B."""
     shaft_half_angle: HalfAngle = math.radians(8.0)
     """[rad] half of the angle between the two shafts of a pair, seen from the centre."""
