@@ -78,7 +78,6 @@ class Calibration(Report):
 
     @property
     def title(self) -> str:
-        """Of what it is."""
         return f"Calibration from {self.measurements.source}"
 
     @property
@@ -105,7 +104,6 @@ class Calibration(Report):
         return sizes(self.before), sizes(self.after)
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, as rows of two texts."""
         before, after = (_millis(*sizes) for sizes in self.error_sizes())
         widest = 1e3 * self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
         own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
@@ -158,10 +156,7 @@ class Calibration(Report):
 
 
 def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
-    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad].
-
-    They are combined so that each has a parameter that no other has, and few parameters besides.
-    """
+    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad], of few parameters each."""
     if directions.shape[1] == 0:
         return []
     _, _, order = scipy.linalg.qr(directions.T, mode="economic", pivoting=True)
@@ -179,7 +174,6 @@ def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
 
 
 def _named(at: int) -> tuple[str, str]:
-    """Name and unit of one of the parameters."""
     if at < OF_ROBOT:
         return f"leg {at // PER_LEG} {OF_LEG[at % PER_LEG]}", OF_LEG[at % PER_LEG].unit
     frame, axis = divmod(at - OF_ROBOT, 6)

@@ -35,10 +35,7 @@ _SHOWN = 0.02
 
 
 class Prediction(NamedTuple):
-    """Errors of a recording's predicted torques over their RMS [-]: by the guess without friction, by what was found.
-
-    The first two where no crank sticks, the last everywhere.
-    """
+    """Errors of predicted torques over their RMS [-], the first two where no crank sticks."""
 
     source: str
     guess: float
@@ -77,12 +74,10 @@ class Identification(Report):
 
     @property
     def title(self) -> str:
-        """Of what it is."""
         return f"Identification from {self.samples.source}"
 
     @cached_property
     def robot(self) -> RobotParameters:
-        """The robot with what was found of its bodies."""
         return as_robot(self.guess, self.values)
 
     @property
@@ -130,7 +125,6 @@ class Identification(Report):
         return [(*own, *row, meaning) for own, row, meaning in rows]
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, as rows of two texts."""
         mass, place = self.payload
         at = f" at {' '.join(f'{1e3 * x:.1f}' for x in place)} mm in P" if np.isfinite(place).all() else ""
         corrected = (np.abs(self.values - self.estimate.values) > 1e-9 * scales(self.guess)).any()

@@ -1,7 +1,6 @@
-"""Fig. 7: the paper's tuner in the loop, against fixed weights; on (37), (38) and on motions beyond its training.
+"""Fig. 7: the paper's tuner in the loop; (37), (38) and motions beyond its training.
 
-Deviation: the paper's Fig. 7 is one motion under one controller. What online tuning is worth can only be told against
-the weights that it chooses from, so every trajectory is run under each of them too.
+Deviation: the paper has one motion and one controller; here each motion is run under each of the weights as well.
 """
 
 from __future__ import annotations
@@ -45,7 +44,6 @@ APART = 1e-10
 MAIN, TUNER = "(37), (38)", "tuner"
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
-"""The controllers with fixed weights."""
 Errors = Mapping[str, Mapping[str, float]]
 """Trajectory -> controller, `TUNER` or one of `FIXED` -> pose RMSE [mm]."""
 
@@ -63,11 +61,7 @@ def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
 
 
 def baselines(errors: Errors) -> dict[str, list[float]]:
-    """Pose RMSE [mm] of all that the tuner is measured against, one for each trajectory.
-
-    The five controllers; the one with the smallest geometric mean over all trajectories; the mean over the nine labels;
-    and, as one who knew it beforehand would choose, the best on each trajectory.
-    """
+    """Pose RMSE [mm] by trajectory of all that the tuner is measured against; the oracle knows the best beforehand."""
     fixed = {name: [row[name] for row in errors.values()] for name in FIXED}
     best = min(FIXED, key=lambda name: float(np.mean(np.log(fixed[name]))))
     labels = [sum(np.isclose(q / r, ratio) for q, r in PAIRS) for ratio in RATIOS]
@@ -157,7 +151,6 @@ def reproduce(study: Study) -> Result:
 
 
 def _mean_ratio(log: SimulationLog, weights: np.ndarray) -> float:
-    """Mean of log10(omega_Q / omega_R) over the second half of a run."""
     return float((np.log10(weights[second_half(log)]) @ (1.0, -1.0)).mean())
 
 

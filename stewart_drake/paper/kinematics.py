@@ -1,7 +1,6 @@
 """II.C and (1) to (6): the multibody plant against mechanics; kinematics as meant, as Drake has it, and as printed.
 
-Printed equations stand here with their misprints, for comparison, never for control. Poses are [roll, pitch, yaw, X, Y,
-Z] as everywhere; what is printed in degrees comes back in radians.
+Printed equations stand here with their misprints, in radians, for comparison, never for control.
 """
 
 from __future__ import annotations
@@ -36,7 +35,6 @@ START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
 TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])
 """[N m] held constant meanwhile."""
 DURATION = 0.15
-"""[s] of it."""
 BRANCHES = (-1, 1)
 SAME_ANGLE = SAME_POSE = 1e-6
 """[rad, m] below this they are the same; next to a dead centre an acos keeps half the digits only."""
@@ -55,7 +53,6 @@ def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
 
 
 def plant_motion(robot: RobotParameters, gravity: float, time_step: float) -> tuple[np.ndarray, float]:
-    """Pose (6,) [rad, m] of Drake's plant after the same motion, and its largest loop gap [m]."""
     diagram, plant = build_plant(robot, PlantOptions(time_step=time_step), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
@@ -91,10 +88,7 @@ MISPRINTS = ("(3)", "(5)")
 
 
 def crank_equation(robot: RobotParameters, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C, each (..., 6) [m^2], that (6) does not give: A cos(theta) + B sin(theta) = C of each leg.
-
-    It is what a rod of its length asks of its crank, for platform joints (..., 6, 3) [m] anywhere.
-    """
+    """A, B, C, each (..., 6) [m^2], that (6) does not give: A cos(theta) + B sin(theta) = C for joints [m] anywhere."""
     span = joints - robot.shaft_positions
     twice = 2.0 * robot.crank_lengths
     a = twice * np.sum(span * robot.crank_zero_directions, axis=-1)
@@ -164,9 +158,9 @@ def misprint_effect(robot: RobotParameters, poses: np.ndarray, misprint: str) ->
 
 
 def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> dict[str, float]:
-    """Shares of the legs at poses (n, 6) in reach where (6) gives branch `-1`, `1` or `neither`; and those with A > 0.
+    """Shares of the legs at poses (n, 6) where (6) gives branch `-1`, `1` or `neither`; and those with A > 0.
 
-    A `sense` of -1 counts crank angles the other way round, which turns B into -B.
+    A `sense` of -1 counts crank angles the other way round.
     """
     a, b, c = crank_equation(robot, platform_joints(robot, poses))
     off = sense * crank_angles_6(a, sense * b, c) - np.array([crank_angles(a, b, c, branch) for branch in BRANCHES])

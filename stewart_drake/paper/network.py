@@ -30,7 +30,6 @@ PAPER_SAMPLES = 14_400
 SAME_DATA = 1e-6
 """[-] difference of densities below which two runs count as one set of data."""
 LEARNT = 0.7
-"""R^2 from which a label counts as learnt."""
 TARGETS = ("omega_Q", "omega_R", "ratio")
 SIDES = ("training", "validation")
 Scores = dict[str, float | None]
@@ -43,10 +42,7 @@ def run_distances(dataset: Dataset) -> np.ndarray:
 
 
 def best_possible_scores() -> Scores:
-    """R^2 over the nine pairs of an estimator that knows the ratio of the weights and nothing else.
-
-    Equal ratios give equal data, so nothing better can be learnt from it.
-    """
+    """R^2 over the nine pairs of an estimator that knows the ratio alone: equal ratios give equal data."""
     labels = np.log10(PAIRS)
     _, group = np.unique(np.round(labels[:, 0] - labels[:, 1], 9), return_inverse=True)
     targets = (*labels.T, labels[:, 0] - labels[:, 1])
@@ -55,7 +51,6 @@ def best_possible_scores() -> Scores:
 
 
 def scores_of(result: TrainingResult, side: str) -> dict[str, Any]:
-    """R^2 of a training on one side of its split; None where the target does not vary."""
     scores = {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS}
     return {name: score if np.isfinite(score) else None for name, score in scores.items()}
 

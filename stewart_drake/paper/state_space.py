@@ -45,15 +45,11 @@ class Singularity(NamedTuple):
     distance: float
 
     def pose(self, robot: RobotParameters, back: float = 0.0) -> np.ndarray:
-        """(6,) [rad, m] the pose, or one `back` short of it in units of `distance`."""
         return np.asarray(robot.home_pose + (self.distance - back) * self.direction)
 
 
 def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float) -> Singularity | None:
-    """Follows a ray from home until a crank is at its dead centre or the determinant of the rods' lines changes sign.
-
-    400 poses up to `most` units of `direction` are looked at, and the first singular one is found to the last digits.
-    """
+    """The first of 400 poses on a ray where a crank is at its dead centre or the determinant of the rods vanishes."""
 
     def margin(distance: Any) -> Any:
         return reach_margin(robot, robot.home_pose + np.multiply.outer(distance, direction)).min(axis=-1)
@@ -119,7 +115,6 @@ def slowest_decay(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float
 
 
 def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Discretization = "exact") -> np.ndarray:
-    """K (6, 18) of (31) for omega_Q / omega_R = ratio."""
     return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0), method)
 
 
@@ -196,7 +191,6 @@ def reproduce(study: Study) -> Result:
 
 
 def _ranks_are_full(study: Study) -> bool:
-    """Whether (28) has full rank at all random poses of three boxes, with both force maps."""
     robot, rng = study.base.robot, np.random.default_rng(SEED)
     ranks = [
         stabilisability_rank(robot, pose, kind)

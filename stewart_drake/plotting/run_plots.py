@@ -30,8 +30,6 @@ _POSES = (
 
 
 class Line(NamedTuple):
-    """Values (n,) over time; a staircase where they are held from tick to tick."""
-
     values: np.ndarray
     color: str
     label: str = "_"
@@ -57,18 +55,7 @@ class Panel(NamedTuple):
 
 @look.styled
 def plot_states(log: SimulationLog) -> Figure:
-    """The states against their reference, errors, integral states and weights over time; Fig. 7(a).
-
-    Rotations [deg] on the left, translations [mm] on the right. A row each for the axis that the paper moves (roll, Z),
-    the other two axes, the tracking error and the integral state; below them omega_Q, omega_R and their ratio, or what
-    else the tuner gives.
-
-    Args:
-        log: A run, completed or not. The end of one that failed is marked.
-
-    Raises:
-        ConfigurationError: The log has no rows.
-    """
+    """The states against their reference, errors, integral states and weights [deg, mm] over time; Fig. 7(a)."""
     with np.errstate(all="ignore"):
         metrics = run_metrics(log)
     log = _drawable(log)
@@ -81,16 +68,7 @@ def plot_states(log: SimulationLog) -> Figure:
 
 @look.styled
 def plot_torques(log: SimulationLog) -> Figure:
-    """Torques of the six motors over time [N m], a panel each and all on one scale; Fig. 7(b).
-
-    The commanded torque shows where the limit of the motor cut it; the limits are drawn where they are near.
-
-    Args:
-        log: A run, completed or not. The end of one that failed is marked.
-
-    Raises:
-        ConfigurationError: The log has no rows.
-    """
+    """Torques of the six motors over time [N m], on one scale, with limits where they are near; Fig. 7(b)."""
     log = _drawable(log)
     applied, commanded, limits = log["torque_applied"], log["torque"], log.scenario.robot.effort_limits
     rms, peak = np.sqrt(np.mean(applied**2, axis=0)), np.abs(applied).max(axis=0)
@@ -245,7 +223,6 @@ def _plot_panel(axis: Axes, log: SimulationLog, panel: Panel) -> None:
 
 
 def _widen(panel: Axes, least: float) -> None:
-    """Opens the vertical range to at least `least`."""
     transform = panel.yaxis.get_transform()
     low, high = transform.transform(np.array(panel.get_ylim()))
     missing = 0.5 * (least - (high - low))
@@ -254,7 +231,6 @@ def _widen(panel: Axes, least: float) -> None:
 
 
 def _outcome(log: SimulationLog) -> tuple[str, str]:
-    """How the run ended, in words, and the colour of the words."""
     if log.status == "completed":
         return f"completed, {log.end_time:g} s", look.TEXT
     leg = "" if log.leg is None else f", leg {log.leg}"

@@ -30,7 +30,6 @@ MAX_RUNS = 10_000
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _QUICK_FREQUENCIES = 2
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""Kind -> name -> (scenario key -> value)."""
 
 
 class Cell(NamedTuple):
@@ -42,7 +41,6 @@ class Cell(NamedTuple):
     seed: int
     """What {seed} became."""
     changes: Mapping[str, Any]
-    """Scenario key -> value."""
     frequency: float | None = None
     """[Hz]"""
     amplitude: float | None = None
@@ -69,7 +67,6 @@ BANDS = (
     Column("phase_deg", "deg", "of the pose to the reference, negative for a lag"),
     Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
 )
-"""Columns of the table of bands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +75,13 @@ class Comparison(Study):
 
     file: CompareFile
     cells: tuple[Cell, ...]
-    """Runs of the table, then bands."""
     kind = "comparison"
 
     @classmethod
     def from_dict(
         cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
     ) -> Comparison:
-        """A comparison from plain values, see `CompareFile`; every scenario of it is checked.
-
-        Paths are relative to `folder`; `quick` is shorter, see `CompareFile.quick`; with a robot, a name or YAML file,
-        all motions and loads are in its size, see `sized`.
-        """
+        """From plain values, see `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
@@ -122,7 +114,6 @@ class Comparison(Study):
 
     @cached_property
     def variants(self) -> list[Scenario]:
-        """One for each controller, reference and condition."""
         different = {cell[:3]: index for index, cell in enumerate(self.cells)}
         return [self.scenario(index) for index in different.values()]
 
@@ -137,7 +128,6 @@ class Comparison(Study):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of the table."""
         return (*_NAMES, *run_columns(*self.variants), _SETTLING, *(() if self.file.cost is None else (_COST,)))
 
     def tables(self, rows: Sequence[Row]) -> Tables:
@@ -204,7 +194,6 @@ class Comparison(Study):
 def load_comparison(
     path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
 ) -> Comparison:
-    """Reads a comparison file, or a comparison of the package by its name; see `Comparison.from_dict`."""
     return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
 
 
@@ -306,7 +295,6 @@ _FIGURES = {
 
 
 def _groups(rows: Sequence[Row], *columns: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows by their values in some columns."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[column] for column in columns), []).append(row)
@@ -342,7 +330,6 @@ def _mean_cost(group: Sequence[Row]) -> str:
 
 
 def _worst(group: Sequence[Row], column: str) -> str:
-    """The largest number in a column; a dash where one is missing."""
     values: list[Any] = [row.get(column) for row in group]
     return number(max(values, default=None) if None not in values else None)
 
@@ -356,7 +343,6 @@ def _missed(group: Sequence[Row]) -> str:
 
 
 def _failure(group: Sequence[Row]) -> str | None:
-    """How the first run that was not completed ended."""
     failed = [row for row in group if row["status"] != "completed"]
     if not failed:
         return None
@@ -365,7 +351,6 @@ def _failure(group: Sequence[Row]) -> str | None:
 
 
 def _only_lost(group: Sequence[Row]) -> bool:
-    """Whether all runs have figures: what was lost went on to its end."""
     return all(row["status"] in ("completed", "lost") for row in group)
 
 

@@ -36,9 +36,7 @@ that is left."""
 
 _FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
 ONSET: float = _FILE["onset"]
-"""[s] when every fault begins."""
 DURATION: float = _FILE["duration"]
-"""[s] of each run."""
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
 
 
@@ -71,7 +69,6 @@ class Fault(Section):
 
     @property
     def bound(self) -> str:
-        """The time `within` in words."""
         return "" if self.within is None else f" (a monitor trips within {1e3 * self.within:.0f} ms)"
 
     def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
@@ -96,7 +93,6 @@ def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
 
 
 FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
-"""By name, in the order of the table."""
 _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 _HELD = (
     Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
@@ -128,10 +124,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class FaultStudy(Study):
-    """Runs of the table."""
-
     pairs: Sequence[tuple[Fault, str]]
-    """Fault and motion of each row of the whole table, by index."""
     kind = "faults"
 
     def task(self, index: int) -> Task:
@@ -174,7 +167,6 @@ class FaultStudy(Study):
 
 
 def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
-    """The study of the whole table; quick: of the held platform alone; robot and overrides as in `base`."""
     pairs = list(product(FAULTS.values(), MOTIONS))
     indices = [index for index, (_, motion) in enumerate(pairs) if motion == "hold" or not quick]
     return FaultStudy(base(robot, overrides), pairs, name="faults", indices=indices)
@@ -219,7 +211,6 @@ def _peak(values: np.ndarray) -> float | None:
 
 
 def _held(log: SimulationLog) -> Row:
-    """What five motors hold where the platform stood as the sixth died."""
     scenario, dead = log.scenario, log.scenario.motors.dead
     if dead is None:
         return {}
@@ -255,7 +246,6 @@ def holdable_load(
     bounds = limit * np.array([(0, *signs) for signs in product((1, -1), repeat=2)])
 
     def sizes(by_load: np.ndarray) -> np.ndarray:
-        """Of the corners of the polygon of loads that the motors hold; a norm is largest at one of them."""
         wanted = bounds - weight[legs][:, None]
         loads = (wanted @ np.linalg.pinv(by_load[legs]).swapaxes(1, 2)).reshape(-1, 3)
         torque = weight + loads @ by_load.T
@@ -306,7 +296,6 @@ _UNITS = (
 
 
 def _largest(rows: Sequence[Row], units: Iterable[tuple[str, str]]) -> str:
-    """The largest of each column with its unit."""
     values = (([row[name] for row in rows if row.get(name) is not None], unit) for name, unit in units)
     return ", ".join(f"{max(each):.2f} {unit}" for each, unit in values if each) or "-"
 

@@ -42,7 +42,6 @@ INCIDENTAL = (
     Column("host", "", "machine that the run was on", "text"),
     Column("worker", "", "process that the run was in", "whole"),
 )
-"""Last columns of a sweep: the only ones that depend on where and when it ran."""
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Metrics in which Drake is set beside the reduced engine."""
 SMALLEST = 1e-5
@@ -82,9 +81,7 @@ class Study(ABC):
     """Name of the first table, and key of what the tables' metadata say of the study."""
 
     base: Scenario
-    """With everything fixed in it."""
     name: str = field(kw_only=True)
-    """For folders and titles."""
     indices: Sequence[int] = field(kw_only=True)
 
     @abstractmethod
@@ -93,15 +90,12 @@ class Study(ABC):
 
     @property
     @abstractmethod
-    def work(self) -> dict[str, Any]:
-        """What the rows depend on, in plain types."""
+    def work(self) -> dict[str, Any]: ...
 
     @abstractmethod
-    def tables(self, rows: Sequence[Row]) -> Tables:
-        """The tables that rows make."""
+    def tables(self, rows: Sequence[Row]) -> Tables: ...
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:  # noqa: ARG002
-        """What is read, as Markdown, given the rows of each table."""
         return ""
 
     @property
@@ -111,7 +105,6 @@ class Study(ABC):
 
     @property
     def runs(self) -> int:
-        """How many."""
         return len(self.indices)
 
     def scenario(self, index: int) -> Scenario:
@@ -143,15 +136,10 @@ class Study(ABC):
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """What a study leaves."""
-
     folder: Path
     rows: dict[str, list[Row]]
-    """Name of a table -> its rows as plain values, with what else they say."""
     tables: dict[str, pa.Table]
-    """Name -> table; those with rows are NAME.parquet and NAME.csv in the folder."""
     engine: str | None = None
-    """What Drake says of runs on the reduced engine, see `drake_beside`."""
 
 
 def run_study(
@@ -161,11 +149,7 @@ def run_study(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> StudyResult:
-    """Runs what is missing of a study and writes its tables; every run becomes a row.
-
-    A second call goes on where the first ended, however that was. `progress` gets the number of runs done; `restart`
-    throws away what is in the folder.
-    """
+    """Runs what is missing of a study and writes its tables; `progress` gets the number of runs done."""
     with KeptRuns(folder, study.identity(), workers, progress, restart) as kept:
         rows = kept.rows(study.indices, study.task)
         engine = drake_beside(study, rows)
@@ -185,7 +169,6 @@ def run_study(
 
 
 def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
-    """What a file, or one of the package by its name, makes."""
     path = find_file(kind, path)
     data = read_mapping(kind, path, 80)
     with trusting_code(trust_code):
@@ -249,7 +232,6 @@ def to_arrow(
 
 
 def write_table(table: pa.Table, folder: Path, name: str) -> None:
-    """Writes NAME.parquet and NAME.csv."""
     write_atomically(folder / f"{name}.parquet", to_parquet(table))
     write_atomically(folder / f"{name}.csv", to_csv(table))
 
@@ -262,12 +244,10 @@ class Sheet(NamedTuple):
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table as GitHub shows it."""
         return "\n".join([f"**{self.title}**", "", *markdown(self.header, self.rows)]) + "\n"
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a table as GitHub shows it."""
     return [f"| {' | '.join(each)} |" for each in (header, ["---"] * len(header), *rows)]
 
 

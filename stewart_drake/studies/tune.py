@@ -51,7 +51,6 @@ START, TUNED, SEARCHED = "start", "tuned", "tuned, as searched"
 _QUICK_GENERATIONS = 2
 
 Setting = dict[str, float]
-"""Scenario key -> value."""
 
 
 class Ranges(NamedTuple):
@@ -62,11 +61,9 @@ class Ranges(NamedTuple):
     high: Setting
 
     def points(self) -> list[np.ndarray]:
-        """The three in logarithms."""
         return [np.log(list(setting.values())) for setting in self]
 
     def setting(self, point: np.ndarray) -> Setting:
-        """The setting at a point, to `DIGITS` digits."""
         return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(self.start, np.exp(point), strict=True)}
 
 
@@ -81,9 +78,7 @@ class Tuning:
     """Controller -> what is searched of it."""
     generations: int
     data: Mapping[str, Any]
-    """The file in plain values."""
     folder: Path
-    """Where it lies."""
     quick: bool
 
     @classmethod
@@ -95,11 +90,7 @@ class Tuning:
         budget: int | None = None,
         quick: bool = False,
     ) -> Tuning:
-        """A search from plain values, see `CompareFile`; every scenario of it is checked at both ends of each key.
-
-        `controllers` are those to search, none for all that `tune` names; `budget` evaluations of each stand in place
-        of `generations`, rounded down to whole ones; `quick` is short runs, two generations.
-        """
+        """From plain values, see `CompareFile`; `budget` evaluations of each stand in place of `generations`."""
         plain = {**data, "tuned": None, "bands": None}
         options = Comparison.from_dict(plain, folder, quick).file.tune
         if options is None:
@@ -124,17 +115,14 @@ class Tuning:
 
     @property
     def name(self) -> str:
-        """For folders and titles."""
         return self.comparison.name
 
     @property
     def evaluations(self) -> int:
-        """Of each controller, at most: the start, and all generations."""
         return 1 + self.generations * self.options.population
 
     @property
     def runs(self) -> int:
-        """At most, the verdict's included."""
         return sum(len(self.cells(name)) for name in self.ranges) * self.evaluations + self.verdict({}).runs
 
     def cells(self, controller: str) -> list[int]:
@@ -167,13 +155,11 @@ def load_tuning(
     quick: bool = False,
     trust_code: bool = False,
 ) -> Tuning:
-    """Reads a comparison file, or a comparison of the package by its name; see `Tuning.from_dict`."""
     make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
     return load_study("comparison", path, make, trust_code)
 
 
 def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Ranges:
-    """Bounds and start of a controller's keys."""
     cell = next((cell for cell in comparison.cells if cell.controller == name), None)
     if cell is None:
         names = ", ".join(dict.fromkeys(cell.controller for cell in comparison.cells))
@@ -192,16 +178,10 @@ def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, f
 
 
 class TuneResult(NamedTuple):
-    """What a search leaves."""
-
     rows: list[Row]
-    """One an evaluation, see `COLUMNS`."""
     tuned: dict[str, Setting]
-    """Controller -> the setting that cost least."""
     verdict: StudyResult
-    """See `Tuning.verdict`."""
     sheets: list[Sheet]
-    """Costs in the search, and by the verdict."""
 
 
 def run_tuning(
@@ -211,10 +191,7 @@ def run_tuning(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> TuneResult:
-    """Searches, compares, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict.
-
-    A second call goes on where the first ended: also with more generations, or with other controllers or bounds.
-    """
+    """Searches, compares, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict."""
     tell = progress or (lambda _: None)
     with KeptRuns(folder, tuning.comparison.identity(), workers, tell, restart) as kept:
         rows = [row for name in tuning.ranges for row in _search(tuning, name, kept)]
@@ -244,7 +221,6 @@ def run_tuning(
 
 
 def write_picture(result: TuneResult, folder: Path) -> str | None:
-    """Draws tune.png; a line where it is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_search
@@ -302,12 +278,10 @@ def minimise(
     seed: int,
     spread: float = 0.2,
 ) -> tuple[np.ndarray, float]:
-    """The least of a function over a box by CMA-ES: the best point (n,) and its cost.
+    """The best point (n,) of a box and its cost, by CMA-ES with `spread`, a share of the box, at first.
 
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772 (2016). The same arguments give the same
-    points, so that a search whose evaluations are kept goes on where it was. `evaluate` is asked for the cost of the
-    start first, then for those of a generation at a time, fewer of them where the search has converged; `spread` is the
-    standard deviation of the first, as a share of the box.
+    points: a search whose evaluations are kept goes on where it was. The first asked for is the start, alone.
     """
     # It loads matplotlib.
     import cma

@@ -25,7 +25,6 @@ from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
-"""A function that the workers can import, and its arguments."""
 
 CONNECT_TIMEOUT = 20.0
 """[s] that a scheduler has to answer."""
@@ -44,8 +43,7 @@ _QUIET = ExitStack()
 class Workers:
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
-    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs, None
-    for never; or the cluster of the Dask scheduler at an address such as tcp://host:8786.
+    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs.
     """
 
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
@@ -53,7 +51,6 @@ class Workers:
         self._client = None if scheduler is None else _connected(scheduler)
         self._life = math.inf if worn is None or scheduler is not None else self.count * worn
         self.left = self._life
-        """Runs until the processes are replaced."""
 
     def __enter__(self) -> Self:
         return self
@@ -80,7 +77,6 @@ class Workers:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
     def wear(self, runs: int) -> None:
-        """Counts what was run, and ends processes that are worn: the next run starts others."""
         self.left -= runs
         if self.left <= 0:
             get_reusable_executor().shutdown(wait=True)
@@ -94,10 +90,10 @@ def run_jobs(
     workers: Workers | None = None,
     died: Callable[[K], Any] | None = None,
 ) -> None:
-    """Does the work of each key, in any order; `keep` is called in this process with each result as it comes.
+    """Does the work of each key, in any order; `keep` gets each result in this process as it comes.
 
-    Where a worker process dies, what was under way is done again, one piece at a time; what `died` gives is the result
-    of work whose process dies twice, and without it all ends.
+    Where a worker process dies, what was under way is done again, one piece at a time; `died` gives the result of work
+    whose process dies twice, and without it all ends.
     """
     workers = workers or Workers()
     if workers.count == 0:
@@ -144,13 +140,11 @@ def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers:
 
 
 def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """What a worker does."""
     check_worker(source)
     return key, function(*arguments)
 
 
 def check_worker(source: str) -> None:
-    """Refuses to work with another source of the package than that of where the study is."""
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
@@ -176,7 +170,6 @@ def start_worker(parent: int) -> None:
 
 
 def _connected(address: str) -> Any:
-    """A client of a Dask cluster."""
     try:
         import distributed
     except ImportError:

@@ -1,6 +1,6 @@
 """Settings and tuners in the same situations: their runs, their costs over those of the best fixed setting, and a page.
 
-A candidate is what changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
+A candidate changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ BEST_FIXED = "best fixed"
 
 Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
-"""Kind and robot."""
 Candidate = Callable[[Case, Scenario], Changes]
-"""What a candidate changes in the scenario of a case, which has the default setting."""
 GROUPS: Mapping[str, Callable[[Cell], bool]] = {
     "all kinds": lambda _: True,
     "without hold": lambda cell: cell[0] != "hold",
@@ -77,7 +75,6 @@ class Baselines(Section, key=""):
 
 
 def always(changes: Changes) -> Candidate:
-    """A candidate that is the same in all situations."""
     return lambda *_: changes
 
 
@@ -126,7 +123,6 @@ def cells_for(robot: str | None = None, trained: bool | None = None) -> list[Cel
 
 
 def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
-    """All seeds of all cells, cell by cell."""
     return [Case(*cell, seed) for cell in cells for seed in seeds]
 
 
@@ -137,27 +133,21 @@ def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
 
 
 def mean_over_cells(values: np.ndarray, cases: Sequence[Case]) -> np.ndarray:
-    """Mean over the cells of the means in them, (...) of values (..., cases)."""
     return np.mean([values[..., places].mean(axis=-1) for places in cells_of(cases).values()], axis=0)
 
 
 def measure_parts(log: SimulationLog) -> Row:
-    """What the cost of a run is made of."""
     figures = run_metrics(log)
     return {**{name: figures[name] for name in MEASURED}, "period": log.scenario.controller.period}
 
 
 def log_cost(row: Row, scales: CostScales) -> float:
-    """Logarithm of what a run cost."""
     cost = run_cost(row, row["status"], row.get("period", 1.0), scales)
     return float(np.log(max(cost, LEAST_COST)))
 
 
 class Benchmark(KeptRuns):
-    """Runs of candidates, known by what is run: one that is in the folder already is not run again.
-
-    A context manager, and its arguments, as `KeptRuns`; for `engine` see `PlantOptions`.
-    """
+    """Runs of candidates, known by what is run; a context manager with the arguments of `KeptRuns`."""
 
     def __init__(
         self,
@@ -171,13 +161,11 @@ class Benchmark(KeptRuns):
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        """A row for each run, candidate by candidate: how it ended, see `runs.execute`, and `measure_parts`."""
         tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
         keys = [checksum(task.drawn) for task in tasks]
         return self.rows(keys, dict(zip(keys, tasks, strict=True)).__getitem__)
 
     def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
-        """(candidates, cases) logarithms of costs, see `log_cost`."""
         costs = [log_cost(row, CostScales()) for row in self.run(candidates, cases)]
         return np.reshape(costs, (len(candidates), len(cases)))
 
@@ -205,7 +193,7 @@ class Estimate(NamedTuple):
 def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean") -> Estimate:
     """Of logarithms (n,) by cell: geometric mean over the cells of those in them, or median of all runs.
 
-    The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
+    The interval is a percentile bootstrap's over the runs in each cell.
     """
     # Half a second of import.
     from scipy.stats import bootstrap
@@ -250,10 +238,7 @@ def assess(
     tell: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Verdict:
-    """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
-
-    `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
-    """
+    """Runs what is missing, `seeds` situations of each kind, and writes verdict.parquet, .csv and .md."""
     import pyarrow as pa
 
     cases = cases_of(cells_for(), HELD_OUT[:seeds])
@@ -313,7 +298,6 @@ def page(verdict: Verdict) -> str:
 
 
 def write_picture(verdict: Verdict, folder: Path) -> str | None:
-    """Draws verdict.png; a line where it is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_costs

@@ -1,7 +1,6 @@
 """Training of the policy by an evolution strategy: whole runs on the fast engine, on all cores.
 
-What is made small is the mean of log J over situations, each kind of them counting alike: a hundredth saved where a
-robot stands still counts like one saved under a push.
+What is made small is the mean of log J over situations, each kind of them counting alike.
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ from stewart_drake.training.benchmark import (
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION, Case, situation
 
 HIDDEN = 16
-"""Hidden units."""
 WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
 """Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
 LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 0.5])
@@ -52,7 +50,6 @@ LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 
 FAR = 1e5
 """Ends of the features' range while nothing is known of it."""
 SPREAD = 0.1
-"""Standard deviation of the directions."""
 LEARNING_RATE = 0.03
 """Of Adam at first; it falls to a tenth along half a cosine."""
 FAIRNESS = 4.0
@@ -68,10 +65,7 @@ _SKIPPED, _SAMPLED = 30, 10
 def policy_of(
     weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = (-FAR, FAR)
 ) -> Policy:
-    """A policy of flat weights (`WEIGHTS`,); with zeros it stays at the centre (4,).
-
-    `mean` and `scale` (13,) are of its features, `ends` (2, 13) their range.
-    """
+    """A policy of flat weights (`WEIGHTS`,); zeros stay at the centre (4,); mean, scale (13,), ends (2, 13)."""
     parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
     mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, *ends))
     layers = Layers(
@@ -116,16 +110,12 @@ def _fast(case: Case) -> Scenario:
 
 
 class _GivenTuner(PolicyTuner):
-    """A policy that stands in memory."""
-
     def chooser(self) -> Chooser:  # type: ignore[override]
         given: Chooser = vars(self)["given"]
         return given
 
 
 class _Recorder:
-    """A policy that writes down its features; see `Chooser`."""
-
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
         self.numbers, self.law = policy.numbers, self._tick
@@ -143,7 +133,6 @@ class _Recorder:
 def _features(
     setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
 ) -> None:
-    """`features` of arrays."""
     features(record(setups), density, error, torque, innovation, reference, record(states), out)
 
 
@@ -154,13 +143,11 @@ class PolicyOptions:
     seed: int = 0
     """Of the first weights, the smoothness and the directions."""
     generations: int = 150
-    """Steps of evolution."""
     situations: int = 8
     """In a generation, times `MORE`."""
     pool: int = 32
     """That generations take theirs from in turn."""
     validation: int = 6
-    """By which the best generation is chosen."""
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
@@ -188,14 +175,13 @@ class State:
     """(g, 2) generation and mean of log J over that at the centre on validation."""
 
     def save(self, file: Path, identity: str) -> None:
-        """Writes it beside and renames."""
         content = io.BytesIO()
         np.savez(content, identity=identity, **vars(self))
         write_atomically(file, content.getvalue())
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        """Reads what `save` wrote; a ConfigurationError where it is no such file, or of other options."""
+        """Reads what `save` wrote."""
         try:
             with np.load(file, allow_pickle=False) as content:
                 values = {name: value if value.ndim else value.item() for name, value in content.items()}
@@ -210,8 +196,6 @@ class State:
 
 
 class Training:
-    """The steps of `train_policy`."""
-
     def __init__(self, options: PolicyOptions, workers: Workers) -> None:
         self.options, self._workers = options, workers
         self.centre = np.array(Baselines.load().best)
@@ -242,11 +226,7 @@ class Training:
         return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def step(self, state: State) -> State:
-        """One more generation: each situation twice, with weights on opposite sides of the present ones.
-
-        Both runs of a pair have the same noise and pushes; the difference of their costs is the slope along the pair's
-        direction.
-        """
+        """One more generation: each situation twice, with weights on opposite sides of the present ones."""
         began, at = time.perf_counter(), dataclasses.replace(state)
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
@@ -275,15 +255,12 @@ class Training:
         return Policy(policy.layers, self._card(state, self.validate(state, policy)))
 
     def policy(self, state: State, weights: np.ndarray) -> Policy:
-        """The policy of some weights, with the statistics of a state."""
         return policy_of(weights, self.centre, state.mean, state.scale)
 
     def validate(self, state: State, policy: Policy) -> np.ndarray:
-        """Log J of a policy over that at the centre in each validation situation."""
         return self.costs([policy] * len(self.validation), self.validation) - state.validated
 
     def costs(self, policies: Sequence[Policy], cases: Sequence[Case]) -> np.ndarray:
-        """Log J of each policy in the case beside it."""
         return np.array(self._map(episode_cost, list(zip(policies, cases, strict=True))))
 
     def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Case]]) -> list[Any]:
@@ -293,7 +270,6 @@ class Training:
         return [results[key] for key in keys]
 
     def _batch(self, generation: int) -> np.ndarray:
-        """Places in the pool of the cases of a generation."""
         chosen = []
         for (_, robot), places in cells_of(self.pool).items():
             count = min(self.options.situations * MORE.get(robot, 1), len(places))
@@ -332,7 +308,6 @@ class Training:
 
 
 def _adam(at: State, gradient: np.ndarray, generations: int) -> None:
-    """A step of Adam against a gradient of length 1 at most."""
     gradient = gradient / max(1.0, float(np.linalg.norm(gradient)))
     first, second = 0.9 * at.moments[0] + 0.1 * gradient, 0.99 * at.moments[1] + 0.01 * gradient**2
     at.moments = np.stack([first, second])
@@ -350,11 +325,7 @@ def train_policy(
 ) -> Policy:
     """Trains; the same options give the same policy, however many processes there are and wherever it was interrupted.
 
-    Args:
-        options: How to train.
-        file: Written after each generation and gone on from, where it is there; removed at the end. None for none.
-        tell: Called with generations done and a word on it.
-        workers: Where the runs go; None for a process on each core.
+    `file` is written after each generation and gone on from, where it is there; removed at the end.
     """
     # Worn out by nothing: without Drake a process stays small, and it knows its situations.
     training = Training(options, workers or Workers(os.cpu_count(), worn=None))
