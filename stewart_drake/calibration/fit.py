@@ -279,7 +279,16 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
         got = f"poses that tell a {own} of leg {start.furthest // PER_LEG} {off:.3g} {own.unit} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
-    _check_branches(start)
+    model, angles = start.model, measurements.angles
+    at = model.platform(start.change, measurements.marker)
+    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
+    # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
+    wrong = (np.sign(by_angle[..., 0]) == -guess.branches).all(axis=0)
+    if wrong.any():
+        leg = int(wrong.argmax())
+        branch = int(guess.branches[leg])
+        allowed = f"{-branch}: there the readings of {measurements.source} stand"
+        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, allowed)
     return start
 
 
@@ -319,16 +328,3 @@ def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]
         most = (off / (np.median(off, axis=0) + 1e-12)).max(axis=-1)
         far[good] = np.minimum(most, np.roll(most, -1))
     return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]
-
-
-def _check_branches(start: _Start) -> None:
-    """Refuses a leg that stands on the other branch than the guess's in each row."""
-    model, angles, source = start.model, start.measurements.angles, start.measurements.source
-    at = model.platform(start.change, start.measurements.marker)
-    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
-    # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
-    wrong = (np.sign(by_angle[..., 0]) == -model.guess.branches).all(axis=0)
-    if wrong.any():
-        leg = int(wrong.argmax())
-        branch = int(model.guess.branches[leg])
-        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, f"{-branch}: there the readings of {source} stand")

@@ -87,7 +87,6 @@ def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def transform_of(pose: np.ndarray) -> np.ndarray:
-    """Frames (..., 4, 4) of poses (..., 6) [rad, m]."""
     return transform(rotation_matrix(pose[..., :3]), pose[..., 3:])
 
 
@@ -130,7 +129,6 @@ def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]
 
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
-    """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets."""
     own = changed(guess, change)
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
     keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
@@ -191,7 +189,6 @@ class Model:
         return replace(self, base=base, marker=marker)
 
     def platform(self, change: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Poses of P in B from those of the marker."""
         base, marker = self.frames(change)
         return np.linalg.inv(base) @ seen @ np.linalg.inv(marker)
 

@@ -96,7 +96,6 @@ class Measurements:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(n, 12) of `QUANTITIES`."""
         return np.concatenate([self.pose, self.angles], axis=-1)
 
     @cached_property

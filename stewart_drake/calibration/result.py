@@ -134,7 +134,6 @@ class Calibration(Report):
             yield f"{name}, roll pitch yaw [rad] X Y Z [m]", " ".join(f"{x:.7g}" for x in pose_of(frame))
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows: each leg's changes against the guess with their 95 % intervals, in mm and mrad."""
         changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (self.change, self.half_width))
         cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
         return ["", *(f"leg {leg}" for leg in range(LEGS))], [
@@ -142,7 +141,6 @@ class Calibration(Report):
         ]
 
     def robot_file(self) -> str:
-        """The calibrated robot as a file that goes for `robot:` in a scenario."""
         about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"
         comments = "".join(f"# {name}: {text}\n" for name, text in self._frames())
         return f"{comments}{to_yaml({'about': about, **self.robot.to_dict()})}"

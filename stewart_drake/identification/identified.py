@@ -166,7 +166,6 @@ class Identification(Report):
             yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows of texts: guess, value and meaning of each parameter; torque constants as factors."""
         rows = []
         for own, (*_, guess, value, width, meaning) in zip(PARAMETERS, self.rows(), strict=True):
             if own.kind == "torque_constant":
@@ -177,11 +176,9 @@ class Identification(Report):
         return ["", "guess", "value", "means"], rows
 
     def friction_file(self) -> str:
-        """Friction of the motors as a part of a scenario."""
         return to_yaml({"plant": {"friction": {"coulomb": self.coulomb.tolist(), "viscous": self.viscous.tolist()}}})
 
     def robot_file(self) -> str:
-        """The identified robot as a file that goes for `robot:` or `model_robot:` in a scenario."""
         within = [
             f"{'its torques' if at < self.logs else 'torques of a log not used'} within {100 * each.found:.2g} %"
             for at, each in enumerate(self.predictions)

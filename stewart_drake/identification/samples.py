@@ -93,12 +93,10 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """[Hz] of the rows."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
     @property
     def table(self) -> np.ndarray:
-        """(n, 13) of `QUANTITIES`."""
         return np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1)
 
     def to_csv(self) -> str:

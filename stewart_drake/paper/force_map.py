@@ -111,7 +111,6 @@ def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
 
 
 def reproduce(study: Study) -> Result:
-    """Two plants at rest at random poses, one with the legs of Table I and one with massless legs."""
     robot, rng = study.base.robot, np.random.default_rng(SEED)
     poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN).poses
     light = light_legs(robot, MASSLESS)

@@ -79,7 +79,6 @@ def improvement(errors: Errors, baseline: Sequence[float]) -> dict[str, Any]:
 
 
 def reproduce(study: Study) -> Result:
-    """Every trajectory under the tuner and the five ratios; (37), (38) again without gravity, and from other starts."""
     base, network = study.base, load_network(study.tuner_file)
     unseen = unseen_trajectories()
     if study.quick:
@@ -114,7 +113,11 @@ def reproduce(study: Study) -> Result:
     fixed_logs = {key: log for key, log in logs.items() if key[1] in FIXED}
     answers = [_mean_ratio(log, network.weights(log["density"])) for log in fixed_logs.values()]
     slope = float(np.polyfit([np.log10(FIXED[who]) for _, who in fixed_logs], answers, 1)[0])
-    figures = {key: _figures(log) for key, log in logs.items() if key[0] in fig7}
+    figures = {}
+    for key, log in ((key, log) for key, log in logs.items() if key[0] in fig7):
+        m = run_metrics(log)
+        sizes = {"roll_rmse_deg": m["rmse_deg"][0], "z_rmse_mm": m["rmse_mm"][2]}
+        figures[key] = {**sizes, "integral_at_5s": largest_integral(log), "growth": growth(log)}
     numbers = {
         "fig7": {name: figures[name, None] for name in fig7},
         "nearby_starts": {
@@ -152,13 +155,3 @@ def reproduce(study: Study) -> Result:
 
 def _mean_ratio(log: SimulationLog, weights: np.ndarray) -> float:
     return float((np.log10(weights[second_half(log)]) @ (1.0, -1.0)).mean())
-
-
-def _figures(log: SimulationLog) -> dict[str, Any]:
-    m = run_metrics(log)
-    return {
-        "roll_rmse_deg": m["rmse_deg"][0],
-        "z_rmse_mm": m["rmse_mm"][2],
-        "integral_at_5s": largest_integral(log),
-        "growth": growth(log),
-    }

@@ -73,10 +73,7 @@ def rotation_3(rpy: np.ndarray) -> np.ndarray:
 
 
 def platform_joints(robot: RobotParameters, pose: np.ndarray, misprint: str = "") -> np.ndarray:
-    """Platform joints (..., 6, 3) [m] in B as (2) means them, R^-1 p_i + G, or with one of `MISPRINTS`.
-
-    With "(3)", R is that of `rotation_3`; with "(5)", its bracket is R^-1 (p_i + G).
-    """
+    """Platform joints (..., 6, 3) [m] in B as (2) means them, R^-1 p_i + G, or with the misprint of (3) or (5)."""
     position, joints = pose[..., None, 3:], robot.platform_joints
     if misprint == "(3)":
         return joints @ np.swapaxes(np.linalg.inv(rotation_3(pose[..., :3])), -1, -2) + position
@@ -109,10 +106,7 @@ def crank_angles_6(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
-    """Distances (n, 6) [m] of crank tips to platform joints by Drake's forward kinematics: the length of the rods.
-
-    Crank angles, by the closed form, and poses (n, 6) are set independently in the plant.
-    """
+    """Lengths (n, 6) [m] of rods by Drake's forward kinematics, crank angles by the closed form and poses set apart."""
     stewart = build_plant(robot)[1]
     plant, spans = stewart.plant, np.empty(poses.shape)
     context, world, platform = plant.CreateDefaultContext(), plant.world_frame(), plant.GetFrameByName("platform")
@@ -127,12 +121,9 @@ def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
 
 
 def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> dict[str, Any]:
-    """Inverse kinematics of poses (n, 6) in reach, Newton's method back from `guess`.
+    """Numbers of poses (n, 6) that Newton's method finds back from `guess`: `same`, `other`, `failed`.
 
-    Returns:
-        Numbers of poses: `same`, found again; `other`, another assembly of the same crank angles; `other_across`, those
-        of them that a parallel singularity parts from home; `failed`. `error` [m]: largest distance to a pose found
-        again, shift of the centre plus turn times 1 m.
+    `other_across` are those of `other` beyond a parallel singularity; `error` [m] is shift plus turn times 1 m.
     """
     legs = leg_geometry(robot, poses)
     found = np.full(poses.shape, np.nan)
@@ -170,7 +161,6 @@ def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> di
 
 
 def reproduce(study: Study) -> Result:
-    """Free motion for ever smaller steps of the plant; kinematics at random poses of three boxes, on both branches."""
     robot, gravity, rng = study.base.robot, study.base.gravity, np.random.default_rng(SEED)
     steps = np.array(study.pick((2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5), (2e-3, 1e-3, 5e-4)))
     motions = [plant_motion(robot, gravity, float(step)) for step in steps]

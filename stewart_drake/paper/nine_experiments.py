@@ -62,7 +62,6 @@ def distinct(distances: np.ndarray, tolerance: float) -> int:
 
 
 def reproduce(study: Study) -> Result:
-    """Runs of (37), (38) under six conditions; and with gravity and (34) alone, by period and force map."""
     # Quick: all nine pairs to 5 s where the paper stands, without gravity and feedforward; elsewhere fewer and shorter.
     pairs = dict.fromkeys(CONDITIONS, study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]]))
     pairs |= {FREE: PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}

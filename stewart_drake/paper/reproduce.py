@@ -25,7 +25,7 @@ from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.collect import OMEGAS
 
 K = TypeVar("K")
@@ -74,15 +74,10 @@ class Study:
 
     def run(self, scenarios: Mapping[K, Scenario], check: bool = True) -> dict[K, SimulationLog]:
         different = list(dict.fromkeys(scenarios.values()))
-        logs: dict[Scenario, SimulationLog] = {}
-
-        def keep(index: int, log: SimulationLog) -> None:
-            logs[different[index]] = log
-            self.progress(len(logs) / len(different))
-
-        work = partial(simulate, check=check)
+        arguments = [(scenario,) for scenario in different]
         workers = Workers(0 if len(different) == 1 else self.workers)
-        run_jobs(range(len(different)), lambda index: (work, (different[index],)), keep, workers)
+        done = run_all(partial(simulate, check=check), arguments, workers, lambda n: self.progress(n / len(different)))
+        logs = dict(zip(different, done, strict=True))
         return {key: logs[scenario] for key, scenario in scenarios.items()}
 
     def under_tuner(self, scenario: Scenario) -> Scenario:
@@ -121,7 +116,6 @@ def write(out: Path, results: dict[str, Result]) -> None:
 
 
 def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
-    """The table: claim, paper, ours, verdict."""
     verdicts = {True: "holds", False: "fails", None: "-"}
     shown = ((claim, f"{claim.ours:.4g}" if claim.ours % 1 else f"{claim.ours:.0f}") for claim in claims)
     return [(c.name, c.paper, f"{ours} {c.unit}".strip(), verdicts[c.holds]) for c, ours in shown]
@@ -170,7 +164,6 @@ def paper_scenario(
 
 
 def score(log: SimulationLog) -> dict[str, float] | None:
-    """Pose RMSE [mm] and torque RMS [N m] of the second half; None where a run ended early."""
     if not log.reached_end:
         return None
     metrics = run_metrics(log)

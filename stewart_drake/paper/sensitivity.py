@@ -75,7 +75,6 @@ def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any
 
 
 def reproduce(study: Study) -> Result:
-    """The tuner and fixed weights on (37), (38) under every change."""
     base, duration = study.base, study.pick(DURATION, 0.5 * DURATION)
     ratios = study.pick((1.0, 100.0), (1.0,))
     fixed = {

@@ -144,7 +144,6 @@ def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) ->
 
 
 def reproduce(study: Study) -> Result:
-    """Matrices and gains at home; ranks and decay over boxes of poses; singular poses along each axis."""
     robot, period = study.base.robot, study.base.lqi.period
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
     a, b, c = matrices_21_22_24(at_home)
@@ -161,7 +160,13 @@ def reproduce(study: Study) -> Result:
     ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
     singular = [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))]
     lowest = min(rank for row in singular for rank in row["rank"].values() if rank is not None)
-    full = _ranks_are_full(study)
+    rng = np.random.default_rng(SEED)
+    ranks = {
+        stabilisability_rank(robot, pose, kind)
+        for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
+        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
+    }
+    full = ranks == {STATES}
     detectable = hautus_detectability(state_matrix(), output_matrix())
     gain = gain_of_ratio(at_home, period, 1.0)
     wrong_sign, right_sign = radius(at_home, -gain, period), radius(at_home, gain, period)
@@ -188,16 +193,6 @@ def reproduce(study: Study) -> Result:
         Claim("(27): slowest decay at the best ratio", "-", slow, "rad/s", None),
     ]
     return Result(numbers, claims)
-
-
-def _ranks_are_full(study: Study) -> bool:
-    robot, rng = study.base.robot, np.random.default_rng(SEED)
-    ranks = [
-        stabilisability_rank(robot, pose, kind)
-        for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
-        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
-    ]
-    return set(ranks) == {STATES}
 
 
 def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
@@ -97,16 +95,11 @@ def visited(log: SimulationLog) -> dict[str, Any]:
     }
 
 
-def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
+def reproduce(study: Study) -> Result:
     logs = {name: log for name, log in study.run(controlled_motions(study)).items() if len(log.time)}
     curves = {name: (log.time, np.abs(log["torque_applied"]).max(axis=1)) for name, log in logs.items()}
     draw = partial(chart, "Largest torque of a motor", "time [s]", "[N m]", curves)
-    return {name: visited(log) for name, log in logs.items()}, draw
-
-
-def reproduce(study: Study) -> Result:
-    """The regions that motions visit."""
-    motions, draw = motion_numbers(study)
+    motions = {name: visited(log) for name, log in logs.items()}
     done = [motion for motion in motions.values() if motion["status"] in ("completed", "lost")]
     torques = [motion["peak_torque"] for motion in done]
     most, use = max(torques) / min(torques), 100.0 * motions["the paper's motion"]["limit_use"]

@@ -62,7 +62,6 @@ def quiet(axes: Any) -> None:
 
 
 def logarithmic(panel: Axes, which: str) -> None:
-    """Logarithmic axes (`x`, `y` or both), with plain numbers at their decades and no ticks between."""
     for name in which:
         panel.set(**{f"{name}scale": "log"})
         axis = panel.xaxis if name == "x" else panel.yaxis

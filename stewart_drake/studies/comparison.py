@@ -25,7 +25,6 @@ from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure
 from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
-"""In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _QUICK_FREQUENCIES = 2
@@ -39,7 +38,6 @@ class Cell(NamedTuple):
     reference: str
     condition: str
     seed: int
-    """What {seed} became."""
     changes: Mapping[str, Any]
     frequency: float | None = None
     """[Hz]"""
@@ -71,8 +69,6 @@ BANDS = (
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Study):
-    """What is compared."""
-
     file: CompareFile
     cells: tuple[Cell, ...]
     kind = "comparison"
@@ -150,7 +146,6 @@ class Comparison(Study):
         return {"comparison": (self.columns, found + runs), "bands": (BANDS, bands)}
 
     def shown(self, rows: Sequence[Row]) -> list[Row]:
-        """The rows of the table that the file asks for, by controller in its order."""
         products = self.file.products
         asked = {
             key for each in products for key in itertools.product(each.controllers, each.references, each.conditions)
@@ -198,7 +193,6 @@ def load_comparison(
 
 
 def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
-    """Draws rmse.png, error.png and, where there are bands, bands.png; a line for each that is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
@@ -308,7 +302,6 @@ def _pivot(
     show: Callable[[Sequence[Row]], str],
     more: Sequence[tuple[str, Callable[[Sequence[Row]], str]]] = (),
 ) -> Sheet:
-    """A line for each controller: what is shown of its rows for each value of a column, and more of all of them."""
     cells, lines = _groups(rows, "controller", column), []
     values = [key[0] for key in _groups(rows, column)]
     for (name,), own in _groups(rows, "controller").items():

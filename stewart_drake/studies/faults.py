@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
@@ -41,18 +41,12 @@ MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
 
 
 class Fault(Section):
-    """A row of the table."""
-
     name: Text
-    """Stable name."""
     text: Text
-    """One line."""
     changes: dict[str, Any] = Field(default_factory=dict)
     """Scenario keys; `reference` is the motion's, whatever they say."""
     expected: tuple[Reaction, ...] = ("ridden through",)
-    """Reactions allowed."""
     monitors: tuple[Text, ...] = ()
-    """Monitors allowed to trip first; empty where none may."""
     drift: Vector6 | None = None
     """[rad, m] by which the reference wanders off; null for not at all."""
     drift_time: NotNegative = 0.8
@@ -173,7 +167,6 @@ def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequen
 
 
 def measure_fault(log: SimulationLog, fault: Fault) -> Row:
-    """Figures of a run: those of every sweep, and the last of `COLUMNS`."""
     trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
     # Rows at which a log stands are those of the safety layer's ticks.
     after = log.time >= fault.since - 1e-9
@@ -229,11 +222,10 @@ def _held(log: SimulationLog) -> Row:
 def holdable_load(
     weight: np.ndarray, jacobian: np.ndarray, limit: float, dead: int
 ) -> tuple[bool, float, float | None, float | None]:
-    """What five motors hold at rest beside the robot's own weight.
+    """Whether five motors hold G = `weight` (6,) [N m] at rest, and what else they hold.
 
-    At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
-    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does. G is `weight` (6,)
-    [N m], J d(theta)/d(twist) (6, 6), `limit` [N m] that of each motor.
+    At rest T = G - J^-T w for an external wrench w on the platform, J = d(theta)/d(twist) (6, 6), and T must vanish at
+    the dead motor: any load must lie in the one plane where they agree. `limit` [N m] is that of each motor.
 
     Returns:
         Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite where none helps;
@@ -274,30 +266,27 @@ it went after the safety layer took over. The worst of the motions counts.
 
 
 def sheet(rows: Sequence[Row], faults: Mapping[str, Fault] = FAULTS) -> Sheet:
-    """A line per fault: how each motion ends, and the worst figures over the motions."""
     motions = list(dict.fromkeys(row["motion"] for row in rows))
     lines = []
     for name, fault in faults.items():
         own = [row for row in rows if row["fault"] == name]
         ends = {row["motion"]: _end(row, fault) for row in own}
-        worst = (_largest(own, units) for units in (_UNITS[:2], _UNITS[2:4], _UNITS[4:]))
         if own:
+            worst = (_largest(own, units) for units in _FIGURES.values())
             lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
-    return Sheet("Reactions and outcomes", ("fault", *motions, "peak error", "travel", "peak torque"), lines)
+    return Sheet("Reactions and outcomes", ("fault", *motions, *_FIGURES), lines)
 
 
-_UNITS = (
-    ("peak_error_deg", "deg"),
-    ("peak_error_mm", "mm"),
-    ("travel_deg", "deg"),
-    ("travel_mm", "mm"),
-    ("peak_torque", "N m"),
-)
+_FIGURES = {
+    "peak error": {"peak_error_deg": "deg", "peak_error_mm": "mm"},
+    "travel": {"travel_deg": "deg", "travel_mm": "mm"},
+    "peak torque": {"peak_torque": "N m"},
+}
 
 
-def _largest(rows: Sequence[Row], units: Iterable[tuple[str, str]]) -> str:
-    values = (([row[name] for row in rows if row.get(name) is not None], unit) for name, unit in units)
-    return ", ".join(f"{max(each):.2f} {unit}" for each, unit in values if each) or "-"
+def _largest(rows: Sequence[Row], units: Mapping[str, str]) -> str:
+    values = {name: [row[name] for row in rows if row.get(name) is not None] for name in units}
+    return ", ".join(f"{max(each):.2f} {units[name]}" for name, each in values.items() if each) or "-"
 
 
 def _end(row: Row, fault: Fault) -> str:
@@ -314,7 +303,6 @@ def _end(row: Row, fault: Fault) -> str:
 
 
 def holdable_lines(rows: Sequence[Row]) -> list[str]:
-    """What five motors hold, a line per dead motor and motion."""
     lines = []
     for row in rows:
         held = "none: not even the weight; the smallest outside force with which it stands: {support_newton:.1f} N"

@@ -57,13 +57,10 @@ def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
 
 
 simulate_unchecked = partial(simulate, check=False)
-"""The same without the check of its motion."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One run, in plain values that travel to any worker."""
-
     index: int
     seed: int
     base: Mapping[str, Any]

@@ -43,7 +43,6 @@ INCIDENTAL = (
     Column("worker", "", "process that the run was in", "whole"),
 )
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
-"""Metrics in which Drake is set beside the reduced engine."""
 SMALLEST = 1e-5
 """What is smaller is not written out."""
 
@@ -85,8 +84,7 @@ class Study(ABC):
     indices: Sequence[int] = field(kw_only=True)
 
     @abstractmethod
-    def task(self, index: int) -> Task:
-        """Run `index`, made by `_task`."""
+    def task(self, index: int) -> Task: ...
 
     @property
     @abstractmethod
@@ -177,7 +175,6 @@ def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path
 
 @contextmanager
 def within(where: str) -> Iterator[None]:
-    """Says of bad input where it stands."""
     try:
         yield
     except ConfigurationError as error:
@@ -219,7 +216,6 @@ def drake_beside(study: Study, rows: Iterable[Row]) -> str | None:
 def to_arrow(
     columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
 ) -> pa.Table:
-    """A table with unit and text of each column; `about` stands as `stewart_drake.KEY` in its metadata."""
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string(), "json": pa.string()}
@@ -237,8 +233,6 @@ def write_table(table: pa.Table, folder: Path, name: str) -> None:
 
 
 class Sheet(NamedTuple):
-    """A table as texts: a line as its title, names with units, rows."""
-
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]

@@ -172,7 +172,6 @@ class Sweep(Study):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
-        """A sweep from plain values, see `SweepFile`; paths are relative to `folder`, None for the current one."""
         file, base = SweepFile.read("sweep", data, folder)
         if file.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
@@ -221,7 +220,6 @@ class Sweep(Study):
         return found
 
     def tables(self, rows: Sequence[Row]) -> Tables:
-        """Of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
         for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
@@ -305,7 +303,6 @@ def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = Fal
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Counts by status and reason, percentiles of the errors: what and how much, as texts."""
     counts = Counter((row["status"], row["reason"]) for row in rows)
     lines = [("runs", str(len(rows)))]
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):

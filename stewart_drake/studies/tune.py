@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -53,29 +53,13 @@ _QUICK_GENERATIONS = 2
 Setting = dict[str, float]
 
 
-class Ranges(NamedTuple):
-    """Keys of a controller: the setting to start from, lowest and highest values."""
-
-    start: Setting
-    low: Setting
-    high: Setting
-
-    def points(self) -> list[np.ndarray]:
-        return [np.log(list(setting.values())) for setting in self]
-
-    def setting(self, point: np.ndarray) -> Setting:
-        return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(self.start, np.exp(point), strict=True)}
-
-
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A search, ready to be done."""
-
     comparison: Comparison
     """Its cells are the runs of one evaluation of each controller; bands left out."""
     options: TuneOptions
-    ranges: Mapping[str, Ranges]
-    """Controller -> what is searched of it."""
+    start: Mapping[str, Setting]
+    """Controller that is searched -> its setting before."""
     generations: int
     data: Mapping[str, Any]
     folder: Path
@@ -104,14 +88,14 @@ class Tuning:
             if name not in options.controllers:
                 raise ConfigurationError("--controller", name, f"one of {', '.join(options.controllers)}")
         searched = controllers or options.controllers
-        ranges = {name: _ranges(comparison, name, options.controllers[name]) for name in searched}
+        start = {name: _start(comparison, name, options.controllers[name]) for name in searched}
         generations = _QUICK_GENERATIONS if quick else options.generations
         if budget is not None:
             generations = (budget - 1) // options.population
             if generations < 1:
                 allowed = f"at least {options.population + 1}: the start and a generation"
                 raise ConfigurationError("--budget", budget, allowed)
-        return cls(comparison, options, ranges, generations, data, folder or Path(), quick)
+        return cls(comparison, options, start, generations, data, folder or Path(), quick)
 
     @property
     def name(self) -> str:
@@ -123,19 +107,18 @@ class Tuning:
 
     @property
     def runs(self) -> int:
-        return sum(len(self.cells(name)) for name in self.ranges) * self.evaluations + self.verdict({}).runs
+        return sum(len(self.cells(name)) for name in self.start) * self.evaluations + self.verdict({}).runs
 
     def cells(self, controller: str) -> list[int]:
-        """Runs of an evaluation of a controller, as places in the cells of `comparison`."""
         return [place for place, cell in enumerate(self.comparison.cells) if cell.controller == controller]
 
     def verdict(self, tuned: Mapping[str, Setting]) -> Comparison:
         """The comparison's own runs of each controller before and after the search; the start where it found none."""
         controllers: dict[str, Any] = {}
         runs = []
-        for name, ranges in self.ranges.items():
+        for name, start in self.start.items():
             before = self.data["controllers"][name]
-            after = {**before, **tuned.get(name, ranges.start)}
+            after = {**before, **tuned.get(name, start)}
             ways = {START: before, TUNED: after}
             if self.options.set:
                 ways[SEARCHED] = {**after, **self.options.set}
@@ -159,7 +142,7 @@ def load_tuning(
     return load_study("comparison", path, make, trust_code)
 
 
-def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Ranges:
+def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Setting:
     cell = next((cell for cell in comparison.cells if cell.controller == name), None)
     if cell is None:
         names = ", ".join(dict.fromkeys(cell.controller for cell in comparison.cells))
@@ -174,7 +157,7 @@ def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, f
             if not is_finite(start[key]) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
-    return Ranges(start, *({key: ends[place] for key, ends in keys.items()} for place in (0, 1)))
+    return start
 
 
 class TuneResult(NamedTuple):
@@ -191,11 +174,10 @@ def run_tuning(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> TuneResult:
-    """Searches, compares, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict."""
     tell = progress or (lambda _: None)
     with KeptRuns(folder, tuning.comparison.identity(), workers, tell, restart) as kept:
-        rows = [row for name in tuning.ranges for row in _search(tuning, name, kept)]
-    searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.ranges}
+        rows = [row for name in tuning.start for row in _search(tuning, name, kept)]
+    searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.start}
     tuned = {name: min(own, key=lambda row: row["cost"])["setting"] for name, own in searches.items()}
     verdict = tuning.verdict(tuned)
     searched = tuning.runs - verdict.runs
@@ -229,9 +211,14 @@ def write_picture(result: TuneResult, folder: Path) -> str | None:
         return draw(partial(plot_search, result.rows), folder / "tune.png")
 
 
+def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:
+    """The setting at a point in logarithms, to `DIGITS` digits."""
+    return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(keys, np.exp(point), strict=True)}
+
+
 def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
-    """Evaluations of a controller, one by one, with the least cost until then."""
-    comparison, ranges, options = tuning.comparison, tuning.ranges[name], tuning.options
+    comparison, start, options = tuning.comparison, tuning.start[name], tuning.options
+    low, high = (np.log([ends[place] for ends in options.controllers[name].values()]) for place in (0, 1))
     cells, rows = tuning.cells(name), list[Row]()
     measure = partial(measure_cost, scales=comparison.file.cost or CostScales())
 
@@ -243,7 +230,7 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
 
     def evaluate(points: Sequence[np.ndarray]) -> list[float]:
         # What is run first is the start as it stands in the file, whatever its digits.
-        settings = [ranges.setting(point) for point in points] if rows else [ranges.start]
+        settings = [setting_at(start, point) for point in points] if rows else [start]
         numbered = list(enumerate(settings, len(rows)))
         keys = [json.dumps([evaluation, cell, setting]) for evaluation, setting in numbered for cell in cells]
         runs = iter(kept.rows(keys, lambda key: task(*json.loads(key))))
@@ -258,7 +245,9 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
 
     minimise(
         evaluate,
-        *ranges.points(),
+        np.log(list(start.values())),
+        low,
+        high,
         generations=tuning.generations,
         population=options.population,
         seed=options.seed,

@@ -9,11 +9,11 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing
 from functools import lru_cache
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
@@ -24,6 +24,7 @@ from stewart_drake.logs import versions
 from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
+T = TypeVar("T")
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
 
 CONNECT_TIMEOUT = 20.0
@@ -40,7 +41,7 @@ DEAD = "its worker process died twice, the second time with this run alone in it
 _QUIET = ExitStack()
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
     `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs.
@@ -49,11 +50,7 @@ class Workers:
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
         self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
         self._client = None if scheduler is None else _connected(scheduler)
-        self._life = math.inf if worn is None or scheduler is not None else self.count * worn
-        self.left = self._life
-
-    def __enter__(self) -> Self:
-        return self
+        self.life = self.left = math.inf if worn is None or scheduler is not None else self.count * worn
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
@@ -75,12 +72,6 @@ class Workers:
         finally:
             context.set_start_method(None, force=True)
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-    def wear(self, runs: int) -> None:
-        self.left -= runs
-        if self.left <= 0:
-            get_reusable_executor().shutdown(wait=True)
-            self.left = self._life
 
 
 def run_jobs(
@@ -118,6 +109,23 @@ def run_jobs(
                 keep(key, died(key))
 
 
+def run_all(
+    function: Callable[..., T],
+    arguments: Sequence[tuple[Any, ...]],
+    workers: Workers | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[T]:
+    """What a function gives for each of some arguments, in their order; `progress` gets the number done."""
+    results: dict[int, T] = {}
+
+    def keep(index: int, result: T) -> None:
+        results[index] = result
+        progress(float(len(results)))
+
+    run_jobs(range(len(arguments)), lambda index: (function, arguments[index]), keep, workers)
+    return [results[index] for index in range(len(arguments))]
+
+
 def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
     """Does a batch as far as the workers live; what is not done, and whether it was under way."""
     left = dict.fromkeys(batch, False)
@@ -135,21 +143,21 @@ def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers:
                 keep(key, result)
     except BrokenExecutor:
         pass  # what is left says how far it came
-    workers.wear(len(batch) - len(left))
+    workers.left -= len(batch) - len(left)
+    if workers.left <= 0:
+        # The next run starts other processes.
+        get_reusable_executor().shutdown(wait=True)
+        workers.left = workers.life
     return left
 
 
 def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    check_worker(source)
-    return key, function(*arguments)
-
-
-def check_worker(source: str) -> None:
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a study runs"
         )
+    return key, function(*arguments)
 
 
 @lru_cache(maxsize=1)

@@ -70,7 +70,6 @@ class Baselines(Section, key=""):
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> Baselines:
-        """Reads the file that the package carries, or another."""
         return cls.from_dict(read_mapping("settings", path, 200))
 
 
@@ -100,25 +99,17 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
 
 def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
     """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
-    fixed = with_setting(baselines.best)
-
-    def pair(case: Case, base: Scenario) -> Changes:
-        return with_pair(baselines.pair[case.robot], baselines.best)(case, base)
-
-    def oracle(case: Case, base: Scenario) -> Changes:
-        return with_setting(baselines.best_of_kind[case.robot][case.kind])(case, base)
-
+    fixed, of_kind = with_setting(baselines.best), baselines.best_of_kind
     return {
         BEST_FIXED: fixed,
         **{name: always(changes) for name, changes in more.items()},
-        "best of the nine pairs": pair,
+        "best of the nine pairs": lambda case, base: with_pair(baselines.pair[case.robot], baselines.best)(case, base),
         "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
-        "oracle of each kind": oracle,
+        "oracle of each kind": lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base),
     }
 
 
 def cells_for(robot: str | None = None, trained: bool | None = None) -> list[Cell]:
-    """All cells; of one robot, or of kinds that are trained on, see `kinds_of`."""
     return [(kind, each) for each in ROBOTS if robot in (None, each) for kind in kinds_of(each, trained)]
 
 
@@ -127,7 +118,6 @@ def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
 
 
 def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
-    """Places (n,) in `cases` of each cell."""
     cells = dict.fromkeys(case[:2] for case in cases)
     return {cell: np.flatnonzero([case[:2] == cell for case in cases]) for cell in cells}
 
@@ -180,8 +170,6 @@ class Benchmark(KeptRuns):
 
 
 class Estimate(NamedTuple):
-    """A number with an interval of 95 %."""
-
     value: float
     low: float
     high: float
@@ -238,7 +226,6 @@ def assess(
     tell: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Verdict:
-    """Runs what is missing, `seeds` situations of each kind, and writes verdict.parquet, .csv and .md."""
     import pyarrow as pa
 
     cases = cases_of(cells_for(), HELD_OUT[:seeds])

@@ -23,7 +23,7 @@ from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import FixedTuner, Scenario
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 
 OMEGAS = (0.1, 1.0, 10.0)
 FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)
@@ -173,16 +173,9 @@ def collect_dataset(
     """Runs the nine experiments with the kind of density and window of `base`; `progress` gets the number done."""
     base = Scenario() if base is None else base
     scenarios = experiment_scenarios(base, samples)
-    logs: dict[int, SimulationLog] = {}
-
-    def keep(index: int, log: SimulationLog) -> None:
-        logs[index] = log
-        progress(float(len(logs)))
-
-    run_jobs(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, workers or Workers(0))
+    logs = run_all(simulate, [(scenario,) for scenario in scenarios], workers or Workers(0), progress)
     metadata = dataset_metadata(base, experiment_reference(base))
-    ordered = [logs[index] for index in sorted(logs)]
-    return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)
+    return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
 
 
 def six(values: Any) -> Vector6:

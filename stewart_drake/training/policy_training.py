@@ -30,7 +30,7 @@ from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import simulate_unchecked
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.benchmark import (
     Baselines,
     cases_of,
@@ -95,7 +95,6 @@ def episode_cost(chooser: Chooser, case: Case) -> float:
 
 
 def episode_features(policy: Policy, case: Case) -> np.ndarray:
-    """Features (n, 13) that a policy gets in a run, some of them."""
     recorder = _Recorder(policy)
     episode_cost(recorder, case)
     return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
@@ -153,15 +152,12 @@ class PolicyOptions:
 
 @dataclass
 class State:
-    """Where a training stands; what its file holds."""
-
     fixed: np.ndarray
     """(pool,) log J of each case of the pool at the centre."""
     validated: np.ndarray
     """(validation,) likewise of the validation cases."""
     mean: np.ndarray
     scale: np.ndarray
-    """(13,) of the features."""
     weights: np.ndarray
     moments: np.ndarray
     """(n,) of the network, flat; (2, n) of Adam."""
@@ -181,7 +177,6 @@ class State:
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        """Reads what `save` wrote."""
         try:
             with np.load(file, allow_pickle=False) as content:
                 values = {name: value if value.ndim else value.item() for name, value in content.items()}
@@ -219,7 +214,7 @@ class Training:
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
                 runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
-        found = np.concatenate(self._map(episode_features, runs))
+        found = np.concatenate(run_all(episode_features, runs, self._workers))
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(found.std(axis=0), 1e-3)
@@ -247,7 +242,8 @@ class Training:
     def finish(self, state: State) -> Policy:
         """The best policy, with the range of its features on the pool, and its card."""
         policy = self.policy(state, state.best)
-        found = np.concatenate(self._map(episode_features, [(policy, case) for case in self.pool]))
+        runs = [(policy, case) for case in self.pool]
+        found = np.concatenate(run_all(episode_features, runs, self._workers))
         ends = np.quantile(found, [0.0005, 0.9995], axis=0)
         # All of kappa was drawn, if not to its very ends.
         ends[:, FEATURES.index("kappa")] = -1.0, 1.0
@@ -261,13 +257,7 @@ class Training:
         return self.costs([policy] * len(self.validation), self.validation) - state.validated
 
     def costs(self, policies: Sequence[Policy], cases: Sequence[Case]) -> np.ndarray:
-        return np.array(self._map(episode_cost, list(zip(policies, cases, strict=True))))
-
-    def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Case]]) -> list[Any]:
-        results: dict[int, Any] = {}
-        keys = range(len(arguments))
-        run_jobs(keys, lambda key: (function, arguments[key]), results.__setitem__, self._workers)
-        return [results[key] for key in keys]
+        return np.array(run_all(episode_cost, list(zip(policies, cases, strict=True)), self._workers))
 
     def _batch(self, generation: int) -> np.ndarray:
         chosen = []

@@ -30,8 +30,6 @@ Changes = dict[str, Any]
 
 
 class Case(NamedTuple):
-    """A situation, and the smoothness kappa at which a policy is run in it."""
-
     kind: str
     robot: str
     seed: int
