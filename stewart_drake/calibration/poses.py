@@ -100,7 +100,6 @@ class Measurements:
 
     @cached_property
     def marker(self) -> np.ndarray:
-        """Poses (n, 4, 4) of the marker in the tracker's frame."""
         return transform_of(self.pose)
 
     def to_csv(self) -> str:

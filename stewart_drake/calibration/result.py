@@ -104,7 +104,7 @@ class Calibration(Report):
         return sizes(self.before), sizes(self.after)
 
     def summary(self) -> list[tuple[str, str]]:
-        before, after = (_millis(*sizes) for sizes in self.error_sizes())
+        before, after = (f"{1e3 * place:.3g} mm, {1e3 * turn:.3g} mrad" for place, turn in self.error_sizes())
         widest = 1e3 * self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
         own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
         widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
@@ -183,7 +183,3 @@ def _cell(change: float, width: float) -> str:
     if width == 0.0:
         return "held"
     return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "not told"
-
-
-def _millis(position: float, rotation: float) -> str:
-    return f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.report import Report
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.identification.estimate import ASKED, Estimate, consistent, estimate
+from stewart_drake.identification.estimate import ASKED, Estimate, Untold, consistent, estimate
 from stewart_drake.identification.parameters import (
     COULOMB,
     GAIN,
@@ -144,7 +144,7 @@ class Identification(Report):
             ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
             ("coulomb, viscous friction", f"{_few(self.coulomb)} N m, {_few(self.viscous)} N m s/rad"),
             ("torque constants", self._constants()),
-            *(("not told, the guess's stays", line) for line in self._untold()),
+            *(("not told, the guess's stays", self._sentence(each)) for each in self.estimate.untold),
         ]
 
     def _constants(self) -> str:
@@ -152,18 +152,16 @@ class Identification(Report):
         what = "of the torques in the logs" if "platform_mass" in self.held else "of their geometric mean, taken as 1"
         return f"Motors 0 to 5 give {constants} {what}"
 
-    def _untold(self) -> Iterator[str]:
-        """A sentence for each parameter that the motion does not tell: how badly, and what goes with it."""
-        size = scales(self.guess)
-        for each in self.estimate.untold:
-            own = PARAMETERS[each.at]
-            others = ", ".join(
-                f"{other} by {each.direction[at]:+.3g} {other.unit}".strip()
-                for at, other in enumerate(PARAMETERS)
-                if at != each.at and abs(each.direction[at]) * size[each.at] > _SHOWN * size[at]
-            )
-            badly = "by no motion" if np.isinf(each.deviation) else f"off by {each.deviation:.2g} times its size"
-            yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
+    def _sentence(self, untold: Untold) -> str:
+        """How badly the motion tells a parameter, and what goes with it."""
+        size, own = scales(self.guess), PARAMETERS[untold.at]
+        others = ", ".join(
+            f"{other} by {untold.direction[at]:+.3g} {other.unit}".strip()
+            for at, other in enumerate(PARAMETERS)
+            if at != untold.at and abs(untold.direction[at]) * size[untold.at] > _SHOWN * size[at]
+        )
+        badly = "by no motion" if np.isinf(untold.deviation) else f"off by {untold.deviation:.2g} times its size"
+        return f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         rows = []

@@ -40,7 +40,6 @@ MODELS = {
 
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
-    """The robot with masses and inertias of cranks and rods times `scale`, but no less than a robot may have."""
     of_legs = ("rod_mass", "crank_mass", "rod_inertia", "crank_inertia")
     return robot.replace(**{k: np.maximum(SMALLEST, scale * np.array(getattr(robot, k))).tolist() for k in of_legs})
 

@@ -45,7 +45,6 @@ MAIN, TUNER = "(37), (38)", "tuner"
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
 Errors = Mapping[str, Mapping[str, float]]
-"""Trajectory -> controller, `TUNER` or one of `FIXED` -> pose RMSE [mm]."""
 
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from functools import partial
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def reproduce(study: Study) -> Result:
         study.tuner_file = study.folder / "tuner.json"
         results[own, "samples"].network.save(study.tuner_file)
     largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
-    scores = {}
+    scores: dict[str, dict[str, Any]] = {}
     for (kind, split), result in results.items():
         of_sides = {side: {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS} for side in SIDES}
         # None where the target does not vary.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog
@@ -95,11 +97,16 @@ def visited(log: SimulationLog) -> dict[str, Any]:
     }
 
 
-def reproduce(study: Study) -> Result:
+def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
+    """What each controlled motion visits, and a figure of the torques."""
     logs = {name: log for name, log in study.run(controlled_motions(study)).items() if len(log.time)}
     curves = {name: (log.time, np.abs(log["torque_applied"]).max(axis=1)) for name, log in logs.items()}
     draw = partial(chart, "Largest torque of a motor", "time [s]", "[N m]", curves)
-    motions = {name: visited(log) for name, log in logs.items()}
+    return {name: visited(log) for name, log in logs.items()}, draw
+
+
+def reproduce(study: Study) -> Result:
+    motions, draw = motion_numbers(study)
     done = [motion for motion in motions.values() if motion["status"] in ("completed", "lost")]
     torques = [motion["peak_torque"] for motion in done]
     most, use = max(torques) / min(torques), 100.0 * motions["the paper's motion"]["limit_use"]

@@ -40,7 +40,7 @@ def plot_states(log: SimulationLog) -> Figure:
     for column, (unit, panels) in zip(axes.T, _POSES, strict=True):
         _plot_poses(column, log, unit, panels, metrics[f"rmse_{unit}"])
     if weighted:
-        _plot_weights(*axes[-1], log)
+        _plot_weights(axes[-1, 0], axes[-1, 1], log)
     return figure
 
 

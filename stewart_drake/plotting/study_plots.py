@@ -23,7 +23,6 @@ _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewi
 _SMALLEST = 1e-6
 """[mm] what is smaller is drawn here."""
 _PHASE_SHOWN = 1e-3
-"""Amplitude ratio below which a phase says nothing."""
 
 
 @look.styled

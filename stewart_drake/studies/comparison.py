@@ -32,7 +32,7 @@ _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 class Cell(NamedTuple):
-    """One run; of a band, the reference is the axis, and the last three are there."""
+    """One run; of a band, with frequency [Hz], amplitude [rad or m] and a window [s] of its fit, the reference is the axis."""
 
     controller: str
     reference: str
@@ -40,11 +40,8 @@ class Cell(NamedTuple):
     seed: int
     changes: Mapping[str, Any]
     frequency: float | None = None
-    """[Hz]"""
     amplitude: float | None = None
-    """[rad] or [m]"""
     window: float = 0.0
-    """[s] at the end of the run, over which it is fitted; whole periods."""
 
 
 _NAMES = (

@@ -45,7 +45,6 @@ COLUMNS = (
     Column("setting", "", "scenario key -> value, as JSON", "json"),
 )
 DIGITS = 4
-"""Of a setting: what is run is what is written down."""
 START, TUNED, SEARCHED = "start", "tuned", "tuned, as searched"
 """What the verdict compares: before, after, and the latter as the search sees it."""
 _QUICK_GENERATIONS = 2
@@ -56,10 +55,8 @@ Setting = dict[str, float]
 @dataclass(frozen=True, eq=False)
 class Tuning:
     comparison: Comparison
-    """Its cells are the runs of one evaluation of each controller; bands left out."""
     options: TuneOptions
     start: Mapping[str, Setting]
-    """Controller that is searched -> its setting before."""
     generations: int
     data: Mapping[str, Any]
     folder: Path

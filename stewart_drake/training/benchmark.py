@@ -50,19 +50,16 @@ COLUMNS = ("candidate", "kind", "robot", "seed", "status", "reason", "cost", "ra
 
 
 class Baselines(Section, key=""):
-    """What a trained tuner has to beat, found by `make tuner_baselines`: settings (4,) in decades above the default."""
+    """Settings (4,) to beat, in decades above the default: over both robots, by robot, by kind."""
 
     name: Text = "baselines"
     best: Numbers
-    """Over both robots."""
     best_of_robot: dict[Text, Numbers]
-    """Robot -> the best over its own kinds."""
     best_of_kind: dict[Text, dict[Text, Numbers]]
     """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
     pair: dict[Text, tuple[Real, Real]]
     """Robot -> the best of the paper's nine pairs."""
     schedule: dict[Text, Any]
-    """Keys of `ScheduleTuner`, made over both robots."""
     costs: dict[Text, dict[Text, dict[Text, Real]]]
     """Robot -> kind -> geometric mean of J over the seeds: default, and the above."""
     evaluations: dict[Text, Real]
@@ -200,14 +197,12 @@ def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean
 
 
 class Verdict(NamedTuple):
-    """Runs of candidates, `BEST_FIXED` among their names, in the same situations."""
+    """Logarithms of J (candidates, cases), and runs that failed; `BEST_FIXED` is among the names."""
 
     names: tuple[str, ...]
     cases: tuple[Case, ...]
     logs: np.ndarray
-    """(candidates, cases) logarithms of J."""
     failed: np.ndarray
-    """(candidates, cases) whether a run was not completed."""
 
     def of(
         self, name: str, within: Callable[[Cell], bool] = GROUPS["all kinds"], over: str = BEST_FIXED

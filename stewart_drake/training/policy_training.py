@@ -58,8 +58,7 @@ MORE = {"reachy_mini": 2}
 """Times as many situations in a generation, of a robot whose runs are short."""
 VALIDATED = 5
 """[generations] between two looks at the validation situations."""
-_SKIPPED, _SAMPLED = 30, 10
-"""[ticks] before the first features that are kept, and between them."""
+_SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first features that are kept, and between them
 
 
 def policy_of(
@@ -137,38 +136,34 @@ def _features(
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train a policy; numbers of situations are of each kind and robot."""
+    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them."""
 
     seed: int = 0
-    """Of the first weights, the smoothness and the directions."""
     generations: int = 150
     situations: int = 8
-    """In a generation, times `MORE`."""
     pool: int = 32
-    """That generations take theirs from in turn."""
     validation: int = 6
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
 @dataclass
 class State:
+    """Log J at the centre in the cases of the pool and of validation; features (13,); the network, flat, and Adam's.
+
+    `least` is the mean of log J over that at the centre on validation of the weights `best`; `history` (g, 2) has it.
+    """
+
     fixed: np.ndarray
-    """(pool,) log J of each case of the pool at the centre."""
     validated: np.ndarray
-    """(validation,) likewise of the validation cases."""
     mean: np.ndarray
     scale: np.ndarray
     weights: np.ndarray
     moments: np.ndarray
-    """(n,) of the network, flat; (2, n) of Adam."""
     best: np.ndarray
-    """(n,) weights of the generation that is best on validation; at first those of the start."""
     least: float = 0.0
-    """Mean of log J over that at the centre on validation, of `best`."""
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    """(g, 2) generation and mean of log J over that at the centre on validation."""
 
     def save(self, file: Path, identity: str) -> None:
         content = io.BytesIO()

@@ -38,18 +38,18 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Setup:
-    """A robot with its sensors, motors and bus, before anything is drawn."""
+    """A robot in a run of a duration [s], before anything is drawn.
+
+    `viscous` [N m s/rad] is its motors' friction, `beyond` [N m] dry friction that nobody believes, lowest and highest;
+    `push` [-] the size of pushes beside those of the paper's robot.
+    """
 
     scenario: str
     changes: Changes
     duration: float
-    """[s] of a run."""
     viscous: float
-    """[N m s/rad] friction of its motors."""
     beyond: tuple[float, float]
-    """[N m] lowest and highest dry friction that nobody believes."""
     push: float
-    """[-] size of pushes beside those of the paper's robot, once torques and lengths are counted."""
 
     @cached_property
     def base(self) -> Scenario:
