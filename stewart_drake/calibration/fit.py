@@ -42,8 +42,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 _CONFIDENCE = 0.95
-_SHARE = 1e-3
-"""[-] of an untold direction beyond which a parameter has no interval."""
+_SHARE = 1e-3  # [-] of an untold direction beyond which a parameter has no interval
 _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
 """Steps are a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over."""
 _NEARBY, _EXACT = 10, 200
@@ -51,8 +50,7 @@ _NEARBY, _EXACT = 10, 200
 _LEAST = 4
 _MISFIT = _BETTER = 5.0
 """[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
-_FAR = 0.3
-"""[-] change of a parameter, in `model.scales`, that nobody's guess is off by."""
+_FAR = 0.3  # [-] change of a parameter, in `model.scales`, that nobody's guess is off by.
 _APART, _FEW, _ROWS = 10.0, 0.2, 3
 """A stray is off so many times further than usual; share of rows that can be strays; rows suspected."""
 _DEGREE = math.pi / 180.0

@@ -52,10 +52,8 @@ PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
-LARGEST = 0.1
-"""[-] standard deviation of a direction, in `scales`, beyond which it counts as not told."""
-CLOSED = 1e-12
-"""[m] rod-length error at which a pose counts as that of the readings."""
+LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as not told
+CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
 _STEP, _TINY = 1e-20, 1e-30

@@ -34,13 +34,11 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
-_FARTHEST = 1e6
-"""[m] beyond which no tracker is."""
+_FARTHEST = 1e6  # [m] beyond which no tracker is
 QUANTITIES = (*POSE, *CRANK_ANGLES)
 COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
 CANDIDATES = 1500
-MARGIN = 0.85
-"""[-] of each limit that a pose may take up: the robot is not quite the guess."""
+MARGIN = 0.85  # [-] of each limit that a pose may take up: the robot is not quite the guess
 AMPLIFICATION = 1.3
 """[-] most by which parameters act on a pose more than at home: near a parallel singularity a robot that is not quite
 the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad could be at each of 60 planned poses.

@@ -26,8 +26,7 @@ from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
-_NOISY = 2.0
-"""[-] errors over the stated noise from which on the noise as stated, or the model, is doubtful."""
+_NOISY = 2.0  # [-] errors over the stated noise from which on the noise as stated, or the model, is doubtful
 _SMALL, _NAMED = 0.05, 6
 """Share of an untold direction below which a parameter is not named in it, and how many are."""
 

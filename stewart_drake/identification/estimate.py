@@ -35,16 +35,14 @@ from stewart_drake.robot.leg import LEGS
 ASKED: tuple[Kind, ...] = ("platform_mass", "coulomb", "viscous")
 LARGEST = 0.3
 """[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told."""
-MEMORY = 0.5
-"""[s] over which what is left may be correlated."""
+MEMORY = 0.5  # [s] over which what is left may be correlated
 LEAST = 1e-5
 """[-] of the platform's mass, and of what else the guess has, that eigenvalues of bodies and numbers keep."""
 _PASSES = 6
 _KEEP_FIRST = np.array([5.0 if own.kind == "rod_mass" else 1.0 for own in PARAMETERS])
 """Where several could keep the guess's value it is the rods' mass, which a scale tells."""
 _NORMAL_95 = 1.959964
-_BLIND = 1e-9
-"""[-] of the largest singular value below which a direction is that of rounding."""
+_BLIND = 1e-9  # [-] of the largest singular value below which a direction is that of rounding
 _UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
 """[-] of the torques' changes that may be left, unless less of the torques; how they may differ from the guess's."""
 

@@ -24,8 +24,7 @@ from stewart_drake.robot import RobotParameters
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
 """[s] of the whole motion: sines of 0.1 to 1.55 Hz, and coarse encoders err anew in each period."""
-ROOM = 1.15
-"""[-] by which the motion could be larger within the limits: the robot is not quite the guess."""
+ROOM = 1.15  # [-] by which the motion could be larger within the limits: the robot is not quite the guess
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
 _FADE = 2.0

@@ -30,8 +30,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.robot import RobotParameters
 
 AnyLog = Recording | SimulationLog | str | Path
-_SHOWN = 0.02
-"""[-] of its own size by which a parameter must be in a sum for it to be named there."""
+_SHOWN = 0.02  # [-] of its own size by which a parameter must be in a sum for it to be named there
 
 
 class Prediction(NamedTuple):

@@ -28,13 +28,11 @@ from stewart_drake.robot.leg import LEGS
 from stewart_drake.sampling import unwrapped
 
 MAX_BYTES, MAX_ROWS = 300_000_000, 1_000_000
-UNEVEN = 0.1
-"""[-] of a step by which times may lie beside an even grid."""
+UNEVEN = 0.1  # [-] of a step by which times may lie beside an even grid
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEGS)))
 BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
 """[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
-SLOW = 0.05
-"""[rad/s] of a crank below which its friction may stick."""
+SLOW = 0.05  # [rad/s] of a crank below which its friction may stick
 _OVERSAMPLING, _SMEAR, _EDGE, _SHORTEST = 6.0, 0.5, 2.0, 20.0
 """In periods of the bandwidth: rows a period, how far the filter smears, what the ends lose, what must be left."""
 _HOMOTOPY = 4

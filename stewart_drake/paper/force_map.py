@@ -25,8 +25,7 @@ SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
 first step from rest and halve that in each further one."""
 _TORQUE_SHARE = 0.2
-MASSLESS = 1e-4
-"""Factor on the legs' masses and inertias of the plant that stands for massless legs."""
+MASSLESS = 1e-4  # Factor on the legs' masses and inertias of the plant that stands for massless legs
 LEAST_MARGIN = 1e-3
 """[-] poses keep this far from a crank's dead centre (transmission 0.04), where nothing is finite."""
 MODELS = {

@@ -36,8 +36,7 @@ from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 
-CLAIMED = 45.0
-"""[%] improvement on average, of the later paper (doi 10.1177/10775463211019177)."""
+CLAIMED = 45.0  # [%] improvement on average, of the later paper (doi 10.1177/10775463211019177).
 BEST_FIXED, MEAN_OF_NINE, ORACLE = "best fixed pair", "mean of the nine", "oracle"
 APART = 1e-10
 """[rad, m] between starts that nobody could tell apart: where the loop is chaotic, one run is one sample."""

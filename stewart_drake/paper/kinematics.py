@@ -32,8 +32,7 @@ from stewart_drake.robot import RobotParameters
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
 """[rad, m] from home: where a free motion starts, at rest."""
-TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])
-"""[N m] held constant meanwhile."""
+TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])  # [N m] held constant meanwhile
 DURATION = 0.15
 BRANCHES = (-1, 1)
 SAME_ANGLE = SAME_POSE = 1e-6

@@ -27,8 +27,7 @@ from stewart_drake.training.train import Split, TrainingOptions, r_squared, trai
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
 """[rad, m] what section III.D names, for every frequency from 1 to 5 Hz."""
 PAPER_SAMPLES = 14_400
-SAME_DATA = 1e-6
-"""[-] difference of densities below which two runs count as one set of data."""
+SAME_DATA = 1e-6  # [-] difference of densities below which two runs count as one set of data
 LEARNT = 0.7
 TARGETS = ("omega_Q", "omega_R", "ratio")
 SIDES = ("training", "validation")

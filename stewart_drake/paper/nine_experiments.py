@@ -30,11 +30,9 @@ from stewart_drake.references import paper_reference
 from stewart_drake.scenario import Scenario
 
 EQUAL_GAINS = 1e-10
-NEAR_ZERO = 0.01
-"""[rad s, m s] what counts as "near zero" of the integral states at 5 s."""
+NEAR_ZERO = 0.01  # [rad s, m s] what counts as "near zero" of the integral states at 5 s
 CONDITIONS = tuple(itertools.product((0.0, STANDARD_GRAVITY), ("none", "gravity", "platform")))
-FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")
-"""No gravity; gravity, and (34) alone against it."""
+FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, and (34) alone against it
 
 
 def gains_along_reference(base: Scenario) -> np.ndarray:

@@ -33,8 +33,7 @@ from stewart_drake.robot import RobotParameters
 KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
 DEAD = 1e-6
 """[-] a transmission below this is a dead centre found by bisection: it vanishes with the root of the distance."""
-PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)
-"""[s] control periods that are compared; the paper gives none."""
+PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)  # [s] control periods that are compared; the paper gives none
 
 
 class Singularity(NamedTuple):

@@ -16,11 +16,9 @@ from stewart_drake.logs.log import SIGNALS, SimulationLog
 from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics, tracking_error
 from stewart_drake.plotting import style as look
 
-_AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)
-"""Axis 1, 2, 3 as in RGB triads."""
+_AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Axis 1, 2, 3 as in RGB triads
 _FAILURE = "#B2182B"
-_NEAR_LIMIT = 0.8
-"""Share of a motor's limit from which on limits are drawn."""
+_NEAR_LIMIT = 0.8  # Share of a motor's limit from which on limits are drawn
 _SYMBOLS = (r"$\phi$", r"$\theta$", r"$\psi$", "X", "Y", "Z")
 _POSES = (
     ("deg", {"Roll": (0,), "Pitch and yaw": (1, 2)}),

@@ -20,8 +20,7 @@ _COLORS = (look.QUIET, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GR
 _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
-_SMALLEST = 1e-6
-"""[mm] what is smaller is drawn here."""
+_SMALLEST = 1e-6  # [mm] what is smaller is drawn here
 _PHASE_SHOWN = 1e-3
 
 

@@ -32,7 +32,7 @@ _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 class Cell(NamedTuple):
-    """One run; of a band, with frequency [Hz], amplitude [rad or m] and a window [s] of its fit, the reference is the axis."""
+    """One run; of a band, with frequency [Hz], amplitude [rad or m] and window [s], the reference is the axis."""
 
     controller: str
     reference: str

@@ -28,8 +28,7 @@ ROOM = 0.7
 """Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
 SCENARIO = "sway"
 SAMPLES = 40_000
-DIRECTIONS = 3000
-"""Straight ways from home, of which the shortest is what is free in every direction."""
+DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
 HEADER = (
     "robot",
     "platform joints at [mm]",

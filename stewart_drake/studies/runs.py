@@ -39,11 +39,9 @@ RunFunction = Callable[["Scenario"], SimulationLog]
 ROWS, HEADER = "rows.jsonl", "study.json"
 TABLES = ("sweep", "comparison", "bands", "faults", "tune", "rmse", "error")
 ENDINGS = ("parquet", "csv", "md", "png")
-CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")
-"""Versions on which every number depends."""
+CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends
 MAX_MESSAGE = 500
-TRACE_POINTS = 240
-"""Of the error over time that a row keeps; each the largest error of its share of the run."""
+TRACE_POINTS = 240  # Of the error over time that a row keeps; each the largest error of its share of the run
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:

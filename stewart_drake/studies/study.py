@@ -43,8 +43,7 @@ INCIDENTAL = (
     Column("worker", "", "process that the run was in", "whole"),
 )
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
-SMALLEST = 1e-5
-"""What is smaller is not written out."""
+SMALLEST = 1e-5  # What is smaller is not written out
 
 
 class StudyFile(Section):

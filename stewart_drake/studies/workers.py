@@ -27,12 +27,9 @@ K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
 
-CONNECT_TIMEOUT = 20.0
-"""[s] that a scheduler has to answer."""
-NO_WORKERS_TIMEOUT = 60.0
-"""[s] that a cluster may be without workers as work is handed to it."""
-WORN = 200
-"""Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake."""
+CONNECT_TIMEOUT = 20.0  # [s] that a scheduler has to answer
+NO_WORKERS_TIMEOUT = 60.0  # [s] that a cluster may be without workers as work is handed to it
+WORN = 200  # Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake
 WORKER_GONE = (
     "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
     ' which must be a file with the call under `if __name__ == "__main__":`'

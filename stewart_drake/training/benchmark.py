@@ -32,8 +32,7 @@ MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 LEAST_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
-DIGITS = 3
-"""Of a setting: what is run is what is written down."""
+DIGITS = 3  # Of a setting: what is run is what is written down
 BEST_FIXED = "best fixed"
 
 Numbers = tuple[Real, Real, Real, Real]

@@ -26,16 +26,14 @@ from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.workers import Workers, run_all
 
 OMEGAS = (0.1, 1.0, 10.0)
-FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)
-"""[Hz] one burst each, in every experiment."""
+FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)  # [Hz] one burst each, in every experiment
 PHASES = tuple(np.pi / 3.0 * k for k in range(6))
 """[rad] of the six axes: sixty degrees apart, so that they do not peak together."""
 SHARE = 0.8
 """Share of the largest feasible amplitudes that is used: at the whole of it the weaker of the nine pairs overshoot into
 a crank's dead centre."""
 SAMPLES_PER_RUN = 1600
-BURST = 1.6
-"""[s] of each frequency: 320 samples of 5 ms."""
+BURST = 1.6  # [s] of each frequency: 320 samples of 5 ms
 COLUMNS = ("time", "run", *(f"density_{i}" for i in range(12)), "omega_q", "omega_r")
 _VERSION = 2
 _MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000

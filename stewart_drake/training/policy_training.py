@@ -47,17 +47,13 @@ WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
 """Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
 LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 0.5])
 """Box of settings that a policy can choose; docs/results/tuner_safety.md has tried it."""
-FAR = 1e5
-"""Ends of the features' range while nothing is known of it."""
+FAR = 1e5  # Ends of the features' range while nothing is known of it
 SPREAD = 0.1
-LEARNING_RATE = 0.03
-"""Of Adam at first; it falls to a tenth along half a cosine."""
+LEARNING_RATE = 0.03  # Of Adam at first; it falls to a tenth along half a cosine
 FAIRNESS = 4.0
 """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
-MORE = {"reachy_mini": 2}
-"""Times as many situations in a generation, of a robot whose runs are short."""
-VALIDATED = 5
-"""[generations] between two looks at the validation situations."""
+MORE = {"reachy_mini": 2}  # Times as many situations in a generation, of a robot whose runs are short
+VALIDATED = 5  # [generations] between two looks at the validation situations
 _SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first features that are kept, and between them
 
 

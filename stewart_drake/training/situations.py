@@ -23,8 +23,7 @@ from stewart_drake.scenario import Scenario, load_scenario
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
 """Seeds: of what is searched and trained on, of what is chosen by, and of what is assessed by. Earlier policies
 were assessed on those from 2e6 on."""
-_TRIES = 50
-"""Draws of a situation until the robot can do its motion; nearly all can at once."""
+_TRIES = 50  # Draws of a situation until the robot can do its motion; nearly all can at once
 
 Changes = dict[str, Any]
 
