@@ -134,10 +134,11 @@ class Calibration(Report):
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (self.change, self.half_width))
-        cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
-        return ["", *(f"leg {leg}" for leg in range(LEGS))], [
-            [name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)
+        rows = [
+            [name, *(_cell(*pair) for pair in zip(change, width, strict=True))]
+            for name, change, width in zip(IN_THOUSANDTHS, changes, widths, strict=True)
         ]
+        return ["", *(f"leg {leg}" for leg in range(LEGS))], rows
 
     def robot_file(self) -> str:
         about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"

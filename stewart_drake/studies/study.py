@@ -131,8 +131,7 @@ class Study(ABC):
         return identity(self.work, variants, code)
 
 
-@dataclass(frozen=True, eq=False)
-class StudyResult:
+class StudyResult(NamedTuple):
     folder: Path
     rows: dict[str, list[Row]]
     tables: dict[str, pa.Table]

@@ -199,7 +199,10 @@ class Sweep(Study):
             elif self.file.sampler == "sobol":
                 values[key] = distribution.at(float(self._points[index, self._random.index(key)]))
             else:
-                values[key] = distribution.at(_generator(seed, key).random())
+                # Random numbers of one key in one run: another key in the sweep changes nothing about them.
+                words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32).tolist()
+                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(words)))
+                values[key] = distribution.at(rng.random())
         return values
 
     def task(self, index: int) -> Task:
@@ -321,12 +324,6 @@ def column_of(distribution: Distribution) -> ValueKind:
     types = {type(value) for value in values}
     kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "whole": {int}, "number": {int, float}, "text": {str}}
     return next((kind for kind, fitting in kinds.items() if types <= fitting), "json")
-
-
-def _generator(seed: int, key: str) -> np.random.Generator:
-    """Random numbers of one key in one run: another key in the sweep changes nothing about them."""
-    words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32)
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words)))
 
 
 def _is_number(value: Any) -> bool:
