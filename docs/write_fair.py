@@ -60,8 +60,8 @@ def main(searched: Path | None) -> None:
         made = "`make fair` makes all of this page."
     tuned = parse_yaml(kept.read_text(), "tuned")["controllers"]
     tuning = load_tuning("fair")
-    if set(tuned) != set(tuning.ranges):
-        sys.exit(f"{kept}: {', '.join(tuned)}; the whole search has {', '.join(tuning.ranges)}")
+    if set(tuned) != set(tuning.start):
+        sys.exit(f"{kept}: {', '.join(tuned)}; the whole search has {', '.join(tuning.start)}")
     # Where the search has its verdict too, so that nothing is run twice.
     folder = (searched or Path("runs/fair-tune")) / f"verdict-{checksum(tuned)[:8]}"
     table = run_study(tuning.verdict(tuned), folder).rows["comparison"]

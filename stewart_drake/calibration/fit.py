@@ -1,9 +1,6 @@
 """A robot's geometry from measured poses: two least-squares problems, one after the other; or why poses do not fit.
 
-First the closures of the legs, which have a value at whatever guess; then the tracker's errors, weighed by the inverse
-root of their covariance, to which the encoders' noise comes by way of forward kinematics. The second are what tracker
-and encoders get wrong and nothing else, so that their minimum is the maximum of the likelihood, to first order in the
-encoders' noise. (Minimal closures are not: the pose's noise is in their derivatives as well, and biases them.)
+First the legs' closures, from any guess; then tracker errors over their covariance: the maximum of the likelihood.
 """
 
 from __future__ import annotations
@@ -45,24 +42,17 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 _CONFIDENCE = 0.95
-_SHARE = 1e-3
-"""[-] of an untold direction beyond which a parameter has no interval."""
+_SHARE = 1e-3  # [-] of an untold direction beyond which a parameter has no interval
 _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
-"""The first step is a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over, and
-that is another minimum."""
+"""Steps are a tenth of `model.scales` at most: a free one from a crude guess may turn a motor's axis over."""
 _NEARBY, _EXACT = 10, 200
 """Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
 _LEAST = 4
-"""Poses of the guess from which both frames follow."""
 _MISFIT = _BETTER = 5.0
-"""[-] size of the closures over their noise beyond which a reason is looked for, and how many times smaller they must
-become for one to be named."""
-_FAR = 0.3
-"""[-] change of a parameter, in `model.scales`, that nobody's guess is off by: an inverted encoder is fitted well by a
-motor that is turned over."""
+"""[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
+_FAR = 0.3  # [-] change of a parameter, in `model.scales`, that nobody's guess is off by.
 _APART, _FEW, _ROWS = 10.0, 0.2, 3
-"""How many times further than rows usually are one is off for a stray; share of the rows that can be strays; rows with
-the largest closures that are suspected."""
+"""A stray is off so many times further than usual; share of rows that can be strays; rows suspected."""
 _DEGREE = math.pi / 180.0
 _UNITS = (
     ("pose_x, y, z", slice(3, 6), 1e-3, "millimetres for metres"),
@@ -109,10 +99,9 @@ def calibrate(
 
 
 class _Start(NamedTuple):
-    """Parameters near the answer, a `change` (`SIZE`,) of a model along told directions (`SIZE`, k) in `scales`.
+    """Parameters near the answer, told and untold directions (`SIZE`, k) in `scales`, a `change` (`SIZE`,) [m, rad].
 
-    In untold directions (`SIZE`, j) the guess stands. `misfit` [-] is the size of the closures left over their noise,
-    `furthest` the parameter of the robot that changes most in `scales`, and `far` by how much.
+    `misfit` [-] is the size of the closures over their noise; `furthest` changes most, by `far`.
     """
 
     model: Model
@@ -127,7 +116,6 @@ class _Start(NamedTuple):
 
     @property
     def score(self) -> float:
-        """[-] the misfit; infinite where the legs are nothing like the guess's."""
         return self.misfit if self.far <= _FAR else np.inf
 
 
@@ -138,7 +126,6 @@ def _nearby(
     known: Collection[FrameName],
     held: Collection[Name],
 ) -> _Start:
-    """The first of the two least-squares problems: the smallest closures."""
     free = free_directions(guess, known, held)
     least = free.shape[1] // 6 + 1
     if len(measurements) < least:
@@ -255,7 +242,6 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
 
 
 def _rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix."""
     u, _, v = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
 
@@ -291,17 +277,23 @@ def _explained(fit: Callable[[Measurements], _Start], guess: RobotParameters, me
         got = f"poses that tell a {own} of leg {start.furthest // PER_LEG} {off:.3g} {own.unit} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
-    _check_branches(start)
+    model, angles = start.model, measurements.angles
+    at = model.platform(start.change, measurements.marker)
+    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
+    # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
+    wrong = (np.sign(by_angle[..., 0]) == -guess.branches).all(axis=0)
+    if wrong.any():
+        leg = int(wrong.argmax())
+        branch = int(guess.branches[leg])
+        allowed = f"{-branch}: there the readings of {measurements.source} stand"
+        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, allowed)
     return start
 
 
 def _others(
     guess: RobotParameters, measurements: Measurements, start: _Start | None
 ) -> Iterator[tuple[np.ndarray, str, str, str]]:
-    """Poses and readings (n, 12) that would be right if something were wrong, and what to say of it.
-
-    Suspect are units, some rows, and the signs of encoders.
-    """
+    """Poses and readings (n, 12) that would be right if units, rows or signs were wrong, and what to say of it."""
     source, table = measurements.source, measurements.table
     for key, columns, factor, what in _UNITS:
         scaled = table.copy()
@@ -324,10 +316,7 @@ def _others(
 
 
 def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
-    """Rows that are turned or shifted from their neighbours as the guess is not, or where it is none; the worst first.
-
-    How far one pose is turned from another does not depend on any frame, and their distance hardly does.
-    """
+    """Rows turned or shifted from their neighbours as the guess is not, or where it is none; the worst first."""
     believed, good = Model(guess).assembled(measurements.angles)
     far = np.where(good, 0.0, np.inf)
     if good.any():
@@ -337,16 +326,3 @@ def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]
         most = (off / (np.median(off, axis=0) + 1e-12)).max(axis=-1)
         far[good] = np.minimum(most, np.roll(most, -1))
     return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _APART]
-
-
-def _check_branches(start: _Start) -> None:
-    """Refuses a leg that stands on the other branch than the guess's in each row."""
-    model, angles, source = start.model, start.measurements.angles, start.measurements.source
-    at = model.platform(start.change, start.measurements.marker)
-    by_angle = derivative(lambda step: model.closures(start.change, at, angles + step[0]), 1)
-    # By a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
-    wrong = (np.sign(by_angle[..., 0]) == -model.guess.branches).all(axis=0)
-    if wrong.any():
-        leg = int(wrong.argmax())
-        branch = int(model.guess.branches[leg])
-        raise ConfigurationError(f"robot.legs.{leg}.branch", branch, f"{-branch}: there the readings of {source} stand")

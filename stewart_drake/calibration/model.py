@@ -1,17 +1,6 @@
 """What tracker and encoders would say of a robot, and the derivatives of that by everything a calibration can change.
 
-That is eleven numbers of each leg and twelve of the tracker's two frames, as one vector. Whoever moves B, and all
-shafts with it, has the same robot. So where a frame of the tracker is not known, six of its numbers and six of the
-robot's say the same, and a convention chooses: B is where the shafts lie nearest to those of the guess, in the sense of
-least squares, and P where the platform's joints do. Both conditions are linear in the change of the positions (of
-Kabsch's problem they are the optimum).
-
-Two kinds of error. The closure of leg i, |R p_i + G - s_i - a_i u_i| - l_i, needs measured pose and reading and has a
-value whatever the guess; the noise of both is in it. The tracker's error, measured pose minus the pose that forward
-kinematics makes of the readings, is plain noise where the parameters are right: its derivatives do not depend on the
-measured pose, so that noise does not bias the estimate. The first leads to the neighbourhood, the second to the answer.
-
-Frames are homogeneous transforms (..., 4, 4).
+Where a tracker's frame is not known, B is where the shafts lie nearest to the guess's, and P where the joints do.
 """
 
 from __future__ import annotations
@@ -39,8 +28,6 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 
 class Parameter(NamedTuple):
-    """One number of a leg: one of `NAMES`, which of its components (or none), and its unit."""
-
     name: Name
     axis: str
     unit: Literal["m", "rad"]
@@ -65,11 +52,8 @@ PER_LEG, OF_ROBOT = len(OF_LEG), len(OF_LEG) * LEGS
 SIZE = OF_ROBOT + 12
 """Numbers in all: those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
-LARGEST = 0.1
-"""[-] standard deviation of a direction, in `scales`, beyond which it counts as not told: a tenth of the robot's size
-is more than anybody's guess is off."""
-CLOSED = 1e-12
-"""[m] rod-length error at which a pose counts as that of the readings."""
+LARGEST = 0.1  # [-] standard deviation of a direction, in `scales`, beyond which it counts as not told
+CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
 STILL = np.eye(4)
 _NEWTON_STEPS = 40
 _STEP, _TINY = 1e-20, 1e-30
@@ -101,7 +85,6 @@ def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def transform_of(pose: np.ndarray) -> np.ndarray:
-    """Frames (..., 4, 4) of poses (..., 6) [rad, m]."""
     return transform(rotation_matrix(pose[..., :3]), pose[..., 3:])
 
 
@@ -144,7 +127,6 @@ def changed(guess: RobotParameters, change: np.ndarray) -> dict[str, np.ndarray]
 
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
-    """The robot after a change, whose crank angles are the encoders' readings: it takes up the homing offsets."""
     own = changed(guess, change)
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
     keys = ["shaft_position", "platform_joint", "crank_length", "rod_length"]
@@ -188,10 +170,9 @@ def free_directions(guess: RobotParameters, known: Collection[FrameName], held: 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A guess and where the tracker stands: `base` is B in the tracker's frame, `marker` the marker in P.
+    """A guess, `base` (4, 4): B in the tracker's frame, and `marker` (4, 4): the marker in P; changes count from them.
 
-    Changes (`SIZE`,) are counted from them. `at` (n, 4, 4) are poses of P in B, `seen` of the marker in the tracker's
-    frame, `angles` (n, 6) [rad] the readings there.
+    `at` (n, 4, 4) are poses of P in B, `seen` of the marker in the tracker's frame, `angles` (n, 6) [rad] the readings.
     """
 
     guess: RobotParameters
@@ -199,16 +180,13 @@ class Model:
     marker: np.ndarray = field(default_factory=lambda: STILL)
 
     def frames(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Base and marker after a change."""
         return moved(self.base, change[OF_ROBOT : OF_ROBOT + 6]), moved(self.marker, change[OF_ROBOT + 6 :])
 
     def with_frames(self, change: np.ndarray) -> Model:
-        """The same guess with the frames of a change."""
         base, marker = self.frames(change)
         return replace(self, base=base, marker=marker)
 
     def platform(self, change: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Poses of P in B from those of the marker."""
         base, marker = self.frames(change)
         return np.linalg.inv(base) @ seen @ np.linalg.inv(marker)
 

@@ -34,17 +34,15 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 MAX_BYTES, MAX_ROWS = 10_000_000, 10_000
-_FARTHEST = 1e6
-"""[m] beyond which no tracker is."""
+_FARTHEST = 1e6  # [m] beyond which no tracker is
 QUANTITIES = (*POSE, *CRANK_ANGLES)
 COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
 CANDIDATES = 1500
-MARGIN = 0.85
-"""[-] of each limit that a pose may take up: the robot is not quite the guess."""
+MARGIN = 0.85  # [-] of each limit that a pose may take up: the robot is not quite the guess
 AMPLIFICATION = 1.3
-"""[-] most by which parameters act on a pose more than at home. Poses near a parallel singularity tell much, but a
-robot that is not quite the guess cannot be assembled there. With both numbers each of a hundred robots of any of the
-three shipped kinds, off by 1 mm and 1 mrad, could be at the cranks' angles of a plan of 60 poses."""
+"""[-] most by which parameters act on a pose more than at home: near a parallel singularity a robot that is not quite
+the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad could be at each of 60 planned poses.
+"""
 _WAY = np.linspace(0.0, 2.0, 41)
 _PASSES, _DRAWS = 20, 20
 _GAIN = 1e-6
@@ -96,24 +94,18 @@ class Measurements:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(n, 12) of `QUANTITIES`."""
         return np.concatenate([self.pose, self.angles], axis=-1)
 
     @cached_property
     def marker(self) -> np.ndarray:
-        """Poses (n, 4, 4) of the marker in the tracker's frame."""
         return transform_of(self.pose)
 
     def to_csv(self) -> str:
-        """A table that `load_measurements` reads."""
         return numbers_to_csv(QUANTITIES, self.table)
 
 
 def load_measurements(path: str | Path) -> Measurements:
-    """Measured poses of a table with `COLUMNS`, in any order and unit; further columns are left alone.
-
-    The pose is that of the marker in the tracker's frame, R = Rz(yaw) Ry(pitch) Rx(roll).
-    """
+    """Measured poses of a table with `COLUMNS`, in any order and unit; R = Rz(yaw) Ry(pitch) Rx(roll)."""
     source = f"poses file {path}"
     values = read_numbers(path, source, QUANTITIES, MAX_BYTES, MAX_ROWS)
     return Measurements(values[:, :6], values[:, 6:], source)
@@ -121,14 +113,7 @@ def load_measurements(path: str | Path) -> Measurements:
 
 @dataclass(frozen=True, eq=False)
 class PosePlan:
-    """Poses to measure.
-
-    Attributes:
-        targets: Poses of P in B and crank angles of the guess, as a file of measured poses has them.
-        half_width: (78,) [m, rad] of the 95 % intervals to expect, by the stated noise.
-        random_half_width: (78,) [m, rad] the same for as many poses drawn at random from the candidates.
-        gain: [-] by which the random poses' intervals are wider, in the geometric mean over all directions.
-    """
+    """Poses to measure, half widths (78,) [m, rad] of 95 % intervals to expect, of random poses too; `gain` [-]."""
 
     targets: Measurements
     half_width: np.ndarray

@@ -26,8 +26,7 @@ from stewart_drake.files.yaml_files import to_yaml
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
-_NOISY = 2.0
-"""[-] errors over the stated noise from which on the noise as stated, or the model, is doubtful."""
+_NOISY = 2.0  # [-] errors over the stated noise from which on the noise as stated, or the model, is doubtful
 _SMALL, _NAMED = 0.05, 6
 """Share of an untold direction below which a parameter is not named in it, and how many are."""
 
@@ -78,7 +77,6 @@ class Calibration(Report):
 
     @property
     def title(self) -> str:
-        """Of what it is."""
         return f"Calibration from {self.measurements.source}"
 
     @property
@@ -105,8 +103,7 @@ class Calibration(Report):
         return sizes(self.before), sizes(self.after)
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, as rows of two texts."""
-        before, after = (_millis(*sizes) for sizes in self.error_sizes())
+        before, after = (f"{1e3 * place:.3g} mm, {1e3 * turn:.3g} mrad" for place, turn in self.error_sizes())
         widest = 1e3 * self.half_width[:OF_ROBOT].reshape(LEGS, PER_LEG).max(axis=0)
         own = {name: [at for at, each in enumerate(OF_LEG) if each.name == name] for name in NAMES}
         widths = ", ".join(f"{name} {widest[at].max():.2g} m{OF_LEG[at[0]].unit}" for name, at in own.items())
@@ -136,15 +133,14 @@ class Calibration(Report):
             yield f"{name}, roll pitch yaw [rad] X Y Z [m]", " ".join(f"{x:.7g}" for x in pose_of(frame))
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows: each leg's changes against the guess with their 95 % intervals, in mm and mrad."""
         changes, widths = (1e3 * each[:OF_ROBOT].reshape(LEGS, -1).T for each in (self.change, self.half_width))
-        cells = [[_cell(*pair) for pair in zip(*row, strict=True)] for row in zip(changes, widths, strict=True)]
-        return ["", *(f"leg {leg}" for leg in range(LEGS))], [
-            [name, *row] for name, row in zip(IN_THOUSANDTHS, cells, strict=True)
+        rows = [
+            [name, *(_cell(*pair) for pair in zip(change, width, strict=True))]
+            for name, change, width in zip(IN_THOUSANDTHS, changes, widths, strict=True)
         ]
+        return ["", *(f"leg {leg}" for leg in range(LEGS))], rows
 
     def robot_file(self) -> str:
-        """The calibrated robot as a file that goes for `robot:` in a scenario."""
         about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"
         comments = "".join(f"# {name}: {text}\n" for name, text in self._frames())
         return f"{comments}{to_yaml({'about': about, **self.robot.to_dict()})}"
@@ -158,10 +154,7 @@ class Calibration(Report):
 
 
 def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
-    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad].
-
-    They are combined so that each has a parameter that no other has, and few parameters besides.
-    """
+    """A sentence for each untold direction (`SIZE`, k), in `scales` (`SIZE`,) [m, rad], of few parameters each."""
     if directions.shape[1] == 0:
         return []
     _, _, order = scipy.linalg.qr(directions.T, mode="economic", pivoting=True)
@@ -179,7 +172,6 @@ def in_words(directions: np.ndarray, scales: np.ndarray) -> list[str]:
 
 
 def _named(at: int) -> tuple[str, str]:
-    """Name and unit of one of the parameters."""
     if at < OF_ROBOT:
         return f"leg {at // PER_LEG} {OF_LEG[at % PER_LEG]}", OF_LEG[at % PER_LEG].unit
     frame, axis = divmod(at - OF_ROBOT, 6)
@@ -191,7 +183,3 @@ def _cell(change: float, width: float) -> str:
     if width == 0.0:
         return "held"
     return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "not told"
-
-
-def _millis(position: float, rotation: float) -> str:
-    return f"{1e3 * position:.3g} mm, {1e3 * rotation:.3g} mrad"

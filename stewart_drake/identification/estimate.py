@@ -1,17 +1,6 @@
 """The parameters that make the measured torques most likely, how well they are known, and which are not.
 
-Generalised least squares: rows are weighed by the covariance of what the six torques leave, found again in each pass.
-What is left is correlated in time, by the filter if by nothing else; the intervals go by the long-run covariance of
-the scores (W. K. Newey and K. D. West, Econometrica 55, 1987), not by the number of rows.
-
-Base parameters: a direction in which the parameters may change by a good part of their own size and no torque
-notices is not told. Its largest parameter then keeps the value of the guess, and all others mean a sum with it: base
-parameters (M. Gautier, "Numerical calculation of the base inertial parameters of robots", J. Robotic Systems 8, 1991).
-
-Bodies: the platform's pseudo-inertia matrix [[Sigma, moment], [moment', mass]] with Sigma = tr(I)/2 - I is positive
-semidefinite, which is what a distribution of positive mass has and nothing else: P. M. Wensing, S. Kim, J.-J. E.
-Slotine, "Linear matrix inequalities for physically consistent inertial parameter identification" (IEEE RA-L 3, 2018).
-Rods, cranks and rotors have no negative mass or inertia, and no friction drives.
+Long-run covariance: Newey, West (1987); base parameters: Gautier (1991); bodies: Wensing, Kim, Slotine (2018).
 """
 
 from __future__ import annotations
@@ -44,35 +33,25 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEGS
 
 ASKED: tuple[Kind, ...] = ("platform_mass", "coulomb", "viscous")
-"""What a motion must tell, unless it is held."""
 LARGEST = 0.3
-"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told: what is drawn or
-weighed is seldom off by more."""
-MEMORY = 0.5
-"""[s] over which what is left may be correlated."""
+"""[-] standard deviation of a direction, in `parameters.scales`, beyond which it counts as not told."""
+MEMORY = 0.5  # [s] over which what is left may be correlated
 LEAST = 1e-5
-"""[-] of the platform's mass, and of what else the guess has, that the smallest eigenvalue of bodies and each number
-keep."""
+"""[-] of the platform's mass, and of what else the guess has, that eigenvalues of bodies and numbers keep."""
 _PASSES = 6
 _KEEP_FIRST = np.array([5.0 if own.kind == "rod_mass" else 1.0 for own in PARAMETERS])
 """Where several could keep the guess's value it is the rods' mass, which a scale tells."""
 _NORMAL_95 = 1.959964
-_BLIND = 1e-9
-"""[-] of the largest singular value below which a direction is that of rounding."""
+_BLIND = 1e-9  # [-] of the largest singular value below which a direction is that of rounding
 _UNLIKE, _NOISY, _FACTOR = 0.5, 0.1, 30.0
-"""[-] of the torques' changes that may be left, unless it is less than so much of the torques, and by which they may
-differ from the guess's. A log of the same robot leaves some hundredths; units are wrong by 57 or 1000."""
+"""[-] of the torques' changes that may be left, unless less of the torques; how they may differ from the guess's."""
 
 
-class InconsistentError(StewartDrakeError):
-    """No parameters of bodies were found near an estimate."""
+class InconsistentError(StewartDrakeError): ...
 
 
 class Untold(NamedTuple):
-    """A parameter that keeps the guess's value: its place, and the change of all per unit of it that no torque notices.
-
-    The deviation [-] is that of the direction, in `scales`; infinite if no motion tells it.
-    """
+    """A parameter that keeps its value, its deviation [-] in `scales`, and the change of all that no torque notices."""
 
     at: int
     deviation: float
@@ -81,10 +60,7 @@ class Untold(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Values (`SIZE`,) that the least squares leave, free along ways (`SIZE`, k), with their covariance (k, k) there.
-
-    The information (k, k) is that of the weighed rows, as if each were for itself.
-    """
+    """Values (`SIZE`,), free along ways (`SIZE`, k), with covariance and information (k, k) there."""
 
     values: np.ndarray
     ways: np.ndarray
@@ -159,7 +135,10 @@ def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
 
 
 def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of the scores' sum, those (6 n, k) of six rows at a time correlated over `MEMORY`."""
+    """Covariance (k, k) of the scores' sum, those (6 n, k) of six rows at a time correlated over `MEMORY`.
+
+    W. K. Newey and K. D. West, Econometrica 55 (1987).
+    """
     of_instant = scores.reshape(len(samples.time), LEGS, -1).sum(axis=1)
     lags = max(1, round(MEMORY / samples.step))
     total = of_instant.T @ of_instant
@@ -171,7 +150,10 @@ def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
 
 
 def _untold(slope: np.ndarray, samples: Samples, held: Collection[Kind], size: np.ndarray) -> list[Untold]:
-    """Which parameters to keep, one after the other, until all directions that are left are told."""
+    """Which parameters to keep, one after the other, until all directions that are left are told: base parameters.
+
+    M. Gautier, "Numerical calculation of the base inertial parameters of robots" (J. Robotic Systems 8, 1991).
+    """
     found: list[Untold] = []
     # Rows closer than half a period of the filter say the same again.
     rows = np.linalg.qr(slope @ free_directions(held).T, mode="r") / np.sqrt(samples.repeats)
@@ -231,8 +213,8 @@ def is_consistent(guess: RobotParameters, values: np.ndarray) -> bool:
 def consistent(guess: RobotParameters, found: Estimate) -> np.ndarray:
     """Parameters (`SIZE`,) that bodies can have, nearest to an estimate in its own information: a semidefinite program.
 
-    Raises:
-        InconsistentError: None were found.
+    P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear matrix inequalities for physically consistent inertial parameter
+    identification" (IEEE RA-L 3, 2018). Rods, cranks and rotors have no negative mass, and no friction drives.
     """
     bounds = _lower_bounds(guess)
     if is_consistent(guess, found.values):

@@ -1,8 +1,6 @@
 """A motion that tells the parameters: a finite Fourier series within the limits, of least condition number.
 
-J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997). Each
-axis has a sine at each of a few harmonics. Begun with the best of many random series, each as large as the limits let
-it be; then amplitudes and phases are changed at random, by steps that adapt, and what is better stays.
+J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997).
 """
 
 from __future__ import annotations
@@ -25,10 +23,8 @@ from stewart_drake.robot import RobotParameters
 
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
-"""[s] of the whole motion; with it sines of 0.1 to 1.55 Hz. No multiple of usual sample times, so that the steps of
-coarse encoders err anew in each period."""
-ROOM = 1.15
-"""[-] by which the motion could be larger within the limits: the robot is not quite the guess."""
+"""[s] of the whole motion: sines of 0.1 to 1.55 Hz, and coarse encoders err anew in each period."""
+ROOM = 1.15  # [-] by which the motion could be larger within the limits: the robot is not quite the guess
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
 _FADE = 2.0
@@ -36,10 +32,7 @@ _BLIND = 1e-9
 
 
 class Excitation(NamedTuple):
-    """A motion begun from rest, with the condition number [-] of the torques' derivatives by the parameters.
-
-    Each parameter counts in its own size; the last is the median of random motions.
-    """
+    """A motion begun from rest, its condition number [-] in the parameters' own sizes, and that of random ones."""
 
     reference: AdjustedReference
     condition: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from stewart_drake.errors import ConfigurationError
 from stewart_drake.files.report import Report
 from stewart_drake.files.yaml_files import to_yaml
-from stewart_drake.identification.estimate import ASKED, Estimate, consistent, estimate
+from stewart_drake.identification.estimate import ASKED, Estimate, Untold, consistent, estimate
 from stewart_drake.identification.parameters import (
     COULOMB,
     GAIN,
@@ -30,15 +30,11 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.robot import RobotParameters
 
 AnyLog = Recording | SimulationLog | str | Path
-_SHOWN = 0.02
-"""[-] of its own size by which a parameter must be in a sum for it to be named there."""
+_SHOWN = 0.02  # [-] of its own size by which a parameter must be in a sum for it to be named there
 
 
 class Prediction(NamedTuple):
-    """Errors of a recording's predicted torques over their RMS [-]: by the guess without friction, by what was found.
-
-    The first two where no crank sticks, the last everywhere.
-    """
+    """Errors of predicted torques over their RMS [-], the first two where no crank sticks."""
 
     source: str
     guess: float
@@ -77,12 +73,10 @@ class Identification(Report):
 
     @property
     def title(self) -> str:
-        """Of what it is."""
         return f"Identification from {self.samples.source}"
 
     @cached_property
     def robot(self) -> RobotParameters:
-        """The robot with what was found of its bodies."""
         return as_robot(self.guess, self.values)
 
     @property
@@ -130,7 +124,6 @@ class Identification(Report):
         return [(*own, *row, meaning) for own, row, meaning in rows]
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, as rows of two texts."""
         mass, place = self.payload
         at = f" at {' '.join(f'{1e3 * x:.1f}' for x in place)} mm in P" if np.isfinite(place).all() else ""
         corrected = (np.abs(self.values - self.estimate.values) > 1e-9 * scales(self.guess)).any()
@@ -150,7 +143,7 @@ class Identification(Report):
             ("bodies", "moved to the nearest that can be" if corrected else "as estimated: they can be"),
             ("coulomb, viscous friction", f"{_few(self.coulomb)} N m, {_few(self.viscous)} N m s/rad"),
             ("torque constants", self._constants()),
-            *(("not told, the guess's stays", line) for line in self._untold()),
+            *(("not told, the guess's stays", self._sentence(each)) for each in self.estimate.untold),
         ]
 
     def _constants(self) -> str:
@@ -158,21 +151,18 @@ class Identification(Report):
         what = "of the torques in the logs" if "platform_mass" in self.held else "of their geometric mean, taken as 1"
         return f"Motors 0 to 5 give {constants} {what}"
 
-    def _untold(self) -> Iterator[str]:
-        """A sentence for each parameter that the motion does not tell: how badly, and what goes with it."""
-        size = scales(self.guess)
-        for each in self.estimate.untold:
-            own = PARAMETERS[each.at]
-            others = ", ".join(
-                f"{other} by {each.direction[at]:+.3g} {other.unit}".strip()
-                for at, other in enumerate(PARAMETERS)
-                if at != each.at and abs(each.direction[at]) * size[each.at] > _SHOWN * size[at]
-            )
-            badly = "by no motion" if np.isinf(each.deviation) else f"off by {each.deviation:.2g} times its size"
-            yield f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
+    def _sentence(self, untold: Untold) -> str:
+        """How badly the motion tells a parameter, and what goes with it."""
+        size, own = scales(self.guess), PARAMETERS[untold.at]
+        others = ", ".join(
+            f"{other} by {untold.direction[at]:+.3g} {other.unit}".strip()
+            for at, other in enumerate(PARAMETERS)
+            if at != untold.at and abs(untold.direction[at]) * size[untold.at] > _SHOWN * size[at]
+        )
+        badly = "by no motion" if np.isinf(untold.deviation) else f"off by {untold.deviation:.2g} times its size"
+        return f"{own} ({badly}): with each {own.unit or 'unit'} more of it {others or 'nothing'}"
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows of texts: guess, value and meaning of each parameter; torque constants as factors."""
         rows = []
         for own, (*_, guess, value, width, meaning) in zip(PARAMETERS, self.rows(), strict=True):
             if own.kind == "torque_constant":
@@ -183,11 +173,9 @@ class Identification(Report):
         return ["", "guess", "value", "means"], rows
 
     def friction_file(self) -> str:
-        """Friction of the motors as a part of a scenario."""
         return to_yaml({"plant": {"friction": {"coulomb": self.coulomb.tolist(), "viscous": self.viscous.tolist()}}})
 
     def robot_file(self) -> str:
-        """The identified robot as a file that goes for `robot:` or `model_robot:` in a scenario."""
         within = [
             f"{'its torques' if at < self.logs else 'torques of a log not used'} within {100 * each.found:.2g} %"
             for at, each in enumerate(self.predictions)

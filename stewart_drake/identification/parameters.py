@@ -34,8 +34,6 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class Parameter(NamedTuple):
-    """One number: one of `KINDS`, which of its components or which motor (or none), and its unit."""
-
     kind: Kind
     part: str
     unit: str
@@ -57,8 +55,7 @@ PARAMETERS = (
     *(Parameter("viscous", motor, "N m s/rad") for motor in _MOTORS),
     *(Parameter("torque_constant", motor, "") for motor in _MOTORS),
 )
-"""Moment: mass times centre of mass, in P; inertia: about the origin of P, the tensor's entries. Of a crank the moment
-of inertia about its own middle stays that of the guess: it and the rotor's only act as their sum."""
+"""Moments are in P, inertias about its origin; a crank's own inertia stays: it and the rotor's only act as a sum."""
 SIZE = len(PARAMETERS)
 BODIES, COULOMB, VISCOUS, GAIN = slice(0, 14), slice(14, 20), slice(20, 26), slice(26, 32)
 MASS, MOMENT, INERTIA, ROD_MASS, ROD_INERTIA, CRANK_MASS, ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
@@ -97,10 +94,7 @@ def inertia_matrix(values: np.ndarray) -> Any:
 
 
 def unit_robots(guess: RobotParameters) -> list[np.ndarray]:
-    """Records of the guess's geometry with one of the bodies' parameters 1 and the others 0: columns of the model.
-
-    The last has the cranks' own inertia instead, the part of the torques that is known.
-    """
+    """Records of the guess's geometry with one body parameter 1, the others 0; the last has the cranks' own inertia."""
 
     def only(**values: Any) -> np.ndarray:
         robot = robot_record(guess).copy()
@@ -123,10 +117,7 @@ def unit_robots(guess: RobotParameters) -> list[np.ndarray]:
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
-    """Change (`SIZE`,) of each parameter that counts as 1: as much again as the guess has, or could well have.
-
-    Friction counts in hundredths of the motors' limit, at 1 rad/s; gains by a tenth.
-    """
+    """Change (`SIZE`,) of each parameter that counts as 1: its own size, a hundredth of the limit, tenths of gains."""
     mass, length, effort = guess.platform_mass, guess.characteristic_length, float(guess.effort_limits.mean())
     platform = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
     links = [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
@@ -136,8 +127,7 @@ def scales(guess: RobotParameters) -> np.ndarray:
 def free_directions(held: Collection[Kind], kept: Collection[int] = ()) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
 
-    No torque tells a heavier robot from stronger motors: unless the platform's mass is held, the geometric mean of the
-    torque constants is. Kinds that are held, and single parameters that are kept by their place, do not change.
+    No torque tells a heavier robot from stronger motors: unless the mass is held, the mean of the torque constants is.
     """
     from scipy.linalg import null_space
 

@@ -1,9 +1,6 @@
 """From logs of crank angles and torques to equations: read, checked, filtered, one row of the model for each instant.
 
-Angles and torques go through the same Butterworth filter of fourth order, forwards and backwards, so that neither its
-lag nor what it takes off falls between them. Rates and accelerations are those of a quintic spline through the poses
-that the filtered angles give. Where a crank turns slowly or back, its friction is anything between its two levels:
-the motor's row has no say there, nor as far around as the filter smears.
+One filter for angles and torques. Where a crank turns slowly or back its row has no say, nor where the filter smears.
 """
 
 from __future__ import annotations
@@ -31,14 +28,11 @@ from stewart_drake.robot.leg import LEGS
 from stewart_drake.sampling import unwrapped
 
 MAX_BYTES, MAX_ROWS = 300_000_000, 1_000_000
-UNEVEN = 0.1
-"""[-] of a step by which times may lie beside an even grid."""
+UNEVEN = 0.1  # [-] of a step by which times may lie beside an even grid
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEGS)))
 BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
-"""[Hz] at which the filter lets half of the amplitude through, and at least so many rows in one of its periods: what
-encoders err by grows in accelerations with the power 2.5 of the bandwidth, and falls with the rows."""
-SLOW = 0.05
-"""[rad/s] of a crank below which its friction may stick."""
+"""[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
+SLOW = 0.05  # [rad/s] of a crank below which its friction may stick
 _OVERSAMPLING, _SMEAR, _EDGE, _SHORTEST = 6.0, 0.5, 2.0, 20.0
 """In periods of the bandwidth: rows a period, how far the filter smears, what the ends lose, what must be left."""
 _HOMOTOPY = 4
@@ -97,25 +91,18 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """[Hz] of the rows."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
     @property
     def table(self) -> np.ndarray:
-        """(n, 13) of `QUANTITIES`."""
         return np.concatenate([self.time[:, None], self.angles, self.torque], axis=-1)
 
     def to_csv(self) -> str:
-        """A table that `load_recording` reads."""
         return numbers_to_csv(QUANTITIES, self.table)
 
 
 def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -> Recording:
-    """A recording from a log of this package (.parquet, or a results folder), or from a CSV file with `QUANTITIES`.
-
-    For the lag [s] of a CSV file see `Recording`: torques measured with the angles have 0, commands that are held until
-    the next row half a row.
-    """
+    """A recording from a log of this package (.parquet, or a folder), or a CSV file with `QUANTITIES` and a lag [s]."""
     if Path(path).suffix.lower() != ".csv":
         return of_log(load_log(path), guess, f"log {path}")
     source = f"recording {path}"
@@ -124,10 +111,7 @@ def load_recording(path: str | Path, guess: RobotParameters, lag: float = 0.0) -
 
 
 def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> Recording:
-    """What encoders and amplifiers said in a run: readings by way of the pose that they gave, never the true pose.
-
-    Where the controller sees the robot itself, without encoders, that is what it sees.
-    """
+    """What encoders and amplifiers said in a run: readings by way of the pose that they gave, never the true pose."""
     robot = log.scenario.believed_robot
     for name in ("shaft_positions", "platform_joints", "crank_lengths", "rod_lengths", "crank_zero_directions"):
         off = np.abs(getattr(robot, name) - getattr(guess, name)).max()
@@ -148,11 +132,9 @@ def of_log(log: SimulationLog, guess: RobotParameters, source: str = "log") -> R
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """n instants with six equations each.
+    """n instants: torques [N m], `bodies` (n, 6, 14), `known` torques, `sign` of cranks' `rates` [rad/s], rows `used`.
 
-    Torques [N m] filtered; `bodies` (n, 6, 14) per unit of the bodies' parameters; `known` what no parameter changes;
-    `sign` of the cranks' `rates` [rad/s], filtered; `used` rows that have a say; `pieces` of the recordings; `step` [s]
-    between instants, of which `repeats` lie in half a period of the filter.
+    `pieces` are the recordings, `step` [s] is between instants, of which `repeats` lie in half a period of the filter.
     """
 
     time: np.ndarray
@@ -184,12 +166,7 @@ class Samples:
 
 
 def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
-    """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz].
-
-    Raises:
-        ConfigurationError: Too short; a bandwidth that the rows' rate does not carry; readings at which the robot
-            cannot be.
-    """
+    """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz]."""
     time, rate, source = recording.time, recording.rate, recording.source
     if bandwidth is None:
         bandwidth = min(BANDWIDTH, rate / ROWS_A_PERIOD)
@@ -235,10 +212,7 @@ def samples_of_motion(
     gravity: float,
     source: str = "motion",
 ) -> Samples:
-    """Equations of a motion that is known exactly, as `Reference.evaluate` gives it at an even rate, without torques.
-
-    The columns of the model are the exact inverse dynamics, asked once for each parameter of the bodies.
-    """
+    """Equations of a motion known exactly, without torques: inverse dynamics once for each parameter of the bodies."""
     pose, rate, _ = motion
     *columns, known = (inverse_dynamics(robot, *motion, gravity) for robot in unit_robots(guess))
     speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
@@ -248,7 +222,6 @@ def samples_of_motion(
 
 
 def together(parts: Sequence[Samples]) -> Samples:
-    """Several recordings as one."""
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "torque", "bodies", "known", "sign", "rates", "used")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}

@@ -1,7 +1,4 @@
-"""(7) to (18): the force map as printed and by statics, against torques that really hold and accelerate.
-
-At rest the acceleration is affine in the torques, and its slope holds all that the force map claims.
-"""
+"""(7) to (18): the force map as printed and by statics, against torques that really hold and accelerate."""
 
 from __future__ import annotations
 
@@ -27,9 +24,7 @@ SETTLING_STEPS = 14
 """Plant steps before the acceleration is read. SAP's near-rigid loop closures give way by half a thousandth in the
 first step from rest and halve that in each further one."""
 _TORQUE_SHARE = 0.2
-"""Part of the effort limit that is put on one motor at a time."""
-MASSLESS = 1e-4
-"""Factor on the legs' masses and inertias of the plant that stands for massless legs."""
+MASSLESS = 1e-4  # Factor on the legs' masses and inertias of the plant that stands for massless legs
 LEAST_MARGIN = 1e-3
 """[-] poses keep this far from a crank's dead centre (transmission 0.04), where nothing is finite."""
 MODELS = {
@@ -43,16 +38,12 @@ MODELS = {
 
 
 def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
-    """The robot with masses and inertias of cranks and rods times `scale`, but no less than a robot may have."""
     of_legs = ("rod_mass", "crank_mass", "rod_inertia", "crank_inertia")
     return robot.replace(**{k: np.maximum(SMALLEST, scale * np.array(getattr(robot, k))).tolist() for k in of_legs})
 
 
 def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:
-    """d(twist)/dt (n, 6, 6) per N m of each motor at rest, by seven runs of Drake's plant: none, each alone.
-
-    Steps last a microsecond; the velocity gained in the last one is read.
-    """
+    """d(twist)/dt (n, 6, 6) per N m of each motor at rest, gained by Drake's plant in its last microsecond."""
     diagram, stewart = build_plant(robot, PlantOptions(time_step=1e-6), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
@@ -104,10 +95,7 @@ def relative_error(robot: RobotParameters, model: np.ndarray, truth: np.ndarray)
 
 
 def rod_force_per_torque(robot: RobotParameters, poses: np.ndarray, twist_map: np.ndarray) -> np.ndarray:
-    """|a| F_i / T_i (n, 6) [-] from the platform's acceleration per torque, where legs have no mass.
-
-    (15) says e_l.e_N, statics says 1 / (e_l.e_N).
-    """
+    """|a| F_i / T_i (n, 6) [-] of massless legs: (15) says e_l.e_N, statics says 1 / (e_l.e_N)."""
     force = robot.platform_mass * np.swapaxes(twist_map[:, 3:], -1, -2)
     return np.asarray(robot.crank_lengths * np.sum(leg_geometry(robot, poses).e_l * force, axis=-1))
 
@@ -120,7 +108,6 @@ def to_euler(poses: np.ndarray, twist_rate: np.ndarray) -> np.ndarray:
 
 
 def reproduce(study: Study) -> Result:
-    """Two plants at rest at random poses, one with the legs of Table I and one with massless legs."""
     robot, rng = study.base.robot, np.random.default_rng(SEED)
     poses = sample_poses(robot, NEAR, study.pick(120, 15), rng, LEAST_MARGIN).poses
     light = light_legs(robot, MASSLESS)

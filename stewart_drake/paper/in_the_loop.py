@@ -1,7 +1,6 @@
-"""Fig. 7: the paper's tuner in the loop, against fixed weights; on (37), (38) and on motions beyond its training.
+"""Fig. 7: the paper's tuner in the loop; (37), (38) and motions beyond its training.
 
-Deviation: the paper's Fig. 7 is one motion under one controller. What online tuning is worth can only be told against
-the weights that it chooses from, so every trajectory is run under each of them too.
+Deviation: the paper has one motion and one controller; here each motion is run under each of the weights as well.
 """
 
 from __future__ import annotations
@@ -37,17 +36,14 @@ from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario import Scenario
 from stewart_drake.training.collect import six
 
-CLAIMED = 45.0
-"""[%] improvement on average, of the later paper (doi 10.1177/10775463211019177)."""
+CLAIMED = 45.0  # [%] improvement on average, of the later paper (doi 10.1177/10775463211019177).
 BEST_FIXED, MEAN_OF_NINE, ORACLE = "best fixed pair", "mean of the nine", "oracle"
 APART = 1e-10
 """[rad, m] between starts that nobody could tell apart: where the loop is chaotic, one run is one sample."""
 MAIN, TUNER = "(37), (38)", "tuner"
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
-"""The controllers with fixed weights."""
 Errors = Mapping[str, Mapping[str, float]]
-"""Trajectory -> controller, `TUNER` or one of `FIXED` -> pose RMSE [mm]."""
 
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
@@ -63,11 +59,7 @@ def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
 
 
 def baselines(errors: Errors) -> dict[str, list[float]]:
-    """Pose RMSE [mm] of all that the tuner is measured against, one for each trajectory.
-
-    The five controllers; the one with the smallest geometric mean over all trajectories; the mean over the nine labels;
-    and, as one who knew it beforehand would choose, the best on each trajectory.
-    """
+    """Pose RMSE [mm] by trajectory of all that the tuner is measured against; the oracle knows the best beforehand."""
     fixed = {name: [row[name] for row in errors.values()] for name in FIXED}
     best = min(FIXED, key=lambda name: float(np.mean(np.log(fixed[name]))))
     labels = [sum(np.isclose(q / r, ratio) for q, r in PAIRS) for ratio in RATIOS]
@@ -85,7 +77,6 @@ def improvement(errors: Errors, baseline: Sequence[float]) -> dict[str, Any]:
 
 
 def reproduce(study: Study) -> Result:
-    """Every trajectory under the tuner and the five ratios; (37), (38) again without gravity, and from other starts."""
     base, network = study.base, load_network(study.tuner_file)
     unseen = unseen_trajectories()
     if study.quick:
@@ -120,7 +111,11 @@ def reproduce(study: Study) -> Result:
     fixed_logs = {key: log for key, log in logs.items() if key[1] in FIXED}
     answers = [_mean_ratio(log, network.weights(log["density"])) for log in fixed_logs.values()]
     slope = float(np.polyfit([np.log10(FIXED[who]) for _, who in fixed_logs], answers, 1)[0])
-    figures = {key: _figures(log) for key, log in logs.items() if key[0] in fig7}
+    figures = {}
+    for key, log in ((key, log) for key, log in logs.items() if key[0] in fig7):
+        m = run_metrics(log)
+        sizes = {"roll_rmse_deg": m["rmse_deg"][0], "z_rmse_mm": m["rmse_mm"][2]}
+        figures[key] = {**sizes, "integral_at_5s": largest_integral(log), "growth": growth(log)}
     numbers = {
         "fig7": {name: figures[name, None] for name in fig7},
         "nearby_starts": {
@@ -157,15 +152,4 @@ def reproduce(study: Study) -> Result:
 
 
 def _mean_ratio(log: SimulationLog, weights: np.ndarray) -> float:
-    """Mean of log10(omega_Q / omega_R) over the second half of a run."""
     return float((np.log10(weights[second_half(log)]) @ (1.0, -1.0)).mean())
-
-
-def _figures(log: SimulationLog) -> dict[str, Any]:
-    m = run_metrics(log)
-    return {
-        "roll_rmse_deg": m["rmse_deg"][0],
-        "z_rmse_mm": m["rmse_mm"][2],
-        "integral_at_5s": largest_integral(log),
-        "growth": growth(log),
-    }

@@ -1,7 +1,6 @@
 """II.C and (1) to (6): the multibody plant against mechanics; kinematics as meant, as Drake has it, and as printed.
 
-Printed equations stand here with their misprints, for comparison, never for control. Poses are [roll, pitch, yaw, X, Y,
-Z] as everywhere; what is printed in degrees comes back in radians.
+Printed equations stand here with their misprints, in radians, for comparison, never for control.
 """
 
 from __future__ import annotations
@@ -33,10 +32,8 @@ from stewart_drake.robot import RobotParameters
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
 """[rad, m] from home: where a free motion starts, at rest."""
-TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])
-"""[N m] held constant meanwhile."""
+TORQUE = np.array([0.2, 0.3, 0.25, 0.3, 0.2, 0.3])  # [N m] held constant meanwhile
 DURATION = 0.15
-"""[s] of it."""
 BRANCHES = (-1, 1)
 SAME_ANGLE = SAME_POSE = 1e-6
 """[rad, m] below this they are the same; next to a dead centre an acos keeps half the digits only."""
@@ -55,7 +52,6 @@ def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
 
 
 def plant_motion(robot: RobotParameters, gravity: float, time_step: float) -> tuple[np.ndarray, float]:
-    """Pose (6,) [rad, m] of Drake's plant after the same motion, and its largest loop gap [m]."""
     diagram, plant = build_plant(robot, PlantOptions(time_step=time_step), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
@@ -76,10 +72,7 @@ def rotation_3(rpy: np.ndarray) -> np.ndarray:
 
 
 def platform_joints(robot: RobotParameters, pose: np.ndarray, misprint: str = "") -> np.ndarray:
-    """Platform joints (..., 6, 3) [m] in B as (2) means them, R^-1 p_i + G, or with one of `MISPRINTS`.
-
-    With "(3)", R is that of `rotation_3`; with "(5)", its bracket is R^-1 (p_i + G).
-    """
+    """Platform joints (..., 6, 3) [m] in B as (2) means them, R^-1 p_i + G, or with the misprint of (3) or (5)."""
     position, joints = pose[..., None, 3:], robot.platform_joints
     if misprint == "(3)":
         return joints @ np.swapaxes(np.linalg.inv(rotation_3(pose[..., :3])), -1, -2) + position
@@ -91,10 +84,7 @@ MISPRINTS = ("(3)", "(5)")
 
 
 def crank_equation(robot: RobotParameters, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C, each (..., 6) [m^2], that (6) does not give: A cos(theta) + B sin(theta) = C of each leg.
-
-    It is what a rod of its length asks of its crank, for platform joints (..., 6, 3) [m] anywhere.
-    """
+    """A, B, C, each (..., 6) [m^2], that (6) does not give: A cos(theta) + B sin(theta) = C for joints [m] anywhere."""
     span = joints - robot.shaft_positions
     twice = 2.0 * robot.crank_lengths
     a = twice * np.sum(span * robot.crank_zero_directions, axis=-1)
@@ -115,10 +105,7 @@ def crank_angles_6(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
-    """Distances (n, 6) [m] of crank tips to platform joints by Drake's forward kinematics: the length of the rods.
-
-    Crank angles, by the closed form, and poses (n, 6) are set independently in the plant.
-    """
+    """Lengths (n, 6) [m] of rods by Drake's forward kinematics, crank angles by the closed form and poses set apart."""
     stewart = build_plant(robot)[1]
     plant, spans = stewart.plant, np.empty(poses.shape)
     context, world, platform = plant.CreateDefaultContext(), plant.world_frame(), plant.GetFrameByName("platform")
@@ -133,12 +120,9 @@ def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
 
 
 def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> dict[str, Any]:
-    """Inverse kinematics of poses (n, 6) in reach, Newton's method back from `guess`.
+    """Numbers of poses (n, 6) that Newton's method finds back from `guess`: `same`, `other`, `failed`.
 
-    Returns:
-        Numbers of poses: `same`, found again; `other`, another assembly of the same crank angles; `other_across`, those
-        of them that a parallel singularity parts from home; `failed`. `error` [m]: largest distance to a pose found
-        again, shift of the centre plus turn times 1 m.
+    `other_across` are those of `other` beyond a parallel singularity; `error` [m] is shift plus turn times 1 m.
     """
     legs = leg_geometry(robot, poses)
     found = np.full(poses.shape, np.nan)
@@ -164,9 +148,9 @@ def misprint_effect(robot: RobotParameters, poses: np.ndarray, misprint: str) ->
 
 
 def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> dict[str, float]:
-    """Shares of the legs at poses (n, 6) in reach where (6) gives branch `-1`, `1` or `neither`; and those with A > 0.
+    """Shares of the legs at poses (n, 6) where (6) gives branch `-1`, `1` or `neither`; and those with A > 0.
 
-    A `sense` of -1 counts crank angles the other way round, which turns B into -B.
+    A `sense` of -1 counts crank angles the other way round.
     """
     a, b, c = crank_equation(robot, platform_joints(robot, poses))
     off = sense * crank_angles_6(a, sense * b, c) - np.array([crank_angles(a, b, c, branch) for branch in BRANCHES])
@@ -176,7 +160,6 @@ def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> di
 
 
 def reproduce(study: Study) -> Result:
-    """Free motion for ever smaller steps of the plant; kinematics at random poses of three boxes, on both branches."""
     robot, gravity, rng = study.base.robot, study.base.gravity, np.random.default_rng(SEED)
     steps = np.array(study.pick((2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5), (2e-3, 1e-3, 5e-4)))
     motions = [plant_motion(robot, gravity, float(step)) for step in steps]

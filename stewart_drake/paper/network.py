@@ -22,15 +22,13 @@ from stewart_drake.training.collect import (
     experiment_scenarios,
     feasible_amplitudes,
 )
-from stewart_drake.training.train import Split, TrainingOptions, TrainingResult, r_squared, train_network
+from stewart_drake.training.train import Split, TrainingOptions, r_squared, train_network
 
 PAPER_AMPLITUDE = (np.pi / 6.0,) * 3 + (0.3,) * 3
 """[rad, m] what section III.D names, for every frequency from 1 to 5 Hz."""
 PAPER_SAMPLES = 14_400
-SAME_DATA = 1e-6
-"""[-] difference of densities below which two runs count as one set of data."""
+SAME_DATA = 1e-6  # [-] difference of densities below which two runs count as one set of data
 LEARNT = 0.7
-"""R^2 from which a label counts as learnt."""
 TARGETS = ("omega_Q", "omega_R", "ratio")
 SIDES = ("training", "validation")
 Scores = dict[str, float | None]
@@ -43,10 +41,7 @@ def run_distances(dataset: Dataset) -> np.ndarray:
 
 
 def best_possible_scores() -> Scores:
-    """R^2 over the nine pairs of an estimator that knows the ratio of the weights and nothing else.
-
-    Equal ratios give equal data, so nothing better can be learnt from it.
-    """
+    """R^2 over the nine pairs of an estimator that knows the ratio alone: equal ratios give equal data."""
     labels = np.log10(PAIRS)
     _, group = np.unique(np.round(labels[:, 0] - labels[:, 1], 9), return_inverse=True)
     targets = (*labels.T, labels[:, 0] - labels[:, 1])
@@ -54,14 +49,7 @@ def best_possible_scores() -> Scores:
     return {name: r_squared(target, mean) for name, target, mean in zip(TARGETS, targets, means, strict=True)}
 
 
-def scores_of(result: TrainingResult, side: str) -> dict[str, Any]:
-    """R^2 of a training on one side of its split; None where the target does not vary."""
-    scores = {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS}
-    return {name: score if np.isfinite(score) else None for name, score in scores.items()}
-
-
 def reproduce(study: Study) -> Result:
-    """The nine experiments, and four trainings: two kinds of density, two kinds of split."""
     base, own, window = study.base, study.base.tuner.density, study.base.tuner.window
     scenarios = experiment_scenarios(base, study.pick(SAMPLES_PER_RUN, 640))
     logs = list(study.run(dict(enumerate(scenarios))).values())
@@ -74,10 +62,14 @@ def reproduce(study: Study) -> Result:
         study.tuner_file = study.folder / "tuner.json"
         results[own, "samples"].network.save(study.tuner_file)
     largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
-    scores = {
-        f"{kind} {split}": {side: scores_of(result, side) for side in SIDES}
-        for (kind, split), result in results.items()
-    }
+    scores: dict[str, dict[str, Any]] = {}
+    for (kind, split), result in results.items():
+        of_sides = {side: {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS} for side in SIDES}
+        # None where the target does not vary.
+        scores[f"{kind} {split}"] = {
+            side: {name: score if np.isfinite(score) else None for name, score in each.items()}
+            for side, each in of_sides.items()
+        }
     numbers = {
         "largest_amplitude": largest.tolist(),
         "amplitude": [list(row) for row in experiment_reference(base).amplitude],

@@ -30,13 +30,9 @@ from stewart_drake.references import paper_reference
 from stewart_drake.scenario import Scenario
 
 EQUAL_GAINS = 1e-10
-"""[-] relative difference below which two gains count as one."""
-NEAR_ZERO = 0.01
-"""[rad s, m s] what counts as "near zero" of the integral states at 5 s."""
+NEAR_ZERO = 0.01  # [rad s, m s] what counts as "near zero" of the integral states at 5 s
 CONDITIONS = tuple(itertools.product((0.0, STANDARD_GRAVITY), ("none", "gravity", "platform")))
-"""Gravity [m/s^2] and feedforward."""
-FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")
-"""No gravity; gravity, and (34) alone against it."""
+FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, and (34) alone against it
 
 
 def gains_along_reference(base: Scenario) -> np.ndarray:
@@ -64,7 +60,6 @@ def distinct(distances: np.ndarray, tolerance: float) -> int:
 
 
 def reproduce(study: Study) -> Result:
-    """Runs of (37), (38) under six conditions; and with gravity and (34) alone, by period and force map."""
     # Quick: all nine pairs to 5 s where the paper stands, without gravity and feedforward; elsewhere fewer and shorter.
     pairs = dict.fromkeys(CONDITIONS, study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS[::2]]))
     pairs |= {FREE: PAIRS, BARE: study.pick(PAIRS, [pair_of(ratio) for ratio in RATIOS])}

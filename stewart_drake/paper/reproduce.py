@@ -25,7 +25,7 @@ from stewart_drake.planning.pose_box import Region
 from stewart_drake.plotting import save_figure
 from stewart_drake.scenario import AnnTuner, FixedTuner, Scenario
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.collect import OMEGAS
 
 K = TypeVar("K")
@@ -36,20 +36,14 @@ MODULES = (
 )
 """Of this package, in the paper's order; each has `reproduce(study) -> Result`."""
 SEED = 20_210_601
-"""Of every random choice, unless a claim says otherwise."""
 PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
-"""omega_Q, omega_R of the nine experiments."""
 RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
-"""Their distinct ratios omega_Q / omega_R: five controllers."""
 ANNOUNCED = Region("announced", (math.pi / 6.0,) * 3 + (0.3,) * 3, "30 deg and 300 mm, as section III.D announces")
 WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as each coordinate goes alone")
 
 
 class Claim(NamedTuple):
-    """A row of the table: what the paper claims and says, what we find with its unit, and whether the claim holds.
-
-    `holds` is None where the paper says nothing.
-    """
+    """What the paper claims and says, what we find, and whether it holds; None where the paper says nothing."""
 
     name: str
     paper: str
@@ -59,8 +53,6 @@ class Claim(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What comes of a module of claims: its numbers, its rows of the table, and its figures, drawn when called."""
-
     numbers: dict[str, Any]
     claims: list[Claim]
     figures: Mapping[str, Callable[[], Figure]] = {}
@@ -68,16 +60,7 @@ class Result(NamedTuple):
 
 @dataclass(eq=False)
 class Study:
-    """One reproduction under way.
-
-    Attributes:
-        quick: Smaller sizes.
-        base: Scenario that the claims vary; the default is the paper's loop with gravity compensated.
-        folder: Where the network goes that this study trains; None keeps none.
-        tuner_file: Its weights; None before, for those of the shipped one.
-        workers: Processes for runs; None is one for each core, 0 none.
-        progress: Called with the share of the present runs that is done, 0 to 1.
-    """
+    """One reproduction under way; `tuner_file` are the weights that it has trained, `workers` 0 for none."""
 
     quick: bool = False
     base: Scenario = field(default_factory=Scenario)
@@ -87,21 +70,14 @@ class Study:
     progress: Callable[[float], None] = lambda _: None
 
     def pick(self, full: Any, quick: Any) -> Any:
-        """One of two sizes."""
         return quick if self.quick else full
 
     def run(self, scenarios: Mapping[K, Scenario], check: bool = True) -> dict[K, SimulationLog]:
-        """Logs of the scenarios; equal ones run once. Without `check` a motion is not held against the limits first."""
         different = list(dict.fromkeys(scenarios.values()))
-        logs: dict[Scenario, SimulationLog] = {}
-
-        def keep(index: int, log: SimulationLog) -> None:
-            logs[different[index]] = log
-            self.progress(len(logs) / len(different))
-
-        work = partial(simulate, check=check)
+        arguments = [(scenario,) for scenario in different]
         workers = Workers(0 if len(different) == 1 else self.workers)
-        run_jobs(range(len(different)), lambda index: (work, (different[index],)), keep, workers)
+        done = run_all(partial(simulate, check=check), arguments, workers, lambda n: self.progress(n / len(different)))
+        logs = dict(zip(different, done, strict=True))
         return {key: logs[scenario] for key, scenario in scenarios.items()}
 
     def under_tuner(self, scenario: Scenario) -> Scenario:
@@ -115,10 +91,7 @@ class Study:
 def reproduce(
     quick: bool = False, out: Path | None = None, progress: Callable[[float, str], None] = lambda *_: None
 ) -> dict[str, Result]:
-    """All claims by module; with `out` the numbers as numbers.json, the network and the figures go there.
-
-    `progress` is called with the share done, 0 to 1, and the module at hand.
-    """
+    """All claims by module; with `out` numbers.json, the network and the figures go there."""
     results: dict[str, Result] = {}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -134,7 +107,6 @@ def reproduce(
 
 
 def write(out: Path, results: dict[str, Result]) -> None:
-    """The numbers of results as numbers.json, and their figures."""
     numbers = {name: result.numbers for name, result in results.items()}
     (out / "numbers.json").write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n")
     (out / "figures").mkdir(exist_ok=True)
@@ -144,7 +116,6 @@ def write(out: Path, results: dict[str, Result]) -> None:
 
 
 def rows(claims: Iterable[Claim]) -> list[tuple[str, str, str, str]]:
-    """The table: claim, paper, ours, verdict."""
     verdicts = {True: "holds", False: "fails", None: "-"}
     shown = ((claim, f"{claim.ours:.4g}" if claim.ours % 1 else f"{claim.ours:.0f}") for claim in claims)
     return [(c.name, c.paper, f"{ours} {c.unit}".strip(), verdicts[c.holds]) for c, ours in shown]
@@ -175,14 +146,12 @@ def markdown(header: Iterable[str], lines: Iterable[Iterable[object]]) -> str:
 
 
 def pair_of(ratio: float) -> tuple[float, float]:
-    """The first pair of the nine with this ratio omega_Q / omega_R."""
     return next(pair for pair in PAIRS if np.isclose(pair[0] / pair[1], ratio))
 
 
 def paper_scenario(
     base: Scenario, duration: float, gravity: float, feedforward: str, pair: Sequence[float]
 ) -> Scenario:
-    """(37), (38) under one pair of weights, the rest as in `base`."""
     return base.replace(
         {
             "duration": duration,
@@ -195,7 +164,6 @@ def paper_scenario(
 
 
 def score(log: SimulationLog) -> dict[str, float] | None:
-    """Pose RMSE [mm] and torque RMS [N m] of the second half; None where a run ended early."""
     if not log.reached_end:
         return None
     metrics = run_metrics(log)
@@ -211,7 +179,6 @@ def growth(log: SimulationLog) -> float | None:
 
 
 def outcome(log: SimulationLog) -> str:
-    """`completed`, or what happened, with its leg and time."""
     reason = (log.reason or "").replace("_", " ")
     if log.status == "lost":
         return f"lost: {reason}, {log.outcome_time:.3f} s"
@@ -225,5 +192,4 @@ def largest_integral(log: SimulationLog) -> float | None:
 
 
 def quantiles(values: np.ndarray, at: tuple[float, ...] = (0.05, 0.5, 0.95)) -> list[float]:
-    """Quantiles of what is finite."""
     return np.quantile(values[np.isfinite(values)], at).tolist()

@@ -1,7 +1,4 @@
-"""Sensitivity and robustness, promised by the paper's conclusion: tracking of (37), (38) against one change at a time.
-
-Deviation: the paper gives no numbers to vary; the steps are ours.
-"""
+"""The conclusion's sensitivity and robustness: (37), (38) against one change at a time; the steps are ours."""
 
 from __future__ import annotations
 
@@ -18,10 +15,8 @@ from stewart_drake.paper.reproduce import Claim, Result, Study, outcome, pair_of
 from stewart_drake.plotting.style import chart
 from stewart_drake.scenario import AnnTuner, Scenario
 
-DURATION = 6.28
-"""[s] two periods of (37), (38): errors are judged over the second."""
-BLOWN_UP = 2.0
-"""Times the unchanged pose RMSE beyond which a run that completes counts as blown up."""
+DURATION = 6.28  # [s] two periods of (37), (38): errors are judged over the second
+BLOWN_UP = 2.0  # Times the unchanged pose RMSE beyond which a run that completes counts as blown up
 QUICK = (
     ("masses", "-20 %"),
     ("masses", "+20 %"),
@@ -30,11 +25,9 @@ QUICK = (
     ("omega_Q", "-50 %"),
     ("omega_Q", "+50 %"),
 )
-"""Changes of the quick study."""
 
 
 def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float = 1.0) -> TunerNetwork:
-    """A network whose answers, and the range in which they are held, are those of `network` times a factor each."""
     factors = np.array([omega_q, omega_r])
     return replace(
         network,
@@ -45,10 +38,7 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
 
 
 def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """Factor and its new value -> keys of the scenario, one change at a time; weights files go to `folder`.
-
-    Masses, inertias and rods are those of the simulated robot: the controller goes on believing in the nominal ones.
-    """
+    """Factor and its new value -> keys of the scenario; bodies are those of the robot, not of the model."""
     robot, believed = base.robot, {"model_robot": asdict(base.believed_robot)}
     network, window = base.load_tuner_network(), isinstance(base.tuner, AnnTuner)
 
@@ -83,7 +73,6 @@ def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, Any
 
 
 def reproduce(study: Study) -> Result:
-    """The tuner and fixed weights on (37), (38) under every change."""
     base, duration = study.base, study.pick(DURATION, 0.5 * DURATION)
     ratios = study.pick((1.0, 100.0), (1.0,))
     fixed = {

@@ -35,8 +35,7 @@ from stewart_drake.robot import RobotParameters
 KINDS: tuple[ForceMapKind, ...] = ("printed", "statics")
 DEAD = 1e-6
 """[-] a transmission below this is a dead centre found by bisection: it vanishes with the root of the distance."""
-PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)
-"""[s] control periods that are compared; the paper gives none."""
+PERIODS = (1e-4, 1e-3, 5e-3, 2e-2, 0.1)  # [s] control periods that are compared; the paper gives none
 
 
 class Singularity(NamedTuple):
@@ -47,15 +46,11 @@ class Singularity(NamedTuple):
     distance: float
 
     def pose(self, robot: RobotParameters, back: float = 0.0) -> np.ndarray:
-        """(6,) [rad, m] the pose, or one `back` short of it in units of `distance`."""
         return np.asarray(robot.home_pose + (self.distance - back) * self.direction)
 
 
 def first_singularity(robot: RobotParameters, direction: np.ndarray, most: float) -> Singularity | None:
-    """Follows a ray from home until a crank is at its dead centre or the determinant of the rods' lines changes sign.
-
-    400 poses up to `most` units of `direction` are looked at, and the first singular one is found to the last digits.
-    """
+    """The first of 400 poses on a ray where a crank is at its dead centre or the determinant of the rods vanishes."""
 
     def margin(distance: Any) -> Any:
         return reach_margin(robot, robot.home_pose + np.multiply.outer(distance, direction)).min(axis=-1)
@@ -121,7 +116,6 @@ def slowest_decay(at_pose: np.ndarray, gain: np.ndarray, period: float) -> float
 
 
 def gain_of_ratio(at_pose: np.ndarray, period: float, ratio: float, method: Discretization = "exact") -> np.ndarray:
-    """K (6, 18) of (31) for omega_Q / omega_R = ratio."""
     return split_gain(at_pose, period, (ratio, ratio, ratio, 1.0), method)
 
 
@@ -151,7 +145,6 @@ def compare_discretisations(at_pose: np.ndarray, period: float, ratio: float) ->
 
 
 def reproduce(study: Study) -> Result:
-    """Matrices and gains at home; ranks and decay over boxes of poses; singular poses along each axis."""
     robot, period = study.base.robot, study.base.lqi.period
     at_home, tau = acceleration_map(robot, robot.home_pose), force_map(robot, robot.home_pose)
     a, b, c = matrices_21_22_24(at_home)
@@ -168,7 +161,13 @@ def reproduce(study: Study) -> Result:
     ways = ((sign * np.eye(6)[axis], np.pi if axis < 3 else 0.6) for axis in range(6) for sign in (1.0, -1.0))
     singular = [_singular(robot, found) for way in ways if (found := first_singularity(robot, *way))]
     lowest = min(rank for row in singular for rank in row["rank"].values() if rank is not None)
-    full = _ranks_are_full(study)
+    rng = np.random.default_rng(SEED)
+    ranks = {
+        stabilisability_rank(robot, pose, kind)
+        for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
+        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
+    }
+    full = ranks == {STATES}
     detectable = hautus_detectability(state_matrix(), output_matrix())
     gain = gain_of_ratio(at_home, period, 1.0)
     wrong_sign, right_sign = radius(at_home, -gain, period), radius(at_home, gain, period)
@@ -195,17 +194,6 @@ def reproduce(study: Study) -> Result:
         Claim("(27): slowest decay at the best ratio", "-", slow, "rad/s", None),
     ]
     return Result(numbers, claims)
-
-
-def _ranks_are_full(study: Study) -> bool:
-    """Whether (28) has full rank at all random poses of three boxes, with both force maps."""
-    robot, rng = study.base.robot, np.random.default_rng(SEED)
-    ranks = [
-        stabilisability_rank(robot, pose, kind)
-        for region, kind in itertools.product((NEAR, ANNOUNCED, WIDE), KINDS)
-        for pose in sample_poses(robot, region, study.pick(400, 60), rng).poses
-    ]
-    return set(ranks) == {STATES}
 
 
 def _singular(robot: RobotParameters, found: Singularity) -> dict[str, Any]:

@@ -28,7 +28,6 @@ from stewart_drake.training.collect import six
 AMPLITUDE_SHARE = 0.5
 """Of the largest feasible amplitude, for motions of our own: the controller's lag must have room."""
 SIX_FREQUENCIES = (1.6, 2.2, 1.8, 2.6, 1.4, 2.0)
-"""[rad/s] of the motion on all axes at once, around the paper's 2."""
 SIX_AMPLITUDES = (0.35, 0.35, 0.35, 0.06, 0.06, 0.05)
 """[rad, m] from which that motion is scaled to what is feasible; lengths are for the paper's robot."""
 LARGE_SPREAD = 1.5
@@ -36,10 +35,7 @@ LARGE_SPREAD = 1.5
 
 
 def controlled_motions(study: Study) -> dict[str, Scenario]:
-    """The runs to look at by name, the base scenario's own motion first; what the robot cannot do is left out.
-
-    The others differ in what the paper leaves out of its model (gravity), in the axis, and in the speed.
-    """
+    """The runs to look at by name, the base scenario's own motion first; what the robot cannot do is left out."""
     base = study.base
     of_robot = base.robot, base.limits
     short = {"duration": min(base.duration, study.pick(5.0, 1.5))}
@@ -110,7 +106,6 @@ def motion_numbers(study: Study) -> tuple[dict[str, Any], Callable[[], Figure]]:
 
 
 def reproduce(study: Study) -> Result:
-    """The regions that motions visit."""
     motions, draw = motion_numbers(study)
     done = [motion for motion in motions.values() if motion["status"] in ("completed", "lost")]
     torques = [motion["peak_torque"] for motion in done]

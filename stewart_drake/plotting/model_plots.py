@@ -13,10 +13,8 @@ from stewart_drake.plotting import style as look
 from stewart_drake.robot.leg import LEGS
 from stewart_drake.stability.margins import LoopMargins
 
-_SHOWN = 20.0
-"""[s] of a recording."""
-_LARGEST = 2.0
-"""[-] disk margin from which on it bounds no gain; drawn no further."""
+_SHOWN = 20.0  # [s] of a recording
+_LARGEST = 2.0  # [-] disk margin from which on it bounds no gain; drawn no further
 
 
 @look.styled

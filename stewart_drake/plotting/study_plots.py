@@ -20,19 +20,13 @@ _COLORS = (look.QUIET, look.YELLOW, look.ORANGE, look.BLUE, look.PURPLE, look.GR
 _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
-_SMALLEST = 1e-6
-"""[mm] what is smaller is drawn here."""
+_SMALLEST = 1e-6  # [mm] what is smaller is drawn here
 _PHASE_SHOWN = 1e-3
-"""Amplitude ratio below which a phase says nothing."""
 
 
 @look.styled
 def plot_rmse(rows: Rows) -> Figure:
-    """RMSE of the pose by reference and controller, a panel a condition, look.logarithmic; failures at the right edge.
-
-    Args:
-        rows: Of a comparison; `pose_rmse_mm` is drawn, of several seeds each.
-    """
+    """RMSE of the pose by reference and controller, a panel a condition; failures at the right edge."""
     styles = _styles(rows)
     references: dict[str, list[str]] = {}
     for row in rows:
@@ -68,12 +62,7 @@ def plot_rmse(rows: Rows) -> Figure:
 
 @look.styled
 def plot_error(rows: Rows, band: float) -> Figure:
-    """Size of the pose error over time on one reference, a panel a condition, look.logarithmic.
-
-    Args:
-        rows: With `trace`, see `runs.measure_run`.
-        band: [mm] drawn as the band within which a run counts as settled.
-    """
+    """Pose error over time on one reference, a panel a condition; `band` [mm] counts as settled."""
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
@@ -99,11 +88,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
 
 @look.styled
 def plot_bands(rows: Rows) -> Figure:
-    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis.
-
-    Args:
-        rows: Of the bands of a comparison.
-    """
+    """Closed-loop amplitude, phase and what is left of the motion over frequency, a column an axis."""
     styles = _styles(rows)
     names = list(dict.fromkeys(row["reference"] for row in rows))
     figure, grid = look.panels(3, len(names), 8.6, sharex=True, sharey="row")
@@ -135,11 +120,7 @@ def plot_bands(rows: Rows) -> Figure:
 
 @look.styled
 def plot_search(rows: Rows) -> Figure:
-    """Cost of every evaluation, and the least until then, a panel a controller, all on one look.logarithmic scale.
-
-    Args:
-        rows: See `tune.COLUMNS`.
-    """
+    """Cost of every evaluation, and the least until then, a panel a controller."""
     names = list(dict.fromkeys(row["controller"] for row in rows))
     beside = min(2, len(names))
     lines = -(-len(names) // beside)
@@ -158,13 +139,7 @@ def plot_search(rows: Rows) -> Figure:
 
 @look.styled
 def plot_costs(kinds: Sequence[str], ratios: Mapping[str, Any], against: str) -> Figure:
-    """Cost over that of one candidate, a line a kind.
-
-    Args:
-        kinds: Names of the lines.
-        ratios: Candidate -> (kinds, 3) ratio with both ends of its interval.
-        against: Whose cost is 1.
-    """
+    """Cost over that of one candidate, a line a kind; ratios (kinds, 3) with both ends of the interval."""
     figure, ((panel,),) = look.panels(1, 1, 1.6 + 0.34 * len(kinds))
     panel.axvline(1.0, color=look.TEXT, linewidth=1.2)
     places = np.arange(len(kinds))[::-1]
@@ -190,7 +165,6 @@ def _done(row: Mapping[str, Any]) -> bool:
 
 
 def _styles(rows: Rows) -> Styles:
-    """Look of each controller, in the order of the rows."""
     common = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.7, "linestyle": "none", "zorder": 3.0}
     names = dict.fromkeys(row["controller"] for row in rows)
     looks = zip(names, itertools.cycle(_LOOKS), strict=False)

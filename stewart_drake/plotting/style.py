@@ -1,7 +1,4 @@
-"""What figures share: a style, names and units of the coordinates, panels, and how a figure becomes a file.
-
-Figures are plain objects made without pyplot: no backend is chosen, no window opens and no global setting changes.
-"""
+"""What figures share; they are made without pyplot: no window opens and no global setting changes."""
 
 from __future__ import annotations
 
@@ -24,7 +21,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 DPI = 150
-"""[1/inch] resolution of saved figures."""
 LARGEST = 1e9
 """What is larger, after a blow-up, is drawn here: matplotlib's arithmetic ends long before that of numbers."""
 BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
@@ -51,7 +47,6 @@ def styled(plot: Callable[P, T]) -> Callable[P, T]:
 
 
 def panels(rows: int, columns: int, height: float, width: float = 9.0, **subplots: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of width and height [inch] and its panels (rows, columns) [Axes]."""
     figure = Figure(figsize=(width, height))
     axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, **subplots)
     quiet(axes.flat)
@@ -67,7 +62,6 @@ def quiet(axes: Any) -> None:
 
 
 def logarithmic(panel: Axes, which: str) -> None:
-    """Logarithmic axes (`x`, `y` or both), with plain numbers at their decades and no ticks between."""
     for name in which:
         panel.set(**{f"{name}scale": "log"})
         axis = panel.xaxis if name == "x" else panel.yaxis
@@ -76,7 +70,6 @@ def logarithmic(panel: Axes, which: str) -> None:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any], columns: int = 4, size: float = 10.0) -> None:
-    """One legend for all panels, below them."""
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=size)
 
 
@@ -102,11 +95,7 @@ def chart(
 
 @styled
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Writes a figure as a PNG of 150 dots an inch; a reader sees the old file or the new one, never a half.
-
-    Raises:
-        ConfigurationError: The folder is missing or not writable.
-    """
+    """Writes a figure as a PNG of 150 dots an inch, whole or not at all."""
     stream = io.BytesIO()
     # Without a date or version in it, the same log gives the same file.
     figure.savefig(stream, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
@@ -114,11 +103,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def draw(make: Callable[[], Figure], path: Path) -> str | None:
-    """Makes a figure and saves it; numbers are never lost for a picture's sake.
-
-    Returns:
-        Where it is beyond matplotlib, one line that says so; an older picture of that name is gone then.
-    """
+    """Makes a figure and saves it; a line instead of an error where it is beyond matplotlib."""
     try:
         save_figure(make(), path)
     except StewartDrakeError:

@@ -1,7 +1,4 @@
-"""Figures of workspaces: slices, and maps of what the robot can do.
-
-One colour means one limit in all of them; serial singularities are red, parallel ones blue.
-"""
+"""Figures of workspaces: slices, and maps of what the robot can do; one colour means one limit in all of them."""
 
 from __future__ import annotations
 
@@ -46,11 +43,7 @@ _USE = LinearSegmentedColormap.from_list("use", ["#FFFDE9", "#F3E2A9", "#C9C08A"
 
 
 class Slice:
-    """A survey over two coordinates, ready to be drawn in mm and degrees, the longer side along x.
-
-    Args:
-        survey: Of a grid with one side of a single cell.
-    """
+    """A survey over two coordinates of a grid, in mm and degrees, the longer side along x."""
 
     def __init__(self, survey: Survey) -> None:
         self.survey, grid = survey, survey.grid
@@ -99,11 +92,7 @@ class Slice:
 
 @look.styled
 def plot_slices(slices: Sequence[Survey]) -> Figure:
-    """Slices through a workspace, six at most: how much of its limits a pose takes up, and what breaks beyond them.
-
-    Args:
-        slices: Surveys of grids with one side of a single cell.
-    """
+    """Slices through a workspace, six at most: how much of its limits a pose takes up, and what breaks beyond them."""
     figure, axes = look.panels(2, 3, 8.0, width=12.0)
     broken_limits: set[int] = set()
     for panel, found in zip(axes.flat, slices, strict=False):
@@ -127,11 +116,7 @@ def plot_slices(slices: Sequence[Survey]) -> Figure:
 
 @look.styled
 def plot_capability(survey: Survey) -> Figure:
-    """Six measures over one slice: both singularities, clearance, holding torque, force and moment in any direction.
-
-    Args:
-        survey: Of a grid with one side of a single cell.
-    """
+    """Six measures over one slice: both singularities, clearance, holding torque, force and moment in any direction."""
     drawn = Slice(survey)
     left, right, bottom, top = drawn.extent
     height = 2.9 * (top - bottom) / (right - left) if drawn.equal else 2.5
@@ -150,7 +135,6 @@ def plot_capability(survey: Survey) -> Figure:
 
 
 def _line_keys() -> list[Line2D]:
-    """Legend of the lines in each slice."""
     return [
         Line2D([], [], color=look.TEXT, linewidth=1.3, label="edge of what the limits allow"),
         Line2D([], [], color=_SERIAL, linewidth=2.2, label="serial singularity"),

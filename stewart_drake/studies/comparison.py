@@ -25,30 +25,23 @@ from stewart_drake.studies.runs import Measure, Row, Task, measure_band, measure
 from stewart_drake.studies.study import Sheet, Study, StudyResult, Tables, load_study, number, vary, within
 
 SEED = "{seed}"
-"""In a value, stands for the seed of the run."""
 MAX_RUNS = 10_000
 AXES = ("roll", "pitch", "yaw", "X", "Y", "Z")
 _QUICK_FREQUENCIES = 2
 _Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""Kind -> name -> (scenario key -> value)."""
 
 
 class Cell(NamedTuple):
-    """One run; of a band, the reference is the axis, and the last three are there."""
+    """One run; of a band, with frequency [Hz], amplitude [rad or m] and window [s], the reference is the axis."""
 
     controller: str
     reference: str
     condition: str
     seed: int
-    """What {seed} became."""
     changes: Mapping[str, Any]
-    """Scenario key -> value."""
     frequency: float | None = None
-    """[Hz]"""
     amplitude: float | None = None
-    """[rad] or [m]"""
     window: float = 0.0
-    """[s] at the end of the run, over which it is fitted; whole periods."""
 
 
 _NAMES = (
@@ -69,27 +62,19 @@ BANDS = (
     Column("phase_deg", "deg", "of the pose to the reference, negative for a lag"),
     Column("rest", "1", "RMS of the pose that is no sine of this frequency, as a part of the RMS of the sine"),
 )
-"""Columns of the table of bands."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Study):
-    """What is compared."""
-
     file: CompareFile
     cells: tuple[Cell, ...]
-    """Runs of the table, then bands."""
     kind = "comparison"
 
     @classmethod
     def from_dict(
         cls, data: Mapping[str, Any], folder: Path | None = None, quick: bool = False, robot: str | None = None
     ) -> Comparison:
-        """A comparison from plain values, see `CompareFile`; every scenario of it is checked.
-
-        Paths are relative to `folder`; `quick` is shorter, see `CompareFile.quick`; with a robot, a name or YAML file,
-        all motions and loads are in its size, see `sized`.
-        """
+        """From plain values, see `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
         file, base = CompareFile.read("comparison", data, folder)
         parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
@@ -122,7 +107,6 @@ class Comparison(Study):
 
     @cached_property
     def variants(self) -> list[Scenario]:
-        """One for each controller, reference and condition."""
         different = {cell[:3]: index for index, cell in enumerate(self.cells)}
         return [self.scenario(index) for index in different.values()]
 
@@ -137,7 +121,6 @@ class Comparison(Study):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of the table."""
         return (*_NAMES, *run_columns(*self.variants), _SETTLING, *(() if self.file.cost is None else (_COST,)))
 
     def tables(self, rows: Sequence[Row]) -> Tables:
@@ -160,7 +143,6 @@ class Comparison(Study):
         return {"comparison": (self.columns, found + runs), "bands": (BANDS, bands)}
 
     def shown(self, rows: Sequence[Row]) -> list[Row]:
-        """The rows of the table that the file asks for, by controller in its order."""
         products = self.file.products
         asked = {
             key for each in products for key in itertools.product(each.controllers, each.references, each.conditions)
@@ -204,12 +186,10 @@ class Comparison(Study):
 def load_comparison(
     path: str | Path, quick: bool = False, robot: str | None = None, trust_code: bool = False
 ) -> Comparison:
-    """Reads a comparison file, or a comparison of the package by its name; see `Comparison.from_dict`."""
     return load_study("comparison", path, partial(Comparison.from_dict, quick=quick, robot=robot), trust_code)
 
 
 def write_pictures(comparison: Comparison, result: StudyResult) -> list[str]:
-    """Draws rmse.png, error.png and, where there are bands, bands.png; a line for each that is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
@@ -306,7 +286,6 @@ _FIGURES = {
 
 
 def _groups(rows: Sequence[Row], *columns: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows by their values in some columns."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[column] for column in columns), []).append(row)
@@ -320,7 +299,6 @@ def _pivot(
     show: Callable[[Sequence[Row]], str],
     more: Sequence[tuple[str, Callable[[Sequence[Row]], str]]] = (),
 ) -> Sheet:
-    """A line for each controller: what is shown of its rows for each value of a column, and more of all of them."""
     cells, lines = _groups(rows, "controller", column), []
     values = [key[0] for key in _groups(rows, column)]
     for (name,), own in _groups(rows, "controller").items():
@@ -342,7 +320,6 @@ def _mean_cost(group: Sequence[Row]) -> str:
 
 
 def _worst(group: Sequence[Row], column: str) -> str:
-    """The largest number in a column; a dash where one is missing."""
     values: list[Any] = [row.get(column) for row in group]
     return number(max(values, default=None) if None not in values else None)
 
@@ -356,7 +333,6 @@ def _missed(group: Sequence[Row]) -> str:
 
 
 def _failure(group: Sequence[Row]) -> str | None:
-    """How the first run that was not completed ended."""
     failed = [row for row in group if row["status"] != "completed"]
     if not failed:
         return None
@@ -365,7 +341,6 @@ def _failure(group: Sequence[Row]) -> str | None:
 
 
 def _only_lost(group: Sequence[Row]) -> bool:
-    """Whether all runs have figures: what was lost went on to its end."""
     return all(row["status"] in ("completed", "lost") for row in group)
 
 

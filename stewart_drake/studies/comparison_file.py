@@ -161,7 +161,6 @@ class CompareFile(StudyFile):
 
 
 def check_names(where: str, names: Iterable[str], allowed: Collection[str]) -> None:
-    """Refuses a name that is not allowed."""
     for name in names:
         if name not in allowed:
             raise ConfigurationError(where, name, f"one of {', '.join(allowed)}")

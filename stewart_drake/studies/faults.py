@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
@@ -36,25 +36,17 @@ that is left."""
 
 _FILE: Mapping[str, Any] = parse_yaml(Path(__file__).with_name("faults.yaml").read_text("utf-8"), "faults.yaml")
 ONSET: float = _FILE["onset"]
-"""[s] when every fault begins."""
 DURATION: float = _FILE["duration"]
-"""[s] of each run."""
 MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
 
 
 class Fault(Section):
-    """A row of the table."""
-
     name: Text
-    """Stable name."""
     text: Text
-    """One line."""
     changes: dict[str, Any] = Field(default_factory=dict)
     """Scenario keys; `reference` is the motion's, whatever they say."""
     expected: tuple[Reaction, ...] = ("ridden through",)
-    """Reactions allowed."""
     monitors: tuple[Text, ...] = ()
-    """Monitors allowed to trip first; empty where none may."""
     drift: Vector6 | None = None
     """[rad, m] by which the reference wanders off; null for not at all."""
     drift_time: NotNegative = 0.8
@@ -71,7 +63,6 @@ class Fault(Section):
 
     @property
     def bound(self) -> str:
-        """The time `within` in words."""
         return "" if self.within is None else f" (a monitor trips within {1e3 * self.within:.0f} ms)"
 
     def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
@@ -96,7 +87,6 @@ def base(robot: str | None = None, overrides: Sequence[str] = ()) -> Scenario:
 
 
 FAULTS = {name: Fault.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
-"""By name, in the order of the table."""
 _WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
 _HELD = (
     Column("holds_weight", "", "whether the motors that are left carry the robot at rest; null: no dead motor", "flag"),
@@ -128,10 +118,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class FaultStudy(Study):
-    """Runs of the table."""
-
     pairs: Sequence[tuple[Fault, str]]
-    """Fault and motion of each row of the whole table, by index."""
     kind = "faults"
 
     def task(self, index: int) -> Task:
@@ -174,14 +161,12 @@ class FaultStudy(Study):
 
 
 def fault_study(quick: bool = False, robot: str | None = None, overrides: Sequence[str] = ()) -> FaultStudy:
-    """The study of the whole table; quick: of the held platform alone; robot and overrides as in `base`."""
     pairs = list(product(FAULTS.values(), MOTIONS))
     indices = [index for index, (_, motion) in enumerate(pairs) if motion == "hold" or not quick]
     return FaultStudy(base(robot, overrides), pairs, name="faults", indices=indices)
 
 
 def measure_fault(log: SimulationLog, fault: Fault) -> Row:
-    """Figures of a run: those of every sweep, and the last of `COLUMNS`."""
     trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
     # Rows at which a log stands are those of the safety layer's ticks.
     after = log.time >= fault.since - 1e-9
@@ -219,7 +204,6 @@ def _peak(values: np.ndarray) -> float | None:
 
 
 def _held(log: SimulationLog) -> Row:
-    """What five motors hold where the platform stood as the sixth died."""
     scenario, dead = log.scenario, log.scenario.motors.dead
     if dead is None:
         return {}
@@ -238,11 +222,10 @@ def _held(log: SimulationLog) -> Row:
 def holdable_load(
     weight: np.ndarray, jacobian: np.ndarray, limit: float, dead: int
 ) -> tuple[bool, float, float | None, float | None]:
-    """What five motors hold at rest beside the robot's own weight.
+    """Whether five motors hold G = `weight` (6,) [N m] at rest, and what else they hold.
 
-    At rest T = G - J^-T w for an external wrench w on the platform, and T must vanish at the dead motor: six equations
-    for five torques. Any load must lie in the one plane where they agree, and gravity seldom does. G is `weight` (6,)
-    [N m], J d(theta)/d(twist) (6, 6), `limit` [N m] that of each motor.
+    At rest T = G - J^-T w for an external wrench w on the platform, J = d(theta)/d(twist) (6, 6), and T must vanish at
+    the dead motor: any load must lie in the one plane where they agree. `limit` [N m] is that of each motor.
 
     Returns:
         Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite where none helps;
@@ -255,7 +238,6 @@ def holdable_load(
     bounds = limit * np.array([(0, *signs) for signs in product((1, -1), repeat=2)])
 
     def sizes(by_load: np.ndarray) -> np.ndarray:
-        """Of the corners of the polygon of loads that the motors hold; a norm is largest at one of them."""
         wanted = bounds - weight[legs][:, None]
         loads = (wanted @ np.linalg.pinv(by_load[legs]).swapaxes(1, 2)).reshape(-1, 3)
         torque = weight + loads @ by_load.T
@@ -284,31 +266,27 @@ it went after the safety layer took over. The worst of the motions counts.
 
 
 def sheet(rows: Sequence[Row], faults: Mapping[str, Fault] = FAULTS) -> Sheet:
-    """A line per fault: how each motion ends, and the worst figures over the motions."""
     motions = list(dict.fromkeys(row["motion"] for row in rows))
     lines = []
     for name, fault in faults.items():
         own = [row for row in rows if row["fault"] == name]
         ends = {row["motion"]: _end(row, fault) for row in own}
-        worst = (_largest(own, units) for units in (_UNITS[:2], _UNITS[2:4], _UNITS[4:]))
         if own:
+            worst = (_largest(own, units) for units in _FIGURES.values())
             lines.append((name, *(ends.get(motion, "-") for motion in motions), *worst))
-    return Sheet("Reactions and outcomes", ("fault", *motions, "peak error", "travel", "peak torque"), lines)
+    return Sheet("Reactions and outcomes", ("fault", *motions, *_FIGURES), lines)
 
 
-_UNITS = (
-    ("peak_error_deg", "deg"),
-    ("peak_error_mm", "mm"),
-    ("travel_deg", "deg"),
-    ("travel_mm", "mm"),
-    ("peak_torque", "N m"),
-)
+_FIGURES = {
+    "peak error": {"peak_error_deg": "deg", "peak_error_mm": "mm"},
+    "travel": {"travel_deg": "deg", "travel_mm": "mm"},
+    "peak torque": {"peak_torque": "N m"},
+}
 
 
-def _largest(rows: Sequence[Row], units: Iterable[tuple[str, str]]) -> str:
-    """The largest of each column with its unit."""
-    values = (([row[name] for row in rows if row.get(name) is not None], unit) for name, unit in units)
-    return ", ".join(f"{max(each):.2f} {unit}" for each, unit in values if each) or "-"
+def _largest(rows: Sequence[Row], units: Mapping[str, str]) -> str:
+    values = {name: [row[name] for row in rows if row.get(name) is not None] for name in units}
+    return ", ".join(f"{max(each):.2f} {units[name]}" for name, each in values.items() if each) or "-"
 
 
 def _end(row: Row, fault: Fault) -> str:
@@ -325,7 +303,6 @@ def _end(row: Row, fault: Fault) -> str:
 
 
 def holdable_lines(rows: Sequence[Row]) -> list[str]:
-    """What five motors hold, a line per dead motor and motion."""
     lines = []
     for row in rows:
         held = "none: not even the weight; the smallest outside force with which it stands: {support_newton:.1f} N"

@@ -27,11 +27,8 @@ from stewart_drake.studies.study import markdown
 ROOM = 0.7
 """Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
 SCENARIO = "sway"
-"""Whose motion each follows."""
 SAMPLES = 40_000
-"""Poses in each of the two workspaces."""
-DIRECTIONS = 3000
-"""Straight ways from home, of which the shortest is what is free in every direction."""
+DIRECTIONS = 3000  # Straight ways from home, of which the shortest is what is free in every direction
 HEADER = (
     "robot",
     "platform joints at [mm]",
@@ -54,9 +51,7 @@ _WRENCHES = {("disturbances", key) for key in ("wrench", "impulse", "rms")}
 def sized(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
     """Scenario key -> value as it is for the robot of `base`; the same for the paper's.
 
-    Torques go with the effort limit, lengths with the characteristic length, payloads with the platform's mass; a robot
-    that the controller believes in differs as much in proportion. A motion stands about home and is as small as need
-    be.
+    Torques go with the effort limit, lengths with the characteristic length, payloads with the platform's mass.
     """
     if base.robot == PAPER:
         return dict(changes)
@@ -118,7 +113,6 @@ def _placed(robot: RobotParameters, limits: Limits, reference: Any, duration: fl
 
 
 def robot_rows(robots: Mapping[str, RobotParameters], progress: Callable[[float], None]) -> list[tuple[str, ...]]:
-    """A row for each robot, in texts under `HEADER`; `progress` gets the number of robots done."""
     rows = []
     for done, (name, robot) in enumerate(robots.items(), 1):
         rows.append((name, *_poses(robot), *_motion(robot)))
@@ -127,7 +121,6 @@ def robot_rows(robots: Mapping[str, RobotParameters], progress: Callable[[float]
 
 
 def robots_page(rows: list[tuple[str, ...]]) -> str:
-    """The rows as a Markdown page."""
     about = (
         "Workspaces around home, within the limits of a scenario that gives none: positions without turning,"
         f" orientations without moving, {SAMPLES:,} poses each. Free in every direction: the largest ball of positions "

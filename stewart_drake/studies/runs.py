@@ -32,21 +32,16 @@ if TYPE_CHECKING:
 
 Key = TypeVar("Key", int, str)
 Row = dict[str, Any]
-"""Column -> plain value."""
 Measure = Callable[[SimulationLog], Row]
 """Figures of a log, in values that JSON has; a function that the workers can import."""
 RunFunction = Callable[["Scenario"], SimulationLog]
-"""Simulates a scenario; likewise."""
 
 ROWS, HEADER = "rows.jsonl", "study.json"
 TABLES = ("sweep", "comparison", "bands", "faults", "tune", "rmse", "error")
 ENDINGS = ("parquet", "csv", "md", "png")
-"""Of the files that studies make of rows."""
-CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")
-"""Versions on which every number depends."""
+CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends
 MAX_MESSAGE = 500
-TRACE_POINTS = 240
-"""Of the error over time that a row keeps; each the largest error of its share of the run."""
+TRACE_POINTS = 240  # Of the error over time that a row keeps; each the largest error of its share of the run
 
 
 def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
@@ -60,19 +55,14 @@ def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
 
 
 simulate_unchecked = partial(simulate, check=False)
-"""The same without the check of its motion."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One run, in plain values that travel to any worker."""
-
     index: int
     seed: int
     base: Mapping[str, Any]
-    """The scenario before the changes."""
     changes: Mapping[str, Any]
-    """Scenario key -> value."""
     drawn: Mapping[str, Any] = field(default_factory=dict)
     """What tells the run from others; `values` of its row."""
     measure: Measure | None = None
@@ -81,7 +71,6 @@ class Task:
     """Whether code that the changes name may run."""
 
     def row(self, status: str, reason: str | None, message: str | None) -> Row:
-        """A row of which nothing else is known."""
         # Below the first line is the traceback of a user's code, which a log keeps.
         text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
         named = {"index": self.index, "seed": self.seed, "values": dict(self.drawn)}
@@ -125,7 +114,6 @@ def _outcome(task: Task) -> Row:
 
 
 def outcome(log: SimulationLog) -> Row:
-    """How a run ended, see `metrics.OUTCOME`, but for status, reason and message."""
     safety = log.safety or dict.fromkeys(("monitor", "time", "worst"))
     return {
         "outcome_time": log.outcome_time,
@@ -139,12 +127,10 @@ def outcome(log: SimulationLog) -> Row:
 
 
 def measure(log: SimulationLog) -> Row:
-    """How a run ended, and its metrics by column."""
     return {**outcome(log), **flat(run_metrics(log), log.scenario), "simulation_s": log.wall_time}
 
 
 def measure_cost(log: SimulationLog, scales: CostScales) -> Row:
-    """How a run ended, and its cost."""
     return {**outcome(log), "cost": run_cost(run_metrics(log), log.status, log.scenario.controller.period, scales)}
 
 
@@ -190,11 +176,9 @@ def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | No
 def sine_response(
     time: np.ndarray, reference: np.ndarray, response: np.ndarray, frequency: float
 ) -> tuple[complex, float]:
-    """Response (n,) to a sine (n,) of `frequency` [Hz]: least-squares fit of sine, cosine and constant to both.
+    """Ratio of a response (n,) to a sine (n,) of `frequency` [Hz]: amplitude and, as its angle, phase.
 
-    Returns:
-        Their ratio as a complex number: amplitude ratio and, as its angle, phase (negative for a lag); and the RMS of
-        what the fit leaves of the response, as a part of the RMS of the fitted sine.
+    Also the RMS of what the least-squares fit leaves of the response, as a part of the RMS of the fitted sine.
     """
     angle = 2.0 * np.pi * frequency * np.asarray(time)
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
@@ -208,11 +192,7 @@ def sine_response(
 
 
 class KeptRuns:
-    """Rows of runs: `study.json` says on what they depend, `rows.jsonl` has a line each, known by a digest.
-
-    A context manager: within it, the folder is this process's alone. `identity` is what the rows depend on, `tell` gets
-    the number of runs done, `restart` throws away what an earlier study has left.
-    """
+    """Rows of runs in a folder, which is this process's alone within the context: a line each, known by a digest."""
 
     def __init__(
         self,
@@ -250,7 +230,6 @@ class KeptRuns:
         self._open.__exit__(*details)
 
     def rows(self, keys: Sequence[Key], task: Callable[[Key], Task]) -> list[Row]:
-        """The row of each key; what is missing is run as its task says, and whatever ends it, rows done are kept."""
         digests = {key: checksum([self._digest, key]) for key in keys}
         missing = [key for key in digests if digests[key] not in self._kept]
         self._progress(len(keys) - len(missing))
@@ -275,7 +254,6 @@ class KeptRuns:
         self._tell(float(self._done))
 
     def _refuse_another(self) -> None:
-        """Refuses the folder of another study, and says in what it differs."""
         header, rows = self.folder / HEADER, self.folder / ROWS
         try:
             kept = json.loads(header.read_bytes()) if header.exists() or rows.exists() else self._identity
@@ -298,10 +276,7 @@ def _unequal(one: Any, other: Any, name: str = "") -> list[str]:
 
 
 def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dict[str, Any]:
-    """What results depend on, in plain values, so that kept ones are known again: the work, its files, the code.
-
-    Of the networks of `scenarios` the weights count, and not what their file is called.
-    """
+    """What results depend on, so that kept ones are known again: the work, its files, weights, the code."""
     versions = collect_versions()
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {

@@ -42,11 +42,8 @@ INCIDENTAL = (
     Column("host", "", "machine that the run was on", "text"),
     Column("worker", "", "process that the run was in", "whole"),
 )
-"""Last columns of a sweep: the only ones that depend on where and when it ran."""
 COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
-"""Metrics in which Drake is set beside the reduced engine."""
-SMALLEST = 1e-5
-"""What is smaller is not written out."""
+SMALLEST = 1e-5  # What is smaller is not written out
 
 
 class StudyFile(Section):
@@ -82,28 +79,22 @@ class Study(ABC):
     """Name of the first table, and key of what the tables' metadata say of the study."""
 
     base: Scenario
-    """With everything fixed in it."""
     name: str = field(kw_only=True)
-    """For folders and titles."""
     indices: Sequence[int] = field(kw_only=True)
     trust_code: bool = field(kw_only=True, default_factory=code_is_trusted)
     """Whether code that it names beside `base` may run."""
 
     @abstractmethod
-    def task(self, index: int) -> Task:
-        """Run `index`, made by `_task`."""
+    def task(self, index: int) -> Task: ...
 
     @property
     @abstractmethod
-    def work(self) -> dict[str, Any]:
-        """What the rows depend on, in plain types."""
+    def work(self) -> dict[str, Any]: ...
 
     @abstractmethod
-    def tables(self, rows: Sequence[Row]) -> Tables:
-        """The tables that rows make."""
+    def tables(self, rows: Sequence[Row]) -> Tables: ...
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:  # noqa: ARG002
-        """What is read, as Markdown, given the rows of each table."""
         return ""
 
     @property
@@ -113,7 +104,6 @@ class Study(ABC):
 
     @property
     def runs(self) -> int:
-        """How many."""
         return len(self.indices)
 
     def scenario(self, index: int) -> Scenario:
@@ -142,17 +132,11 @@ class Study(ABC):
         return identity(self.work, self.variants)
 
 
-@dataclass(frozen=True, eq=False)
-class StudyResult:
-    """What a study leaves."""
-
+class StudyResult(NamedTuple):
     folder: Path
     rows: dict[str, list[Row]]
-    """Name of a table -> its rows as plain values, with what else they say."""
     tables: dict[str, pa.Table]
-    """Name -> table; those with rows are NAME.parquet and NAME.csv in the folder."""
     engine: str | None = None
-    """What Drake says of runs on the reduced engine, see `drake_beside`."""
 
 
 def run_study(
@@ -162,11 +146,7 @@ def run_study(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> StudyResult:
-    """Runs what is missing of a study and writes its tables; every run becomes a row.
-
-    A second call goes on where the first ended, however that was. `progress` gets the number of runs done; `restart`
-    throws away what is in the folder.
-    """
+    """Runs what is missing of a study and writes its tables; `progress` gets the number of runs done."""
     with KeptRuns(folder, study.identity(), workers, progress, restart) as kept:
         rows = kept.rows(study.indices, study.task)
         engine = drake_beside(study, rows)
@@ -186,7 +166,6 @@ def run_study(
 
 
 def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T], trust_code: bool) -> T:
-    """What a file, or one of the package by its name, makes."""
     path = find_file(kind, path)
     data = read_mapping(kind, path, 80)
     with trusting_code(trust_code):
@@ -195,7 +174,6 @@ def load_study(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path
 
 @contextmanager
 def within(where: str) -> Iterator[None]:
-    """Says of bad input where it stands."""
     try:
         yield
     except ConfigurationError as error:
@@ -237,7 +215,6 @@ def drake_beside(study: Study, rows: Iterable[Row]) -> str | None:
 def to_arrow(
     columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
 ) -> pa.Table:
-    """A table with unit and text of each column; `about` stands as `stewart_drake.KEY` in its metadata."""
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "flag": pa.bool_(), "text": pa.string(), "json": pa.string()}
@@ -250,25 +227,20 @@ def to_arrow(
 
 
 def write_table(table: pa.Table, folder: Path, name: str) -> None:
-    """Writes NAME.parquet and NAME.csv."""
     write_atomically(folder / f"{name}.parquet", to_parquet(table))
     write_atomically(folder / f"{name}.csv", to_csv(table))
 
 
 class Sheet(NamedTuple):
-    """A table as texts: a line as its title, names with units, rows."""
-
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table as GitHub shows it."""
         return "\n".join([f"**{self.title}**", "", *markdown(self.header, self.rows)]) + "\n"
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a table as GitHub shows it."""
     return [f"| {' | '.join(each)} |" for each in (header, ["---"] * len(header), *rows)]
 
 

@@ -32,7 +32,6 @@ BEFORE = (
     Column("index", "", "number of the run, from 0", "whole"),
     Column("seed", "", "of the run; its draws follow from it", "whole"),
 )
-"""Columns before those of the varied keys."""
 
 
 class _Distribution(Section):
@@ -97,7 +96,6 @@ class Normal(_Distribution):
 
     @property
     def _scores(self) -> tuple[float, float]:
-        """Bounds in standard deviations from the mean."""
         low = -math.inf if self.low is None else (self.low - self.mean) / self.std
         return low, math.inf if self.high is None else (self.high - self.mean) / self.std
 
@@ -162,11 +160,7 @@ class SweepFile(StudyFile):
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Study):
-    """A scenario and what its keys are drawn from.
-
-    The draws for run i depend on `seed`, i and the key alone: not on how many runs there are, nor on other keys (with
-    the sampler `sobol`: not on how many runs there are).
-    """
+    """A scenario and its distributions; the draws for run i follow from `seed`, i and (but for sobol) the key alone."""
 
     file: SweepFile
     kind = "sweep"
@@ -178,7 +172,6 @@ class Sweep(Study):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Sweep:
-        """A sweep from plain values, see `SweepFile`; paths are relative to `folder`, None for the current one."""
         file, base = SweepFile.read("sweep", data, folder)
         if file.mismatch and base.model_robot is None:
             base = base.replace({"model_robot": base.to_dict()["robot"]})
@@ -193,12 +186,10 @@ class Sweep(Study):
         return cls(base, file, name=file.name, indices=range(runs))
 
     def run_seed(self, index: int) -> int:
-        """Seed of run `index`, below 2^63."""
         state = np.random.SeedSequence(self.file.seed, spawn_key=(index,)).generate_state(1, np.uint64)
         return int(state[0] >> np.uint64(1))
 
     def draw(self, index: int) -> dict[str, Any]:
-        """Values of the varied keys in run `index`; for a factor, the factor."""
         seed, turn = self.run_seed(index), index
         values: dict[str, Any] = {}
         for key, distribution in self.file.distributions.items():
@@ -208,7 +199,10 @@ class Sweep(Study):
             elif self.file.sampler == "sobol":
                 values[key] = distribution.at(float(self._points[index, self._random.index(key)]))
             else:
-                values[key] = distribution.at(_generator(seed, key).random())
+                # Random numbers of one key in one run: another key in the sweep changes nothing about them.
+                words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32).tolist()
+                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(words)))
+                values[key] = distribution.at(rng.random())
         return values
 
     def task(self, index: int) -> Task:
@@ -216,7 +210,6 @@ class Sweep(Study):
         return self._task(index, self._changes(drawn), self.run_seed(index), drawn=drawn)
 
     def _changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
-        """Scenario key -> value for what `draw` gave: factors multiplied out."""
         return {key: _times(self._bases[key], value) if key in self._factors else value for key, value in drawn.items()}
 
     @property
@@ -230,7 +223,6 @@ class Sweep(Study):
         return found
 
     def tables(self, rows: Sequence[Row]) -> Tables:
-        """Of each varied key the value as run; of a factor, `KEY.factor`, the number drawn too."""
         varied: list[Column] = []
         for key, distribution in self.file.distributions.items():
             kind = column_of(distribution)
@@ -268,14 +260,12 @@ class Sweep(Study):
 
     @cached_property
     def _bases(self) -> dict[str, Any]:
-        """Values of the varied keys before the draws."""
         data = self.base.in_full()
         with within("distributions."):
             return {key: value_at(data, key) for key in self.file.distributions}
 
     @cached_property
     def _points(self) -> np.ndarray:
-        """(runs, keys that are not grids) of the Sobol sequence."""
         from scipy.stats import qmc
 
         engine = qmc.Sobol(len(self._random), scramble=True, seed=np.random.default_rng(self.file.seed))
@@ -311,13 +301,11 @@ class Sweep(Study):
 
 
 def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = False) -> Sweep:
-    """Reads a sweep file, or a sweep of the package by its name; `runs` in place of the number in it."""
     more = {} if runs is None else {"runs": runs}
     return load_study("sweep", path, lambda data, folder: Sweep.from_dict({**data, **more}, folder), trust_code)
 
 
 def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Counts by status and reason, percentiles of the errors: what and how much, as texts."""
     counts = Counter((row["status"], row["reason"]) for row in rows)
     lines = [("runs", str(len(rows)))]
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
@@ -336,12 +324,6 @@ def column_of(distribution: Distribution) -> ValueKind:
     types = {type(value) for value in values}
     kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "whole": {int}, "number": {int, float}, "text": {str}}
     return next((kind for kind, fitting in kinds.items() if types <= fitting), "json")
-
-
-def _generator(seed: int, key: str) -> np.random.Generator:
-    """Random numbers of one key in one run: another key in the sweep changes nothing about them."""
-    words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32)
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words)))
 
 
 def _is_number(value: Any) -> bool:

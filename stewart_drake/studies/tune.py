@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -46,45 +46,21 @@ COLUMNS = (
     Column("setting", "", "scenario key -> value, as JSON", "json"),
 )
 DIGITS = 4
-"""Of a setting: what is run is what is written down."""
 START, TUNED, SEARCHED = "start", "tuned", "tuned, as searched"
 """What the verdict compares: before, after, and the latter as the search sees it."""
 _QUICK_GENERATIONS = 2
 
 Setting = dict[str, float]
-"""Scenario key -> value."""
-
-
-class Ranges(NamedTuple):
-    """Keys of a controller: the setting to start from, lowest and highest values."""
-
-    start: Setting
-    low: Setting
-    high: Setting
-
-    def points(self) -> list[np.ndarray]:
-        """The three in logarithms."""
-        return [np.log(list(setting.values())) for setting in self]
-
-    def setting(self, point: np.ndarray) -> Setting:
-        """The setting at a point, to `DIGITS` digits."""
-        return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(self.start, np.exp(point), strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A search, ready to be done."""
-
     comparison: Comparison
-    """Its cells are the runs of one evaluation of each controller; bands left out."""
     options: TuneOptions
-    ranges: Mapping[str, Ranges]
-    """Controller -> what is searched of it."""
+    start: Mapping[str, Setting]
     generations: int
     data: Mapping[str, Any]
-    """The file in plain values."""
     folder: Path
-    """Where it lies."""
     quick: bool
 
     @classmethod
@@ -96,11 +72,7 @@ class Tuning:
         budget: int | None = None,
         quick: bool = False,
     ) -> Tuning:
-        """A search from plain values, see `CompareFile`; every scenario of it is checked at both ends of each key.
-
-        `controllers` are those to search, none for all that `tune` names; `budget` evaluations of each stand in place
-        of `generations`, rounded down to whole ones; `quick` is short runs, two generations.
-        """
+        """From plain values, see `CompareFile`; `budget` evaluations of each stand in place of `generations`."""
         plain = {**data, "tuned": None, "bands": None}
         options = Comparison.from_dict(plain, folder, quick).file.tune
         if options is None:
@@ -114,41 +86,37 @@ class Tuning:
             if name not in options.controllers:
                 raise ConfigurationError("--controller", name, f"one of {', '.join(options.controllers)}")
         searched = controllers or options.controllers
-        ranges = {name: _ranges(comparison, name, options.controllers[name]) for name in searched}
+        start = {name: _start(comparison, name, options.controllers[name]) for name in searched}
         generations = _QUICK_GENERATIONS if quick else options.generations
         if budget is not None:
             generations = (budget - 1) // options.population
             if generations < 1:
                 allowed = f"at least {options.population + 1}: the start and a generation"
                 raise ConfigurationError("--budget", budget, allowed)
-        return cls(comparison, options, ranges, generations, data, folder or Path(), quick)
+        return cls(comparison, options, start, generations, data, folder or Path(), quick)
 
     @property
     def name(self) -> str:
-        """For folders and titles."""
         return self.comparison.name
 
     @property
     def evaluations(self) -> int:
-        """Of each controller, at most: the start, and all generations."""
         return 1 + self.generations * self.options.population
 
     @property
     def runs(self) -> int:
-        """At most, the verdict's included."""
-        return sum(len(self.cells(name)) for name in self.ranges) * self.evaluations + self.verdict({}).runs
+        return sum(len(self.cells(name)) for name in self.start) * self.evaluations + self.verdict({}).runs
 
     def cells(self, controller: str) -> list[int]:
-        """Runs of an evaluation of a controller, as places in the cells of `comparison`."""
         return [place for place, cell in enumerate(self.comparison.cells) if cell.controller == controller]
 
     def verdict(self, tuned: Mapping[str, Setting]) -> Comparison:
         """The comparison's own runs of each controller before and after the search; the start where it found none."""
         controllers: dict[str, Any] = {}
         runs = []
-        for name, ranges in self.ranges.items():
+        for name, start in self.start.items():
             before = self.data["controllers"][name]
-            after = {**before, **tuned.get(name, ranges.start)}
+            after = {**before, **tuned.get(name, start)}
             ways = {START: before, TUNED: after}
             if self.options.set:
                 ways[SEARCHED] = {**after, **self.options.set}
@@ -169,13 +137,11 @@ def load_tuning(
     quick: bool = False,
     trust_code: bool = False,
 ) -> Tuning:
-    """Reads a comparison file, or a comparison of the package by its name; see `Tuning.from_dict`."""
     make = partial(Tuning.from_dict, controllers=controllers, budget=budget, quick=quick)
     return load_study("comparison", path, make, trust_code)
 
 
-def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Ranges:
-    """Bounds and start of a controller's keys."""
+def _start(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, float]]) -> Setting:
     cell = next((cell for cell in comparison.cells if cell.controller == name), None)
     if cell is None:
         names = ", ".join(dict.fromkeys(cell.controller for cell in comparison.cells))
@@ -190,20 +156,14 @@ def _ranges(comparison: Comparison, name: str, keys: Mapping[str, tuple[float, f
             if not is_finite(start[key]) or not low <= start[key] <= high:
                 allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
-    return Ranges(start, *({key: ends[place] for key, ends in keys.items()} for place in (0, 1)))
+    return start
 
 
 class TuneResult(NamedTuple):
-    """What a search leaves."""
-
     rows: list[Row]
-    """One an evaluation, see `COLUMNS`."""
     tuned: dict[str, Setting]
-    """Controller -> the setting that cost least."""
     verdict: StudyResult
-    """See `Tuning.verdict`."""
     sheets: list[Sheet]
-    """Costs in the search, and by the verdict."""
 
 
 def run_tuning(
@@ -213,14 +173,10 @@ def run_tuning(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> TuneResult:
-    """Searches, compares, and writes tuned.yaml, tune.parquet, .csv and .md, and the folder of the verdict.
-
-    A second call goes on where the first ended: also with more generations, or with other controllers or bounds.
-    """
     tell = progress or (lambda _: None)
     with KeptRuns(folder, tuning.comparison.identity(), workers, tell, restart) as kept:
-        rows = [row for name in tuning.ranges for row in _search(tuning, name, kept)]
-    searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.ranges}
+        rows = [row for name in tuning.start for row in _search(tuning, name, kept)]
+    searches = {name: [row for row in rows if row["controller"] == name] for name in tuning.start}
     tuned = {name: min(own, key=lambda row: row["cost"])["setting"] for name, own in searches.items()}
     verdict = tuning.verdict(tuned)
     searched = tuning.runs - verdict.runs
@@ -246,7 +202,6 @@ def run_tuning(
 
 
 def write_picture(result: TuneResult, folder: Path) -> str | None:
-    """Draws tune.png; a line where it is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_search
@@ -255,9 +210,14 @@ def write_picture(result: TuneResult, folder: Path) -> str | None:
         return draw(partial(plot_search, result.rows), folder / "tune.png")
 
 
+def setting_at(keys: Iterable[str], point: np.ndarray) -> Setting:
+    """The setting at a point in logarithms, to `DIGITS` digits."""
+    return {key: float(f"{value:.{DIGITS}g}") for key, value in zip(keys, np.exp(point), strict=True)}
+
+
 def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
-    """Evaluations of a controller, one by one, with the least cost until then."""
-    comparison, ranges, options = tuning.comparison, tuning.ranges[name], tuning.options
+    comparison, start, options = tuning.comparison, tuning.start[name], tuning.options
+    low, high = (np.log([ends[place] for ends in options.controllers[name].values()]) for place in (0, 1))
     cells, rows = tuning.cells(name), list[Row]()
     measure = partial(measure_cost, scales=comparison.file.cost or CostScales())
 
@@ -269,7 +229,7 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
 
     def evaluate(points: Sequence[np.ndarray]) -> list[float]:
         # What is run first is the start as it stands in the file, whatever its digits.
-        settings = [ranges.setting(point) for point in points] if rows else [ranges.start]
+        settings = [setting_at(start, point) for point in points] if rows else [start]
         numbered = list(enumerate(settings, len(rows)))
         keys = [json.dumps([evaluation, cell, setting]) for evaluation, setting in numbered for cell in cells]
         runs = iter(kept.rows(keys, lambda key: task(*json.loads(key))))
@@ -284,7 +244,9 @@ def _search(tuning: Tuning, name: str, kept: KeptRuns) -> list[Row]:
 
     minimise(
         evaluate,
-        *ranges.points(),
+        np.log(list(start.values())),
+        low,
+        high,
         generations=tuning.generations,
         population=options.population,
         seed=options.seed,
@@ -304,12 +266,10 @@ def minimise(
     seed: int,
     spread: float = 0.2,
 ) -> tuple[np.ndarray, float]:
-    """The least of a function over a box by CMA-ES: the best point (n,) and its cost.
+    """The best point (n,) of a box and its cost, by CMA-ES with `spread`, a share of the box, at first.
 
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772 (2016). The same arguments give the same
-    points, so that a search whose evaluations are kept goes on where it was. `evaluate` is asked for the cost of the
-    start first, then for those of a generation at a time, fewer of them where the search has converged; `spread` is the
-    standard deviation of the first, as a share of the box.
+    points: a search whose evaluations are kept goes on where it was. The first asked for is the start, alone.
     """
     # It loads matplotlib.
     import cma

@@ -9,11 +9,11 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing
 from functools import lru_cache
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
@@ -24,15 +24,12 @@ from stewart_drake.logs import versions
 from stewart_drake.runs.engine import quiet_libraries
 
 K = TypeVar("K", bound=Hashable)
+T = TypeVar("T")
 Work = tuple[Callable[..., Any], tuple[Any, ...]]
-"""A function that the workers can import, and its arguments."""
 
-CONNECT_TIMEOUT = 20.0
-"""[s] that a scheduler has to answer."""
-NO_WORKERS_TIMEOUT = 60.0
-"""[s] that a cluster may be without workers as work is handed to it."""
-WORN = 200
-"""Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake."""
+CONNECT_TIMEOUT = 20.0  # [s] that a scheduler has to answer
+NO_WORKERS_TIMEOUT = 60.0  # [s] that a cluster may be without workers as work is handed to it
+WORN = 200  # Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake
 WORKER_GONE = (
     "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
     ' which must be a file with the call under `if __name__ == "__main__":`'
@@ -41,22 +38,16 @@ DEAD = "its worker process died twice, the second time with this run alone in it
 _QUIET = ExitStack()
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
-    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs, None
-    for never; or the cluster of the Dask scheduler at an address such as tcp://host:8786.
+    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs.
     """
 
     def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
         self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
         self._client = None if scheduler is None else _connected(scheduler)
-        self._life = math.inf if worn is None or scheduler is not None else self.count * worn
-        self.left = self._life
-        """Runs until the processes are replaced."""
-
-    def __enter__(self) -> Self:
-        return self
+        self.life = self.left = math.inf if worn is None or scheduler is not None else self.count * worn
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
@@ -79,13 +70,6 @@ class Workers:
             context.set_start_method(None, force=True)
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
-    def wear(self, runs: int) -> None:
-        """Counts what was run, and ends processes that are worn: the next run starts others."""
-        self.left -= runs
-        if self.left <= 0:
-            get_reusable_executor().shutdown(wait=True)
-            self.left = self._life
-
 
 def run_jobs(
     keys: Iterable[K],
@@ -94,10 +78,10 @@ def run_jobs(
     workers: Workers | None = None,
     died: Callable[[K], Any] | None = None,
 ) -> None:
-    """Does the work of each key, in any order; `keep` is called in this process with each result as it comes.
+    """Does the work of each key, in any order; `keep` gets each result in this process as it comes.
 
-    Where a worker process dies, what was under way is done again, one piece at a time; what `died` gives is the result
-    of work whose process dies twice, and without it all ends.
+    Where a worker process dies, what was under way is done again, one piece at a time; `died` gives the result of work
+    whose process dies twice, and without it all ends.
     """
     workers = workers or Workers()
     if workers.count == 0:
@@ -122,6 +106,23 @@ def run_jobs(
                 keep(key, died(key))
 
 
+def run_all(
+    function: Callable[..., T],
+    arguments: Sequence[tuple[Any, ...]],
+    workers: Workers | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[T]:
+    """What a function gives for each of some arguments, in their order; `progress` gets the number done."""
+    results: dict[int, T] = {}
+
+    def keep(index: int, result: T) -> None:
+        results[index] = result
+        progress(float(len(results)))
+
+    run_jobs(range(len(arguments)), lambda index: (function, arguments[index]), keep, workers)
+    return [results[index] for index in range(len(arguments))]
+
+
 def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers: Workers, alone: bool) -> dict[K, bool]:
     """Does a batch as far as the workers live; what is not done, and whether it was under way."""
     left = dict.fromkeys(batch, False)
@@ -139,23 +140,21 @@ def _work_through(batch: dict[K, Work], keep: Callable[[K, Any], None], workers:
                 keep(key, result)
     except BrokenExecutor:
         pass  # what is left says how far it came
-    workers.wear(len(batch) - len(left))
+    workers.left -= len(batch) - len(left)
+    if workers.left <= 0:
+        # The next run starts other processes.
+        get_reusable_executor().shutdown(wait=True)
+        workers.left = workers.life
     return left
 
 
 def _do(key: K, source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """What a worker does."""
-    check_worker(source)
-    return key, function(*arguments)
-
-
-def check_worker(source: str) -> None:
-    """Refuses to work with another source of the package than that of where the study is."""
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same everywhere, and leave "
             "its files alone while a study runs"
         )
+    return key, function(*arguments)
 
 
 @lru_cache(maxsize=1)
@@ -176,7 +175,6 @@ def start_worker(parent: int) -> None:
 
 
 def _connected(address: str) -> Any:
-    """A client of a Dask cluster."""
     try:
         import distributed
     except ImportError:

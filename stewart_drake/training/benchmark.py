@@ -1,6 +1,6 @@
 """Settings and tuners in the same situations: their runs, their costs over those of the best fixed setting, and a page.
 
-A candidate is what changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
+A candidate changes the scenario of a case; a cell is a kind of situations with a robot, and each counts alike.
 """
 
 from __future__ import annotations
@@ -32,15 +32,12 @@ MEASURED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 """Figures of a run that its cost is made of, whatever the scales."""
 LEAST_COST = 1e-3
 """A smaller cost counts as this: encoders that never change make a cost of nothing, and a ratio to it means nothing."""
-DIGITS = 3
-"""Of a setting: what is run is what is written down."""
+DIGITS = 3  # Of a setting: what is run is what is written down
 BEST_FIXED = "best fixed"
 
 Numbers = tuple[Real, Real, Real, Real]
 Cell = tuple[str, str]
-"""Kind and robot."""
 Candidate = Callable[[Case, Scenario], Changes]
-"""What a candidate changes in the scenario of a case, which has the default setting."""
 GROUPS: Mapping[str, Callable[[Cell], bool]] = {
     "all kinds": lambda _: True,
     "without hold": lambda cell: cell[0] != "hold",
@@ -52,19 +49,16 @@ COLUMNS = ("candidate", "kind", "robot", "seed", "status", "reason", "cost", "ra
 
 
 class Baselines(Section, key=""):
-    """What a trained tuner has to beat, found by `make tuner_baselines`: settings (4,) in decades above the default."""
+    """Settings (4,) to beat, in decades above the default: over both robots, by robot, by kind."""
 
     name: Text = "baselines"
     best: Numbers
-    """Over both robots."""
     best_of_robot: dict[Text, Numbers]
-    """Robot -> the best over its own kinds."""
     best_of_kind: dict[Text, dict[Text, Numbers]]
     """Robot -> kind -> the best for it, also of kinds that nothing is trained on: what knowing the kind is worth."""
     pair: dict[Text, tuple[Real, Real]]
     """Robot -> the best of the paper's nine pairs."""
     schedule: dict[Text, Any]
-    """Keys of `ScheduleTuner`, made over both robots."""
     costs: dict[Text, dict[Text, dict[Text, Real]]]
     """Robot -> kind -> geometric mean of J over the seeds: default, and the above."""
     evaluations: dict[Text, Real]
@@ -72,12 +66,10 @@ class Baselines(Section, key=""):
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> Baselines:
-        """Reads the file that the package carries, or another."""
         return cls.from_dict(read_mapping("settings", path, 200))
 
 
 def always(changes: Changes) -> Candidate:
-    """A candidate that is the same in all situations."""
     return lambda *_: changes
 
 
@@ -103,61 +95,45 @@ def with_pair(pair: Sequence[float], setting: Sequence[float] | np.ndarray) -> C
 
 def candidates(baselines: Baselines, more: Mapping[str, Changes]) -> dict[str, Candidate]:
     """Those of a verdict by name: fixed ones, those of the paper, an oracle, and more as changes of the scenario."""
-    fixed = with_setting(baselines.best)
-
-    def pair(case: Case, base: Scenario) -> Changes:
-        return with_pair(baselines.pair[case.robot], baselines.best)(case, base)
-
-    def oracle(case: Case, base: Scenario) -> Changes:
-        return with_setting(baselines.best_of_kind[case.robot][case.kind])(case, base)
-
+    fixed, of_kind = with_setting(baselines.best), baselines.best_of_kind
     return {
         BEST_FIXED: fixed,
         **{name: always(changes) for name, changes in more.items()},
-        "best of the nine pairs": pair,
+        "best of the nine pairs": lambda case, base: with_pair(baselines.pair[case.robot], baselines.best)(case, base),
         "the paper's tuner": lambda case, base: {**fixed(case, base), "tuner": {"kind": "paper"}},
-        "oracle of each kind": oracle,
+        "oracle of each kind": lambda case, base: with_setting(of_kind[case.robot][case.kind])(case, base),
     }
 
 
 def cells_for(robot: str | None = None, trained: bool | None = None) -> list[Cell]:
-    """All cells; of one robot, or of kinds that are trained on, see `kinds_of`."""
     return [(kind, each) for each in ROBOTS if robot in (None, each) for kind in kinds_of(each, trained)]
 
 
 def cases_of(cells: Sequence[Cell], seeds: Sequence[int]) -> list[Case]:
-    """All seeds of all cells, cell by cell."""
     return [Case(*cell, seed) for cell in cells for seed in seeds]
 
 
 def cells_of(cases: Sequence[Case]) -> dict[Cell, np.ndarray]:
-    """Places (n,) in `cases` of each cell."""
     cells = dict.fromkeys(case[:2] for case in cases)
     return {cell: np.flatnonzero([case[:2] == cell for case in cases]) for cell in cells}
 
 
 def mean_over_cells(values: np.ndarray, cases: Sequence[Case]) -> np.ndarray:
-    """Mean over the cells of the means in them, (...) of values (..., cases)."""
     return np.mean([values[..., places].mean(axis=-1) for places in cells_of(cases).values()], axis=0)
 
 
 def measure_parts(log: SimulationLog) -> Row:
-    """What the cost of a run is made of."""
     figures = run_metrics(log)
     return {**{name: figures[name] for name in MEASURED}, "period": log.scenario.controller.period}
 
 
 def log_cost(row: Row, scales: CostScales) -> float:
-    """Logarithm of what a run cost."""
     cost = run_cost(row, row["status"], row.get("period", 1.0), scales)
     return float(np.log(max(cost, LEAST_COST)))
 
 
 class Benchmark(KeptRuns):
-    """Runs of candidates, known by what is run: one that is in the folder already is not run again.
-
-    A context manager, and its arguments, as `KeptRuns`; for `engine` see `PlantOptions`.
-    """
+    """Runs of candidates, known by what is run; a context manager with the arguments of `KeptRuns`."""
 
     def __init__(
         self,
@@ -171,13 +147,11 @@ class Benchmark(KeptRuns):
         self._engine = engine
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        """A row for each run, candidate by candidate: how it ended, see `runs.execute`, and `measure_parts`."""
         tasks = [self._task(candidate, case) for candidate in candidates for case in cases]
         keys = [checksum(task.drawn) for task in tasks]
         return self.rows(keys, dict(zip(keys, tasks, strict=True)).__getitem__)
 
     def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
-        """(candidates, cases) logarithms of costs, see `log_cost`."""
         costs = [log_cost(row, CostScales()) for row in self.run(candidates, cases)]
         return np.reshape(costs, (len(candidates), len(cases)))
 
@@ -192,8 +166,6 @@ class Benchmark(KeptRuns):
 
 
 class Estimate(NamedTuple):
-    """A number with an interval of 95 %."""
-
     value: float
     low: float
     high: float
@@ -205,7 +177,7 @@ class Estimate(NamedTuple):
 def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean") -> Estimate:
     """Of logarithms (n,) by cell: geometric mean over the cells of those in them, or median of all runs.
 
-    The interval is a percentile bootstrap's over the runs in each cell: the cells are what they are.
+    The interval is a percentile bootstrap's over the runs in each cell.
     """
     # Half a second of import.
     from scipy.stats import bootstrap
@@ -224,14 +196,12 @@ def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean
 
 
 class Verdict(NamedTuple):
-    """Runs of candidates, `BEST_FIXED` among their names, in the same situations."""
+    """Logarithms of J (candidates, cases), and runs that failed; `BEST_FIXED` is among the names."""
 
     names: tuple[str, ...]
     cases: tuple[Case, ...]
     logs: np.ndarray
-    """(candidates, cases) logarithms of J."""
     failed: np.ndarray
-    """(candidates, cases) whether a run was not completed."""
 
     def of(
         self, name: str, within: Callable[[Cell], bool] = GROUPS["all kinds"], over: str = BEST_FIXED
@@ -250,10 +220,6 @@ def assess(
     tell: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Verdict:
-    """Runs what is missing, on seeds that nothing has seen before, and writes verdict.parquet, .csv and .md.
-
-    `BEST_FIXED` is among the names of the candidates; `seeds` is the number of situations of each kind of each robot.
-    """
     import pyarrow as pa
 
     cases = cases_of(cells_for(), HELD_OUT[:seeds])
@@ -313,7 +279,6 @@ def page(verdict: Verdict) -> str:
 
 
 def write_picture(verdict: Verdict, folder: Path) -> str | None:
-    """Draws verdict.png; a line where it is beyond matplotlib."""
     # matplotlib takes a second to load.
     from stewart_drake.plotting import draw
     from stewart_drake.plotting.study_plots import plot_costs

@@ -23,20 +23,17 @@ from stewart_drake.references import SineBurstsReference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario import FixedTuner, Scenario
 from stewart_drake.studies.runs import simulate
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 
 OMEGAS = (0.1, 1.0, 10.0)
-"""Values of omega_Q and of omega_R; their nine pairs are the experiments."""
-FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)
-"""[Hz] one burst each, in every experiment."""
+FREQUENCIES = (1.0, 2.0, 3.0, 4.0, 5.0)  # [Hz] one burst each, in every experiment
 PHASES = tuple(np.pi / 3.0 * k for k in range(6))
 """[rad] of the six axes: sixty degrees apart, so that they do not peak together."""
 SHARE = 0.8
 """Share of the largest feasible amplitudes that is used: at the whole of it the weaker of the nine pairs overshoot into
 a crank's dead centre."""
 SAMPLES_PER_RUN = 1600
-BURST = 1.6
-"""[s] of each frequency: 320 samples of 5 ms."""
+BURST = 1.6  # [s] of each frequency: 320 samples of 5 ms
 COLUMNS = ("time", "run", *(f"density_{i}" for i in range(12)), "omega_q", "omega_r")
 _VERSION = 2
 _MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000
@@ -44,15 +41,7 @@ _MOST_BYTES, _MOST_ROWS = 500_000_000, 10_000_000
 
 @dataclass(frozen=True)
 class Dataset:
-    """Samples for the tuner.
-
-    Attributes:
-        inputs: (n, 12) [-] densities, six of the errors, six of the torques.
-        outputs: (n, 2) omega_Q, omega_R that were in force.
-        run: (n,) index of the experiment, 0 to 8.
-        time: (n,) [s] within the experiment.
-        metadata: How it was made: scenario, sample time, window, kind of density, amplitudes per frequency.
-    """
+    """Densities (n, 12) [-] of errors and torques, the weights (n, 2) in force, experiment and time (n,) [s] in it."""
 
     inputs: np.ndarray
     outputs: np.ndarray
@@ -61,14 +50,12 @@ class Dataset:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def digest(self) -> str:
-        """SHA-256 of the samples, for provenance."""
         content = hashlib.sha256()
         for array in (self.inputs, self.outputs, self.run, self.time):
             content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return content.hexdigest()
 
     def save(self, path: str | Path) -> None:
-        """Writes `COLUMNS` and the metadata as a Parquet file."""
         import pyarrow as pa
 
         values = [self.time, self.run, *self.inputs.T, *self.outputs.T]
@@ -78,7 +65,6 @@ class Dataset:
 
 
 def load_dataset(path: str | Path) -> Dataset:
-    """Reads what `Dataset.save` wrote; a ConfigurationError for another file, or numbers that mean nothing."""
     key = f"dataset {path}"
     metadata = parquet_about(path, key, "dataset", _MOST_BYTES, "`collect`")
     if metadata.pop("version", None) != _VERSION:
@@ -100,10 +86,7 @@ def load_dataset(path: str | Path) -> Dataset:
 def feasible_amplitudes(
     robot: RobotParameters, limits: Limits, gravity: float
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
-    """Largest feasible amplitudes (n_f, 6) [rad, m] at each of `FREQUENCIES`: of each axis alone, and of all at once.
-
-    All at once, `PHASES` apart, have the largest common share of those of each axis alone.
-    """
+    """Largest feasible amplitudes (n_f, 6) [rad, m] at `FREQUENCIES`: of each axis alone, and of all at once."""
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
     together = []
     for frequency, single in zip(FREQUENCIES, alone, strict=True):
@@ -164,7 +147,6 @@ def dataset_from_logs(
 
 
 def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str, Any]:
-    """How the data was made: sample time, window, kind, amplitudes per frequency, and the whole scenario."""
     return {
         "sample_time": base.lqi.period,
         "density": base.tuner.density,
@@ -186,33 +168,14 @@ def collect_dataset(
     samples: int = SAMPLES_PER_RUN,
     workers: Workers | None = None,
 ) -> Dataset:
-    """Runs the nine experiments in the Diagram and gathers their densities.
-
-    Args:
-        base: With the paper's tuner, whose kind of density and window are those of the data; None for the defaults
-            (gravity on, `feedforward: gravity`, 5 ms).
-        progress: Called with the number of experiments done.
-        samples: Of each experiment.
-        workers: Where the experiments run; None for here, one after the other.
-
-    Raises:
-        RunFailure: An experiment ended early; it says which.
-    """
+    """Runs the nine experiments with the kind of density and window of `base`; `progress` gets the number done."""
     base = Scenario() if base is None else base
     scenarios = experiment_scenarios(base, samples)
-    logs: dict[int, SimulationLog] = {}
-
-    def keep(index: int, log: SimulationLog) -> None:
-        logs[index] = log
-        progress(float(len(logs)))
-
-    run_jobs(range(len(scenarios)), lambda index: (simulate, (scenarios[index],)), keep, workers or Workers(0))
+    logs = run_all(simulate, [(scenario,) for scenario in scenarios], workers or Workers(0), progress)
     metadata = dataset_metadata(base, experiment_reference(base))
-    ordered = [logs[index] for index in sorted(logs)]
-    return dataset_from_logs(ordered, samples, base.tuner.density, base.tuner.window, metadata)
+    return dataset_from_logs(logs, samples, base.tuner.density, base.tuner.window, metadata)
 
 
 def six(values: Any) -> Vector6:
-    """Six plain floats out of an array or sequence."""
     a, b, c, d, e, f = (float(v) for v in values)
     return a, b, c, d, e, f

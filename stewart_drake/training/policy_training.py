@@ -1,7 +1,6 @@
 """Training of the policy by an evolution strategy: whole runs on the fast engine, on all cores.
 
-What is made small is the mean of log J over situations, each kind of them counting alike: a hundredth saved where a
-robot stands still counts like one saved under a push.
+What is made small is the mean of log J over situations, each kind of them counting alike.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from stewart_drake.jit import njit, record
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario import Scenario
 from stewart_drake.studies.runs import simulate_unchecked
-from stewart_drake.studies.workers import Workers, run_jobs
+from stewart_drake.studies.workers import Workers, run_all
 from stewart_drake.training.benchmark import (
     Baselines,
     cases_of,
@@ -43,34 +42,24 @@ from stewart_drake.training.benchmark import (
 from stewart_drake.training.situations import ROBOTS, TRAINING, VALIDATION, Case, situation
 
 HIDDEN = 16
-"""Hidden units."""
 WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
 """Numbers of a network, flat: hidden layer and its biases, output layer and its biases."""
 LOWEST, HIGHEST = np.array([-0.05, -0.6, -1.2, -1.9]), np.array([0.4, 0.1, 0.1, 0.5])
 """Box of settings that a policy can choose; docs/results/tuner_safety.md has tried it."""
-FAR = 1e5
-"""Ends of the features' range while nothing is known of it."""
+FAR = 1e5  # Ends of the features' range while nothing is known of it
 SPREAD = 0.1
-"""Standard deviation of the directions."""
-LEARNING_RATE = 0.03
-"""Of Adam at first; it falls to a tenth along half a cosine."""
+LEARNING_RATE = 0.03  # Of Adam at first; it falls to a tenth along half a cosine
 FAIRNESS = 4.0
 """What a kind counts for more in which the policy is worse than the centre, times the logarithm of how much."""
-MORE = {"reachy_mini": 2}
-"""Times as many situations in a generation, of a robot whose runs are short."""
-VALIDATED = 5
-"""[generations] between two looks at the validation situations."""
-_SKIPPED, _SAMPLED = 30, 10
-"""[ticks] before the first features that are kept, and between them."""
+MORE = {"reachy_mini": 2}  # Times as many situations in a generation, of a robot whose runs are short
+VALIDATED = 5  # [generations] between two looks at the validation situations
+_SKIPPED, _SAMPLED = 30, 10  # [ticks] before the first features that are kept, and between them
 
 
 def policy_of(
     weights: np.ndarray, centre: np.ndarray, mean: Any = 0.0, scale: Any = 1.0, ends: Any = (-FAR, FAR)
 ) -> Policy:
-    """A policy of flat weights (`WEIGHTS`,); with zeros it stays at the centre (4,).
-
-    `mean` and `scale` (13,) are of its features, `ends` (2, 13) their range.
-    """
+    """A policy of flat weights (`WEIGHTS`,); zeros stay at the centre (4,); mean, scale (13,), ends (2, 13)."""
     parts = np.split(weights, np.cumsum([HIDDEN * len(FEATURES), HIDDEN, SIZE * HIDDEN]))
     mean, scale, low, high = (np.broadcast_to(each, len(FEATURES)) for each in (mean, scale, *ends))
     layers = Layers(
@@ -100,7 +89,6 @@ def episode_cost(chooser: Chooser, case: Case) -> float:
 
 
 def episode_features(policy: Policy, case: Case) -> np.ndarray:
-    """Features (n, 13) that a policy gets in a run, some of them."""
     recorder = _Recorder(policy)
     episode_cost(recorder, case)
     return np.array(recorder.rows[_SKIPPED::_SAMPLED]).reshape(-1, len(FEATURES))
@@ -115,16 +103,12 @@ def _fast(case: Case) -> Scenario:
 
 
 class _GivenTuner(PolicyTuner):
-    """A policy that stands in memory."""
-
     def chooser(self) -> Chooser:  # type: ignore[override]
         given: Chooser = vars(self)["given"]
         return given
 
 
 class _Recorder:
-    """A policy that writes down its features; see `Chooser`."""
-
     def __init__(self, policy: Policy) -> None:
         self.centre, self.lowest, self.width = policy.centre, policy.lowest, policy.width
         self.numbers, self.law = policy.numbers, self._tick
@@ -142,59 +126,47 @@ class _Recorder:
 def _features(
     setups: Any, density: Any, error: Any, torque: Any, innovation: Any, reference: Any, states: Any, out: Any
 ) -> None:
-    """`features` of arrays."""
     features(record(setups), density, error, torque, innovation, reference, record(states), out)
 
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """How to train a policy; numbers of situations are of each kind and robot."""
+    """How to train: a generation has `situations` of each kind and robot, times `MORE`, of a `pool` of them."""
 
     seed: int = 0
-    """Of the first weights, the smoothness and the directions."""
     generations: int = 150
-    """Steps of evolution."""
     situations: int = 8
-    """In a generation, times `MORE`."""
     pool: int = 32
-    """That generations take theirs from in turn."""
     validation: int = 6
-    """By which the best generation is chosen."""
     robots: tuple[str, ...] = tuple(ROBOTS)
 
 
 @dataclass
 class State:
-    """Where a training stands; what its file holds."""
+    """Log J at the centre in the cases of the pool and of validation; features (13,); the network, flat, and Adam's.
+
+    `least` is the mean of log J over that at the centre on validation of the weights `best`; `history` (g, 2) has it.
+    """
 
     fixed: np.ndarray
-    """(pool,) log J of each case of the pool at the centre."""
     validated: np.ndarray
-    """(validation,) likewise of the validation cases."""
     mean: np.ndarray
     scale: np.ndarray
-    """(13,) of the features."""
     weights: np.ndarray
     moments: np.ndarray
-    """(n,) of the network, flat; (2, n) of Adam."""
     best: np.ndarray
-    """(n,) weights of the generation that is best on validation; at first those of the start."""
     least: float = 0.0
-    """Mean of log J over that at the centre on validation, of `best`."""
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    """(g, 2) generation and mean of log J over that at the centre on validation."""
 
     def save(self, file: Path, identity: str) -> None:
-        """Writes it beside and renames."""
         content = io.BytesIO()
         np.savez(content, identity=identity, **vars(self))
         write_atomically(file, content.getvalue())
 
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
-        """Reads what `save` wrote; a ConfigurationError where it is no such file, or of other options."""
         try:
             with np.load(file, allow_pickle=False) as content:
                 values = {name: value if value.ndim else value.item() for name, value in content.items()}
@@ -209,8 +181,6 @@ class State:
 
 
 class Training:
-    """The steps of `train_policy`."""
-
     def __init__(self, options: PolicyOptions, workers: Workers) -> None:
         self.options, self._workers = options, workers
         self.centre = np.array(Baselines.load().best)
@@ -234,18 +204,14 @@ class Training:
             for place in places[:4]:
                 weights[-SIZE:] = rng.uniform(-1.5, 1.5, SIZE)
                 runs += [(stays, self.pool[place]), (policy_of(weights, self.centre), self.pool[place])]
-        found = np.concatenate(self._map(episode_features, runs))
+        found = np.concatenate(run_all(episode_features, runs, self._workers))
         hidden = rng.standard_normal(HIDDEN * len(FEATURES)) / math.sqrt(len(FEATURES))
         weights = np.concatenate([hidden, np.zeros(WEIGHTS - len(hidden))])
         scale = np.maximum(found.std(axis=0), 1e-3)
         return State(fixed, validated, found.mean(axis=0), scale, weights, np.zeros((2, WEIGHTS)), best=weights)
 
     def step(self, state: State) -> State:
-        """One more generation: each situation twice, with weights on opposite sides of the present ones.
-
-        Both runs of a pair have the same noise and pushes; the difference of their costs is the slope along the pair's
-        direction.
-        """
+        """One more generation: each situation twice, with weights on opposite sides of the present ones."""
         began, at = time.perf_counter(), dataclasses.replace(state)
         chosen = self._batch(at.generation)
         rng = np.random.default_rng([self.options.seed, 2, at.generation])
@@ -266,7 +232,8 @@ class Training:
     def finish(self, state: State) -> Policy:
         """The best policy, with the range of its features on the pool, and its card."""
         policy = self.policy(state, state.best)
-        found = np.concatenate(self._map(episode_features, [(policy, case) for case in self.pool]))
+        runs = [(policy, case) for case in self.pool]
+        found = np.concatenate(run_all(episode_features, runs, self._workers))
         ends = np.quantile(found, [0.0005, 0.9995], axis=0)
         # All of kappa was drawn, if not to its very ends.
         ends[:, FEATURES.index("kappa")] = -1.0, 1.0
@@ -274,25 +241,15 @@ class Training:
         return Policy(policy.layers, self._card(state, self.validate(state, policy)))
 
     def policy(self, state: State, weights: np.ndarray) -> Policy:
-        """The policy of some weights, with the statistics of a state."""
         return policy_of(weights, self.centre, state.mean, state.scale)
 
     def validate(self, state: State, policy: Policy) -> np.ndarray:
-        """Log J of a policy over that at the centre in each validation situation."""
         return self.costs([policy] * len(self.validation), self.validation) - state.validated
 
     def costs(self, policies: Sequence[Policy], cases: Sequence[Case]) -> np.ndarray:
-        """Log J of each policy in the case beside it."""
-        return np.array(self._map(episode_cost, list(zip(policies, cases, strict=True))))
-
-    def _map(self, function: Callable[..., Any], arguments: Sequence[tuple[Policy, Case]]) -> list[Any]:
-        results: dict[int, Any] = {}
-        keys = range(len(arguments))
-        run_jobs(keys, lambda key: (function, arguments[key]), results.__setitem__, self._workers)
-        return [results[key] for key in keys]
+        return np.array(run_all(episode_cost, list(zip(policies, cases, strict=True)), self._workers))
 
     def _batch(self, generation: int) -> np.ndarray:
-        """Places in the pool of the cases of a generation."""
         chosen = []
         for (_, robot), places in cells_of(self.pool).items():
             count = min(self.options.situations * MORE.get(robot, 1), len(places))
@@ -331,7 +288,6 @@ class Training:
 
 
 def _adam(at: State, gradient: np.ndarray, generations: int) -> None:
-    """A step of Adam against a gradient of length 1 at most."""
     gradient = gradient / max(1.0, float(np.linalg.norm(gradient)))
     first, second = 0.9 * at.moments[0] + 0.1 * gradient, 0.99 * at.moments[1] + 0.01 * gradient**2
     at.moments = np.stack([first, second])
@@ -349,11 +305,7 @@ def train_policy(
 ) -> Policy:
     """Trains; the same options give the same policy, however many processes there are and wherever it was interrupted.
 
-    Args:
-        options: How to train.
-        file: Written after each generation and gone on from, where it is there; removed at the end. None for none.
-        tell: Called with generations done and a word on it.
-        workers: Where the runs go; None for a process on each core.
+    `file` is written after each generation and gone on from, where it is there; removed at the end.
     """
     # Worn out by nothing: without Drake a process stays small, and it knows its situations.
     training = Training(options, workers or Workers(os.cpu_count(), worn=None))

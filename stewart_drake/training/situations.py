@@ -1,7 +1,6 @@
 """Runs on which tuners are searched, trained and assessed: kinds of situations, drawn by kind, robot and seed.
 
-What matters in a run happens in its second half, which its cost is made of: pushes come there, and motions that change
-do so at 60 to 75 % of it.
+What matters comes in a run's second half, of which its cost is made.
 """
 
 from __future__ import annotations
@@ -24,16 +23,12 @@ from stewart_drake.scenario import Scenario, load_scenario
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
 """Seeds: of what is searched and trained on, of what is chosen by, and of what is assessed by. Earlier policies
 were assessed on those from 2e6 on."""
-_TRIES = 50
-"""Draws of a situation until the robot can do its motion; nearly all can at once."""
+_TRIES = 50  # Draws of a situation until the robot can do its motion; nearly all can at once
 
 Changes = dict[str, Any]
-"""Scenario key -> value."""
 
 
 class Case(NamedTuple):
-    """A situation, and the smoothness kappa at which a policy is run in it."""
-
     kind: str
     robot: str
     seed: int
@@ -42,20 +37,18 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Setup:
-    """A robot with its sensors, motors and bus, before anything is drawn."""
+    """A robot in a run of a duration [s], before anything is drawn.
+
+    `viscous` [N m s/rad] is its motors' friction, `beyond` [N m] dry friction that nobody believes, lowest and highest;
+    `push` [-] the size of pushes beside those of the paper's robot.
+    """
 
     scenario: str
-    """Name of a shipped one."""
     changes: Changes
-    """What of it is otherwise."""
     duration: float
-    """[s] of a run."""
     viscous: float
-    """[N m s/rad] friction of its motors."""
     beyond: tuple[float, float]
-    """[N m] lowest and highest dry friction that nobody believes."""
     push: float
-    """[-] size of pushes beside those of the paper's robot, once torques and lengths are counted."""
 
     @cached_property
     def base(self) -> Scenario:
@@ -73,15 +66,12 @@ ROBOTS = {
 
 
 class Draw:
-    """Numbers of one situation, in the size of its robot; all from one generator."""
-
     def __init__(self, rng: np.random.Generator, setup: Setup) -> None:
         self.rng, self.setup, self.robot = rng, setup, setup.base.robot
         self.length = self.robot.characteristic_length / PAPER.characteristic_length
         self._torque = setup.push * self.robot.effort_limit / PAPER.effort_limit
 
     def between(self, low: float, high: float) -> float:
-        """Uniform in the logarithm."""
         return float(low * (high / low) ** self.rng.random())
 
     def time(self, low: float, high: float) -> float:
@@ -171,12 +161,10 @@ def _any_of(*kinds: Callable[[Draw], Changes]) -> Callable[[Draw], Changes]:
 
 
 def _both(*kinds: Callable[[Draw], Changes]) -> Callable[[Draw], Changes]:
-    """One draw after the other, of different keys."""
     return lambda draw: {key: value for kind in kinds for key, value in kind(draw).items()}
 
 
 def _moves(draw: Draw) -> Changes:
-    """A motion of the robot's own."""
     return _any_of(*((_breathing, _heart, _fast) if draw.robot == PAPER else (_nod, _breathing)))(draw)
 
 
@@ -229,7 +217,6 @@ def _bursts(draw: Draw, before: bool, after: bool) -> Changes:
 
 
 def _load_comes(draw: Draw) -> Changes:
-    """From some time on the platform carries more."""
     weight = draw.wrench((0.02, 0.1), (1.0, 4.0))
     step = {"kind": "step", "wrench": [*weight[:3], 0.0, 0.0, -float(np.linalg.norm(weight[3:]))]}
     return {**_moves_or_rests(draw), "disturbances": [{**step, "time": draw.time(0.6, 0.75)}]}
@@ -253,10 +240,7 @@ _mixture = _any_of(
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of situations: a draw of one, as changes of a `Setup.base`, and the robots that it is for.
-
-    Tuners are made on those that are `trained`; of the others they see nothing before they are assessed.
-    """
+    """How a situation is drawn, for which robots, and whether tuners are made on it or see it only when assessed."""
 
     draw: Callable[[Draw], Changes]
     robots: tuple[str, ...] = ("paper",)

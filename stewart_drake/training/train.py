@@ -19,8 +19,6 @@ Split = Literal["samples", "runs"]
 
 
 class TrainingOptions(Section, key="training"):
-    """How to train."""
-
     seed: Seed = 0
     """Of the split and of the first weights."""
     epochs: Window = 2000
@@ -43,12 +41,7 @@ class TrainingResult:
 
 
 def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
-    """(n,) mask of the training samples.
-
-    Raises:
-        ConfigurationError: One side is empty, or training lacks a value of omega_Q or omega_R that several experiments
-            share.
-    """
+    """(n,) mask of the training samples."""
     rng = np.random.default_rng(options.seed)
     group_of = np.arange(len(dataset.run)) if options.split == "samples" else dataset.run
     groups = rng.permutation(np.unique(group_of))
@@ -73,10 +66,7 @@ def r_squared(target: np.ndarray, predicted: np.ndarray) -> float:
 def train_network(
     dataset: Dataset, options: TrainingOptions | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> TrainingResult:
-    """Trains the tuner; the same data, options and torch give the same network to the last bit.
-
-    `progress` is called with the epochs done, now and then. Raises as `split_samples`.
-    """
+    """Trains the tuner; the same data, options and torch give the same network to the last bit."""
     options = TrainingOptions() if options is None else options
     training = split_samples(dataset, options)
     target = np.log10(dataset.outputs)
