@@ -77,7 +77,7 @@ class DensityFeatures(PartSystem, ports="error torque -> density"):
     Args:
         window: m of (35) [ticks]; means run over m + 1 samples.
         period: [s] tick period.
-        kind: See `density.density`.
+        kind: See `network.density`.
     """
 
     def __init__(self, window: int, period: float, kind: DensityKind = "magnitude") -> None:
