@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 TRACEBACK = "STEWART_DRAKE_TRACEBACK"
 """Environment variable: where it is set, an error that nobody expected is shown with its traceback."""
-_AGAIN = 0.05
-"""[s] after which an interrupt that was dropped is raised again."""
+_AGAIN = 0.05  # [s] after which an interrupt that was dropped is raised again.
 
 
 def main() -> None:

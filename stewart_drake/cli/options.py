@@ -41,7 +41,6 @@ class OutPath(click.Path):
         super().__init__(path_type=Path, **details)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """As `click.Path`."""
         if value == "":
             self.fail("expected a path, got an empty text", param, ctx)
         return super().convert(value, param, ctx)

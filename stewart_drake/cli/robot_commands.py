@@ -32,8 +32,7 @@ from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names
 from stewart_drake.runs.outputs import prepare_file
 from stewart_drake.scenario import Scenario, load_scenario
 
-_PASSES = 16
-"""Pictures under different lights that are averaged."""
+_PASSES = 16  # Pictures under different lights that are averaged.
 _OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 """What no table says and no robot shares with another."""
 
@@ -41,9 +40,6 @@ robot_option = click.option("--robot", help="Name or YAML file [default: that of
 scenario_option = click.option("--scenario", default="hold", help="Take robot and plant of this scenario.")
 report_option = click.option("--report", "report_folder", type=OUT_FOLDER, help="Folder for a page, tables, a picture.")
 hold_option = click.option("--hold", multiple=True, type=click.Choice(KINDS), help="Keep these parameters as they are.")
-
-
-# --- files of robots ----------------------------------------------------------------------------------------------
 
 
 @cli.group(invoke_without_command=True)
@@ -162,9 +158,6 @@ def write_mjcf_command(out: Path, robot: str | None, scenario: str, overrides: t
 
     loaded = _loaded(scenario, robot, overrides)
     write_atomically(out, mjcf_text(loaded.robot, loaded.gravity, loaded.plant).encode())
-
-
-# --- robots from measurements ---------------------------------------------------------------------------------------
 
 
 @cli.command()

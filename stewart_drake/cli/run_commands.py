@@ -228,11 +228,7 @@ def margins(scenario: str, out: Path, poses: int, seed: int, overrides: tuple[st
     metavar="ROLL PITCH YAW X Y Z",
     help="Fixed orientation [rad] and fixed position [m] [default: home].",
 )
-@click.option(
-    "--scenario",
-    default="paper_fig7",
-    help="Take robot, limits and controller of this scenario.",
-)
+@click.option("--scenario", default="paper_fig7", help="Take robot, limits and controller of this scenario.")
 @overrides("limits.clearance=0.01")
 @trust_flag
 @quiet_flag

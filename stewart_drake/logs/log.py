@@ -36,8 +36,7 @@ MAX_ROWS = 2_000_000
 """Of a run: all of them are in memory, 140 numbers each, 2.2 GB. At steps of 1 ms they are 33 minutes."""
 
 _VERSION = 3
-_LARGEST = 10**10
-"""[byte] of a file."""
+_LARGEST = 10**10  # [byte] of a file.
 
 
 class SignalSpec(NamedTuple):
@@ -101,7 +100,7 @@ innovation with an observer. `plant_state` has one column per entry of the plant
 
 
 def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
-    """Name without its unit, unit, frame and explanation of each column of a signal."""
+    """Name without its unit, unit, frame and text of each column of a signal."""
     spec = SIGNALS[name]
     if name == "plant_state":
         return [(f"{name}_{entry}", *_state_entry(entry)) for entry in state_names]
@@ -110,7 +109,7 @@ def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str, st
 
 
 def _state_entry(name: str) -> tuple[str, str, str]:
-    """Unit, frame and explanation of an entry of the plant's state, from the name that Drake gives it."""
+    """Unit, frame and text of an entry of the plant's state, from the name that Drake gives it."""
     joint, _, quantity = name.rpartition("_")
     if joint == "platform":
         unit = "1" if quantity[0] == "q" else {"w": "rad/s", "v": "m/s"}.get(quantity[0], "m")
@@ -129,17 +128,13 @@ class SimulationLog(Mapping[str, np.ndarray]):
         scenario: As run.
         signals: Name -> array, (n,) for time and (n, k) for the rest, see `SIGNALS`.
         state_names: Names of the columns of `plant_state`.
-        status: See `outcomes.Status`.
-        reason: Stable name of what happened, or None.
-        message: One line on it, or None; where a user's code raised, its traceback follows.
-        outcome_time: [s] when that was decided, or None.
-        end_time: [s] simulated time reached.
+        status, reason, message: See `outcomes.Status`; stable name of what happened, and one line on it, or None.
+        outcome_time, end_time: [s] when that was decided, or None; simulated time reached.
         leg: Leg 0..5 to which it belongs, or None.
         warnings: See `outcomes.find_warnings`.
         safety: monitor, level, time [s], leg, cause of the first trip of the safety layer, and worst level; or None.
         wall_time: [s] spent in the simulation.
-        versions: Versions of what ran.
-        files: Path of each file that the scenario names -> sha256 of its content, None where it could not be read.
+        versions, files: Of what ran; path of each file that the scenario names -> sha256, None if unreadable.
         figures: The metrics, from every tick and step of the run, whatever rows the log has; None where nobody took
             them. Those that are not finite are None and named in `not_finite`.
     """
@@ -170,7 +165,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return len(self.signals)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Signal `name`."""
         try:
             return self.signals[name]
         except KeyError:
@@ -183,7 +177,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     @property
     def time(self) -> np.ndarray:
-        """(n,) [s] simulated time of each row."""
+        """(n,) [s] of each row."""
         return self.signals["time"]
 
     def outcome(self) -> dict[str, Any]:
@@ -191,7 +185,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
     def table(self) -> pa.Table:
-        """The signals as an Arrow table: a column per component, unit, frame and text in each field's metadata."""
+        """The signals as an Arrow table, with unit, frame and text in each field's metadata."""
         import pyarrow as pa
 
         arrays, named = [], []
@@ -204,7 +198,6 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return pa.Table.from_arrays(arrays, schema=pa.schema(named))
 
     def __repr__(self) -> str:
-        """Whose run it is, how it ended and what is in it, in some lines."""
         tick, time = self.scenario.controller.period, self.signals.get("time", np.empty(0))
         row = f", every {np.median(np.diff(time)):.4g} s" if len(time) > 1 else ""
         when = self.end_time if self.outcome_time is None else self.outcome_time
@@ -224,12 +217,11 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
-        """The log as a Parquet file."""
         about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
         return to_parquet(with_about(self.table(), "run", about))
 
     def to_csv(self) -> bytes:
-        """The signals as a CSV file; of scenario and outcome it says nothing."""
+        """The signals alone."""
         return to_csv(self.table())
 
     def save(self, path: str | Path) -> None:

@@ -21,18 +21,11 @@ class Reference(Protocol):
     """Anything that tells where the platform should be."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose, rate and acceleration.
-
-        Args:
-            time: (...) [s].
-
-        Returns:
-            pose (..., 6) [rad, m], rate (..., 6) [rad/s, m/s], acceleration (..., 6) [rad/s^2, m/s^2].
-        """
+        """Pose (..., 6) [rad, m], rate [rad/s, m/s], acceleration [rad/s^2, m/s^2] at times (...) [s]."""
 
 
 def smoothstep(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """6 u^5 - 15 u^4 + 10 u^3, from 0 at u <= 0 to 1 at u >= 1, and its two derivatives, which vanish at the ends."""
+    """6 u^5 - 15 u^4 + 10 u^3, 0 at u <= 0 and 1 at u >= 1, and its two derivatives."""
     u = np.clip(u, 0.0, 1.0)
     value = u**3 * (u * (6.0 * u - 15.0) + 10.0)
     return value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)

@@ -71,10 +71,7 @@ AnyReference = Annotated[Reference, REFERENCES]
 
 
 def center_of(reference: Reference) -> np.ndarray:
-    """The pose (6,) [rad, m] about which a motion is scaled and summed.
-
-    Its `center` where it has one; otherwise that of the motion that it is made of, or its pose at t = 0.
-    """
+    """The pose (6,) [rad, m] about which a motion is scaled: its `center`, its motion's, or its first pose."""
     center = getattr(reference, "center", None)
     if center is not None:
         return np.array(center, dtype=float)

@@ -30,8 +30,7 @@ from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sam
 from stewart_drake.scenario import Scenario
 
 _NUDGES = 100
-_PASSED: set[Any] = set()
-"""Motions that have passed: a search runs the same one a thousand times."""
+_PASSED: set[Any] = set()  # Motions that have passed: a search runs the same one a thousand times.
 
 
 def refuse_too_long(scenario: Scenario) -> None:
@@ -43,13 +42,7 @@ def refuse_too_long(scenario: Scenario) -> None:
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Checks that the reference keeps to the limits over the whole run, and that the robot can stand at its start.
-
-    Raises:
-        InfeasibleReferenceError: Names limit, time, leg and margin.
-        ConfigurationError: The start pose is out of reach or singular; the reference grows beyond all numbers, or a
-            pose is beyond half a turn; a recording cannot be read; the motion or its start would trip the safety layer.
-    """
+    """Refuses a run whose reference leaves the limits, or at whose start the robot cannot stand."""
     told = (scenario.robot, scenario.model_robot, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     subject = (*told, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
@@ -74,7 +67,6 @@ def check_scenario(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> FeasibilityReport:
-    """`check_reference` of a scenario's whole run."""
     motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
     try:
         # Where numbers overflow a limit is broken, or the check names the signal.
@@ -108,11 +100,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 def fit_amplitude(
     robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made smaller about its centre (`references.center_of`) until it is feasible, and its size [-].
-
-    To a relative 1e-4, as `largest_scale` finds it, so that each smaller size tried is feasible too; the motion itself
-    and 1 if it is feasible. Arguments as in `check_reference`.
-    """
+    """The motion made smaller about its centre until it is feasible, and its size [-], to a relative 1e-4."""
     if check_reference(robot, limits, reference, duration, gravity).feasible:
         return reference, 1.0
     check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
@@ -123,15 +111,10 @@ def fit_amplitude(
 def fit_speed(
     robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
-    """The motion made slower until it is feasible.
+    """The motion made slower until it is feasible, and its slowdown >= 1 [-], to a relative 1e-4.
 
     Slowed by k a crank's speed is 1/k, and its motor's torque static + (torque - static) / k^2, of what it was at the
-    same pose. Where standing still is feasible, every k above the smallest feasible one is therefore feasible too, and
-    bisection finds it. Limits of the poses alone do not depend on k.
-
-    Returns:
-        The motion that is feasible over slowdown * duration, and its slowdown >= 1 [-], to a relative 1e-4; the motion
-        itself and 1 if it is feasible.
+    same pose: where standing still is feasible, so is every k above the smallest feasible one, and bisection finds it.
     """
     samples_per_second = 500.0
 
@@ -161,7 +144,7 @@ def adjusted(reference: Reference, scale: float = 1.0, slowdown: float = 1.0) ->
 
 @dataclasses.dataclass(frozen=True)
 class _Still:
-    """A motion's poses, at each of them standing still."""
+    """A motion's poses, at rest."""
 
     reference: Reference
 

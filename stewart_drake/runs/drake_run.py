@@ -18,8 +18,7 @@ from stewart_drake.systems.diagram import ClosedLoop
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-SUBSTEPS = 10
-"""Parts of the plant's step in which continuous state of a user's controller is integrated."""
+SUBSTEPS = 10  # Parts of the plant's step in which continuous state of a user's controller is integrated.
 _PEERS = "_pydrake_internal_ref_cycle_peers"
 
 
@@ -93,9 +92,8 @@ class DrakeRun(Engine):
     def close(self) -> None:
         """Lets go of the Diagram, which Python's garbage collector would keep for ever.
 
-        pydrake ties systems, ports and diagrams together in cycles. Where a system is written in Python, CPython visits
-        the dictionary of its attributes twice, once for each base, and takes the cycle for one that is held from
-        outside: each run would leave its diagram, some megabytes, behind.
+        pydrake ties systems, ports and diagrams together in cycles, which CPython takes for held from outside: it
+        visits the attributes of a system that is written in Python twice, once for each base.
         """
         waiting: list[Any] = [self._loop]
         while waiting:

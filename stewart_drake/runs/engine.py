@@ -45,11 +45,10 @@ class Engine(ABC):
 
     @abstractmethod
     def signals(self) -> dict[str, np.ndarray]:
-        """All complete rows so far, see `signals_of`."""
+        """All complete rows so far."""
 
     @abstractmethod
-    def safety_state(self) -> Any:
-        """Of the safety layer, where there is one."""
+    def safety_state(self) -> Any: ...
 
     def graph(self) -> str | None:
         """Graphviz text of the Diagram; None where there is none."""
@@ -74,14 +73,7 @@ def quiet_libraries() -> Iterator[None]:
 
 
 def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Signals by their names in a log.
-
-    Args:
-        scenario: As run.
-        steps: (n,) of the plant.
-        values: As they were in the loop: measurement (n, 12), reference (n, 18), weights (n, 2 or 4), `torque_applied`
-            where it is another than `torque`, and the others as they are called in a log.
-    """
+    """Signals by their names in a log, at steps (n,) of the plant, of values by their names in the loop."""
     limit = scenario.robot.effort_limits
     reference, measurement = values["reference"], values["measurement"]
     signals = {
@@ -112,8 +104,7 @@ _POSE, _CRANKS = _place("pose"), _place("angles")
 class FastRun(Engine):
     """The parts of a scenario called in order, on the closed form of the robot.
 
-    At a step of the plant sensors read the state of that instant; at a tick the parts answer within it, in order; the
-    row is complete; late parts tick; the plant steps.
+    At a step sensors read that instant's state; at a tick parts answer in order; late parts tick; the plant steps.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
@@ -165,7 +156,6 @@ class FastRun(Engine):
             self._row()
 
     def _row(self) -> None:
-        """What happens at a step of the plant before the plant itself moves."""
         running, now = self._running, self._now
         running.time[0] = now * self._step
         for signal, table in self._sources:
