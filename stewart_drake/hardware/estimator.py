@@ -8,15 +8,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from stewart_drake import errors
 from stewart_drake.config import Section
-from stewart_drake.errors import (
-    AssemblyModeError,
-    ForwardKinematicsError,
-    RunFailure,
-    SingularPoseError,
-    UnreachablePoseError,
-    pose_text,
-)
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.jit import fields, new_record, njit, record
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -152,7 +145,7 @@ def difference_part(
     initial, own, legs = new_record(_STATE, health=WELL), laws.robot_record(robot), np.empty(1, laws.LEGS)
     initial["measurement"][0, :6] = pose
     # A robot that cannot stand there: the first tick says so, with a log.
-    with contextlib.suppress(UnreachablePoseError), np.errstate(all="ignore"):
+    with contextlib.suppress(errors.UnreachablePoseError), np.errstate(all="ignore"):
         rates = crank_rates(robot, leg_geometry(robot, pose), pose, np.array(pose_rate))
         initial["crank_rate"] = rates if np.isfinite(rates).all() else 0.0
 
@@ -167,22 +160,22 @@ def difference_part(
     return Part("estimator", {"reading": 6}, ("measurement",), initial, tick)
 
 
-def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> SingularPoseError:
+def singular_pose(status: int, leg: int, margin: float, pose: np.ndarray) -> errors.SingularPoseError:
     """The error of a pose that ends a tick as SERIAL, a crank carried across its dead centre, or PARALLEL."""
     if status == SERIAL:
-        return SingularPoseError("serial", pose, margin, 0.0, leg)
-    return SingularPoseError("parallel", pose, 0.0, 0.0)
+        return errors.SingularPoseError("serial", pose, margin, 0.0, leg)
+    return errors.SingularPoseError("parallel", pose, 0.0, 0.0)
 
 
 def _error(
     status: int, leg: int, margin: float, angles: np.ndarray, options: EncoderOptions, state: np.ndarray
-) -> RunFailure:
+) -> errors.RunFailure:
     pose = state["candidate"][0].copy()
     if status == NO_CONVERGENCE:
-        return ForwardKinematicsError(margin, leg)
+        return errors.ForwardKinematicsError(margin, leg)
     if status in (SERIAL, PARALLEL):
         return singular_pose(status, leg, margin, pose)
     if status == OTHER_MODE:
-        return AssemblyModeError(pose, state["measurement"][0, :6].copy())
+        return errors.AssemblyModeError(pose, state["measurement"][0, :6].copy())
     what = "not finite" if status == NOT_FINITE else f"changed faster than {options.max_speed:g} rad/s"
-    return RunFailure(f"encoder readings {pose_text(angles)}: {what}", reason="encoder")
+    return errors.RunFailure(f"encoder readings {errors.pose_text(angles)}: {what}", reason="encoder")

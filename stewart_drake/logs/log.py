@@ -12,17 +12,8 @@ import numpy as np
 
 from stewart_drake.control.policy import NAMES
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.files import tables
 from stewart_drake.files.code import code_rule
-from stewart_drake.files.tables import (
-    column_name,
-    need_pandas,
-    parquet_about,
-    quantity_of,
-    read_columns,
-    to_csv,
-    to_parquet,
-    with_about,
-)
 from stewart_drake.files.whole import write_atomically
 from stewart_drake.logs.outcomes import Status, told
 from stewart_drake.scenario import Scenario
@@ -194,7 +185,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
             for column, (name, unit, frame, text) in zip(np.atleast_2d(values.T), columns, strict=True):
                 about = {"unit": unit, "frame": frame, "text": text}
                 arrays.append(pa.array(column))
-                named.append(pa.field(column_name(name, unit), pa.float64(), nullable=False, metadata=about))
+                named.append(pa.field(tables.column_name(name, unit), pa.float64(), nullable=False, metadata=about))
         return pa.Table.from_arrays(arrays, schema=pa.schema(named))
 
     def __repr__(self) -> str:
@@ -213,16 +204,16 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
     def to_pandas(self) -> Any:
         """The signals as a pandas.DataFrame, a column per component."""
-        need_pandas("table() gives the same as an Arrow table")
+        tables.need_pandas("table() gives the same as an Arrow table")
         return self.table().to_pandas()
 
     def to_parquet(self) -> bytes:
         about = {"version": _VERSION, "scenario": self.scenario.to_dict(), "outcome": self.outcome()}
-        return to_parquet(with_about(self.table(), "run", about))
+        return tables.to_parquet(tables.with_about(self.table(), "run", about))
 
     def to_csv(self) -> bytes:
         """The signals alone."""
-        return to_csv(self.table())
+        return tables.to_csv(self.table())
 
     def save(self, path: str | Path) -> None:
         """Writes the log to a file, in the format that the end of its name says: .parquet or .csv.
@@ -262,7 +253,7 @@ def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLo
             message += ", nor which scenario it was: the default one is taken"
             scenario = Scenario(name=path.stem, duration=end or 1.0)
         return SimulationLog(scenario, signals, state_names, status="unknown", message=message, end_time=end)
-    about = parquet_about(path, key, "run", _LARGEST, "this package")
+    about = tables.parquet_about(path, key, "run", _LARGEST, "this package")
     if about.get("version") != _VERSION:
         raise ConfigurationError(key, f"version {about.get('version')}", f"version {_VERSION}")
     try:
@@ -283,9 +274,9 @@ def _read_signals(path: Path, key: str) -> tuple[dict[str, np.ndarray], tuple[st
     """Signals of a table by name, and the names of the plant's states."""
 
     def choose(names: list[str]) -> dict[str, tuple[str, float]]:
-        return {quantity: (name, factor) for name in names for quantity, factor in [quantity_of(name)]}
+        return {quantity: (name, factor) for name in names for quantity, factor in [tables.quantity_of(name)]}
 
-    columns = read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
+    columns = tables.read_columns(path, key, choose, _LARGEST, MAX_ROWS + 1)
     state_names = tuple(name.removeprefix("plant_state_") for name in columns if name.startswith("plant_state_"))
     signals: dict[str, np.ndarray] = {}
     for signal in SIGNALS:

@@ -146,7 +146,11 @@ def add_plant(
         _add_damping(plant, robot, options, law["viscous"][0])
         _add_servos(plant, law)
         if options.payload_mass > 0.0:
-            _add_payload(plant, options)
+            # A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF.
+            point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+            payload = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
+            at = RigidTransform(np.array(options.payload_position))
+            plant.WeldFrames(plant.GetFrameByName("platform"), payload.body_frame(), at)
         plant.Finalize()
         torque_input_port, relax = plant.get_actuation_input_port(), None
         if law["break_away"].any():
@@ -190,14 +194,6 @@ def _add_damping(plant: MultibodyPlant, robot: RobotParameters, options: PlantOp
         rod_end = plant.AddFrame(FixedOffsetFrame(f"rod_end_{leg}", rod, at_end))
         seat = plant.AddFrame(FixedOffsetFrame(f"platform_joint_{leg}", platform, RigidTransform(joint)))
         plant.AddForceElement(LinearBushingRollPitchYaw(rod_end, seat, zero, resistance, zero, zero))
-
-
-def _add_payload(plant: MultibodyPlant, options: PlantOptions) -> None:
-    """A body of its own, welded on: the robot's numbers stay those of `RobotParameters` and the SDF."""
-    point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
-    body = plant.AddRigidBody("payload", plant.GetModelInstanceByName("stewart"), point)
-    at = RigidTransform(np.array(options.payload_position))
-    plant.WeldFrames(plant.GetFrameByName("platform"), body.body_frame(), at)
 
 
 def _state_indices(plant: MultibodyPlant, rod_joint: RodJoint) -> StateIndices:
@@ -252,7 +248,7 @@ def _pull(frictions: Any, before: Any, state: Any, cranks: Any, step: float, out
 
 def _add_servos(plant: MultibodyPlant, law: np.ndarray) -> None:
     """Of motors without dry friction none; before the plant is finalised."""
-    for leg in _with_friction(law):
+    for leg in np.flatnonzero(law["break_away"][0]).tolist():
         joint = plant.GetJointByName(f"motor_{leg}")
         actuator = plant.AddJointActuator(f"friction_{leg}", joint, law["break_away"][0, leg])
         # Drake takes the rotor of a joint from its last actuator alone.
@@ -273,14 +269,14 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
     builder.Connect(memory.get_output_port(), friction.bristles)
     builder.Connect(friction.pull, memory.get_input_port())
     home = plant.GetPositionsAndVelocities(plant.CreateDefaultContext())
-    memory.configure_default_state(_at_rest(home[friction.cranks]))
+    memory.configure_default_state(np.append(home[friction.cranks], np.zeros(LEGS)))
     actuators = plant.num_actuators()
     torque, desired = np.zeros((actuators, 4 * LEGS)), np.zeros((2 * actuators, 3 * LEGS))
     force = np.zeros((plant.num_velocities(), 3 * LEGS))
     for leg in range(LEGS):
         torque[plant.GetJointActuatorByName(f"motor_{leg}").input_start(), leg] = 1.0
         force[plant.GetJointByName(f"motor_{leg}").velocity_start(), 2 * LEGS + leg] = 1.0
-    for leg in _with_friction(law):
+    for leg in np.flatnonzero(law["break_away"][0]).tolist():
         servo = plant.GetJointActuatorByName(f"friction_{leg}").input_start()
         torque[servo, 3 * LEGS + leg], desired[servo, leg] = -1.0, 1.0
     both = builder.AddNamedSystem("friction_inputs", Multiplexer([LEGS, 3 * LEGS]))
@@ -297,16 +293,8 @@ def _wire_friction(builder: DiagramBuilder, plant: MultibodyPlant, law: np.ndarr
         builder.Connect(gain.get_output_port(), target)
 
     def relax(context: Context, state: np.ndarray) -> None:
-        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(_at_rest(state[friction.cranks]))
+        # Anchors and slips without tension.
+        memory.GetMyMutableContextFromRoot(context).SetDiscreteState(np.append(state[friction.cranks], np.zeros(LEGS)))
 
     port: InputPort = both.get_input_port(0)
     return port, relax
-
-
-def _with_friction(law: np.ndarray) -> list[int]:
-    return [leg for leg in range(LEGS) if law["break_away"][0, leg] > 0.0]
-
-
-def _at_rest(angles: np.ndarray) -> np.ndarray:
-    """Anchors and slips (12,) without tension at crank angles (6,) [rad]."""
-    return np.concatenate([angles, np.zeros(LEGS)])

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from stewart_drake.config import Count, NotNegative, Positive, Real, Section, Seed, Share, SixNumbers, Vector6
 from stewart_drake.errors import ConfigurationError
-from stewart_drake.references.basic import HOME, bump
+from stewart_drake.references.motions import HOME, bump
 from stewart_drake.robot.robot_scale import HOME_POSE
 
 _SLOW_BAND = (0.04, 0.15)

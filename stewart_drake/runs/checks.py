@@ -14,14 +14,7 @@ from stewart_drake.errors import ConfigurationError, RunFailure, UnreachablePose
 from stewart_drake.families import user_parts
 from stewart_drake.files.code import ControllerError, file_digests
 from stewart_drake.logs.log import MAX_ROWS
-from stewart_drake.planning.feasibility import (
-    SEARCH_RTOL,
-    FeasibilityReport,
-    bisect,
-    check_reference,
-    largest_scale,
-    refuse_turns,
-)
+from stewart_drake.planning import feasibility
 from stewart_drake.planning.limits import Limits
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
@@ -56,7 +49,7 @@ def check_scenario(scenario: Scenario) -> None:
             _PASSED.add(subject)
     with quiet():
         start = scenario.start()[0]
-        refuse_turns("initial_offset", start[None], np.zeros(1))
+        feasibility.refuse_turns("initial_offset", start[None], np.zeros(1))
         try:
             checked_legs(scenario.robot, scenario.controller.near_singularity, start)
         except RunFailure as failure:
@@ -66,12 +59,12 @@ def check_scenario(scenario: Scenario) -> None:
             raise ConfigurationError(key, value, f"a start where the robot can stand ({failure})") from None
 
 
-def motion_report(scenario: Scenario) -> FeasibilityReport:
+def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
     try:
         # Where numbers overflow a limit is broken, or the check names the signal.
         with user_code(scenario), quiet():
-            return check_reference(*motion)
+            return feasibility.check_reference(*motion)
     except ControllerError as error:
         raise ConfigurationError("reference", scenario.reference, f"a motion that does not raise ({error})") from None
     except ConfigurationError as error:
@@ -101,10 +94,10 @@ def fit_amplitude(
     robot: RobotParameters, limits: Limits, reference: Reference, duration: float, gravity: float
 ) -> tuple[Reference, float]:
     """The motion made smaller about its centre until it is feasible, and its size [-], to a relative 1e-4."""
-    if check_reference(robot, limits, reference, duration, gravity).feasible:
+    if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
         return reference, 1.0
-    check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
-    scale = largest_scale(robot, limits, lambda scale: adjusted(reference, scale=scale), duration, gravity)
+    feasibility.check_reference(robot, limits, adjusted(reference, scale=0.0), duration, gravity).raise_if_infeasible()
+    scale = feasibility.largest_scale(robot, limits, lambda scale: adjusted(reference, scale=scale), duration, gravity)
     return adjusted(reference, scale=scale), scale
 
 
@@ -120,15 +113,15 @@ def fit_speed(
 
     def feasible(slowdown: float, rate: float = samples_per_second) -> bool:
         slower = adjusted(reference, slowdown=slowdown)
-        return check_reference(robot, limits, slower, slowdown * duration, gravity, rate).feasible
+        return feasibility.check_reference(robot, limits, slower, slowdown * duration, gravity, rate).feasible
 
     if feasible(1.0):
         return reference, 1.0
-    check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
+    feasibility.check_reference(robot, limits, _Still(reference), duration, gravity).raise_if_infeasible()
     # On the way, at the same poses whatever the slowdown; in the end at the full rate.
-    speed = bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
+    speed = feasibility.bisect(lambda speed: feasible(1.0 / speed, samples_per_second * speed), 0.0, 1.0)
     if speed > 0.0:
-        for slowdown in (1.0 + SEARCH_RTOL * np.arange(_NUDGES)) / speed:
+        for slowdown in (1.0 + feasibility.SEARCH_RTOL * np.arange(_NUDGES)) / speed:
             if feasible(float(slowdown)):
                 return adjusted(reference, slowdown=float(slowdown)), float(slowdown)
     raise ConfigurationError("reference", reference, "a motion that is feasible at some speed above zero")

@@ -1,10 +1,9 @@
-"""What runs a scenario: the base of both engines, and the fast one, on the closed form of the robot."""
+"""The fast engine, on the closed form of the robot, and what both engines have in common."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
@@ -21,41 +20,6 @@ from stewart_drake.scenario import Scenario
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
-
-
-class Engine(ABC):
-    """A scenario on its way, a row of signals for each step of the plant, both ends included."""
-
-    scenario: Scenario
-    state_names: tuple[str, ...] = ()
-    """Of the columns of `plant_state`; none where there is no such signal."""
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """What is no part of a run's cost, such as compiling; then the state at the start."""
-
-    @abstractmethod
-    def advance(self, step: int) -> None:
-        """Goes on to a step of the plant, and its row; raises RunFailure where the run is over."""
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """[s] reached, as Drake has it, see `sampling.on_grid`."""
-
-    @abstractmethod
-    def signals(self) -> dict[str, np.ndarray]:
-        """All complete rows so far."""
-
-    @abstractmethod
-    def safety_state(self) -> Any: ...
-
-    def graph(self) -> str | None:
-        """Graphviz text of the Diagram; None where there is none."""
-        return None
-
-    def close(self) -> None:  # noqa: B027 - nothing to do where nothing is held
-        """Lets go of it all."""
 
 
 def quiet() -> np.errstate:
@@ -92,20 +56,16 @@ def signals_of(scenario: Scenario, steps: np.ndarray, values: dict[str, np.ndarr
     return {name: signals[name] for name in SIGNALS if name in signals}
 
 
-def _place(field: str) -> slice:
-    """Where twelve numbers begin in the plant's state, which comes first in all values."""
-    start = CHAIN_STATE.fields[field][1] // 8  # type: ignore[index]
-    return slice(start, start + 12)
+_POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8 for name in ("pose", "angles")))  # type: ignore[index]
 
 
-_POSE, _CRANKS = _place("pose"), _place("angles")
-
-
-class FastRun(Engine):
+class FastRun:
     """The parts of a scenario called in order, on the closed form of the robot.
 
     At a step sensors read that instant's state; at a tick parts answer in order; late parts tick; the plant steps.
     """
+
+    state_names: tuple[str, ...] = ()
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
         if meshcat is not None:
@@ -173,18 +133,20 @@ class FastRun(Engine):
 
     def signals(self) -> dict[str, np.ndarray]:
         rows = self._rows[: self._count]
-        values = {
-            name: rows[:, self._running.places[signal]].copy()
-            if isinstance(signal, str)
-            else np.tile(signal, (len(rows), 1))
-            for name, signal in self._loop.logged.items()
-        }
-        pose, cranks = rows[:, _POSE], rows[:, _CRANKS]
-        values["pose"], values["pose_rate"], values["crank_angle"] = (
-            each.copy() for each in (pose[:, :6], pose[:, 6:], cranks[:, :6])
-        )
-        values["loop_gap"] = np.zeros((len(rows), 6))
+        values = {"loop_gap": np.zeros((len(rows), 6)), "crank_angle": rows[:, _CRANKS][:, :6].copy()}
+        values["pose"], values["pose_rate"] = (each.copy() for each in np.hsplit(rows[:, _POSE], 2))
+        for name, signal in self._loop.logged.items():
+            places = self._running.places
+            values[name] = (
+                rows[:, places[signal]].copy() if isinstance(signal, str) else np.tile(signal, (len(rows), 1))
+            )
         return signals_of(self.scenario, np.arange(len(rows)), values)
 
     def safety_state(self) -> Any:
         return self._running.state("safety")
+
+    def graph(self) -> None:
+        """There is no Diagram."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""

@@ -19,13 +19,17 @@ from stewart_drake.logs.metrics import figures_of
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.checks import check_scenario, refuse_too_long
-from stewart_drake.runs.engine import Engine, FastRun, quiet
+from stewart_drake.runs.engine import FastRun, quiet
 from stewart_drake.safety import first_trip
 from stewart_drake.sampling import steps_per, times_of
 from stewart_drake.scenario import Scenario, require_scenario
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
+
+    from stewart_drake.runs.drake_run import DrakeRun
+
+    Engine = FastRun | DrakeRun
 
 CHUNK = 0.05  # [s] simulated time between two calls of `progress`.
 

@@ -145,7 +145,6 @@ _LINEAR = {
 }
 """Section -> kind -> fields of its part's state that it says, and those on which its next tick depends."""
 
-
 _Tick = Callable[[np.ndarray, Mapping[str, np.ndarray]], tuple[np.ndarray, np.ndarray]]
 
 
@@ -214,7 +213,7 @@ def _loop(
     robot: PlantAt,
     reading: np.ndarray,
     by_state: np.ndarray,
-    side: Callable[[np.ndarray], np.ndarray],
+    side: Any,
     memory: np.ndarray,
     delay: int,
     pose: np.ndarray,

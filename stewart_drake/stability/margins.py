@@ -220,10 +220,9 @@ def spread(values: np.ndarray, most: bool) -> tuple[float, float, float]:
 def table(found: LoopMargins, period: float) -> list[tuple[str, ...]]:
     rows = []
     for key, name, alone, together in quantities(found, period):
-        numbers = [each for values in (alone, together) for each in spread(values, key == "gain_low")]
-        if key == "delay_s":
-            name, numbers = "delay [ms]", [1e3 * each for each in numbers]
-        rows.append((name, *(f"{each:.3g}" for each in numbers)))
+        scale, name = (1e3, "delay [ms]") if key == "delay_s" else (1.0, name)
+        numbers = (*spread(alone, key == "gain_low"), *spread(together, key == "gain_low"))
+        rows.append((name, *(f"{scale * each:.3g}" for each in numbers)))
     return rows
 
 
