@@ -84,10 +84,7 @@ class SineWrench(Section, key="disturbances"):
 
 
 class NoiseWrench(Section, key="disturbances"):
-    """Noise of a flat spectrum between two frequencies, independent on each axis: a seeded sum of sines.
-
-    One sine in each of 64 equal parts of the band, at a random place in it and of random phase.
-    """
+    """Noise of a flat spectrum in a band, independent on each axis: a seeded sine in each 64th of the band."""
 
     rms: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
     """[N m, N] of each axis: moment about P and force, in B."""

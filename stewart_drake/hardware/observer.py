@@ -33,16 +33,13 @@ from stewart_drake.robot import RobotParameters
 
 SMALLEST_NOISE = 1e-5  # [rad] that readings have at least for the observer: finer than that no model is.
 ARRIVED = 6.0  # Standard deviations of a reading within which a crank stands where it is wanted, whatever its friction.
-SLIP = 4.0
-"""[-] the same in units of break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by."""
+SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of what a crank that hunts jumps by.
 NOISE_AT_MOST = 8.0  # Standard deviations of a reading that an innovation of noise and counts alone has at most.
+# [-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: the
+# disk margin of the loop with it is 0.49, without some 0.37.
 WHITE_SHARE = 1.5
-"""[-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: with
-none the loop that feeds the disturbance back has a disk margin of some 0.37 in place of 0.49 (`stewart-drake
-margins`)."""
 RESTS = 1e-4  # [rad/s] a crank that is to turn more slowly is to rest.
-LONGEST_DELAY = 100
-"""[ticks] of a command that may be under way; the state has place for so many, whatever the delay is."""
+LONGEST_DELAY = 100  # [ticks] of a command that may be under way; the state has place for so many.
 FARTHEST = 0.3  # [s] beyond which a prediction says nothing any more; assumed.
 MISSING = 20  # How a tick may end beside the statuses of `kinematics_laws`.
 
@@ -103,19 +100,11 @@ def bandwidth(noise: float, disturbance: float, period: float) -> float:
 
 @njit
 def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float, float, float]:
-    """Gains of the steady Kalman filter of one crank, in closed form.
+    """Gains of the steady Kalman filter of one crank, in closed form: of angle [-], rate [1/s], disturbance [1/s^2].
 
     With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
     readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral`: disturbance and acceleration
     reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the filter's poles.
-
-    Args:
-        noise: [rad] standard deviation of a reading.
-        disturbance: [rad/s^2 per sqrt(s)], see `ObserverOptions`.
-        period: h [s].
-
-    Returns:
-        What an innovation of 1 rad adds to the crank's angle [-], rate [1/s] and disturbance [1/s^2].
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, WHITE_SHARE**2 * turn**4
@@ -125,10 +114,7 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
 
 @njit
 def predict(robot: Any, setup: Any, torque: Any, disturbance: Any, pose: Any, rate: Any, legs: Any) -> Any:
-    """Moves pose and rate (6,) by a period, by the exact model, in place; status, leg and margin as `_observe`.
-
-    The torque (6,) [N m] is constant meanwhile; the disturbance (6,) [rad/s^2] is added to the cranks' accelerations.
-    """
+    """Moves pose and rate (6,) by a period under torque (6,) [N m], in place; status, leg, margin as `_observe`."""
     acceleration, h = np.empty(6), setup.period
     bad = legs_at(robot, pose, legs)
     if bad >= 0:

@@ -233,14 +233,12 @@ _OUTCOME = tuple(each.name for each in fields(SimulationLog) if each.name not in
 
 
 def load_log(path: str | Path, scenario: Scenario | None = None) -> SimulationLog:
-    """Reads a log written by `SimulationLog.save` or by the command `run`.
-
-    Args:
-        path: The file, or a results folder.
-        scenario: Of a CSV file, which says nothing of it; None for the default one, as long as the file.
+    """Reads a log, or results folder, written by `SimulationLog.save` or by the command `run`.
 
     Raises:
-        ConfigurationError: Missing file, not a log of this package, or not as it was written.
+        ConfigurationError: Missing file, not a log of this package, or not as it was written; a CSV file says nothing
+        of
+            its `scenario`, the default one where None is given.
     """
     # Unlike `Path.is_dir` this never raises.
     path = Path(path) / "log.parquet" if os.path.isdir(path) else Path(path)  # noqa: PTH112

@@ -22,21 +22,13 @@ Status = Literal["completed", "stopped", "lost", "failed", "interrupted", "unkno
 robot at the end. lost: the controller was in charge, but the motion was not followed, see `Bounds`. failed: the run
 broke midway. interrupted: the user ended it. unknown: of a log from a file that does not say."""
 
-SETTLING, SETTLING_SHARE = 3.0, 0.6
-"""[s], and share of the run; the shorter of the two is left out at the start. It takes the best of the paper's weights
-3 s to make up for a payload of 0.3 kg that nobody told it of."""
-SHORTEST = 0.5
-"""[s] of a run whose errors are compared with its motion: a loop that follows well settles in 0.1 s, a third of what is
-then left out."""
-WINDOW = 2.0
-"""[s] over which an error is averaged, at least: half a slow breath. In less of a sine its peak would count."""
-LEAST_MOTION = 0.003
-"""Of the robot's characteristic length, 0.33 mm for the paper's: a smaller motion says nothing about an error. A load
-moves a robot that follows well by that much: 0.3 kg that a PD does not know of by 0.23 mm, 5 N by up to 0.74 mm."""
+SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter is left out at the start.
+SHORTEST = 0.5  # [s] of a run whose errors are compared with its motion.
+WINDOW = 2.0  # [s] over which an error is averaged, at least: half a slow breath. In less a sine's peak would count.
+LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's; a load moves a robot by that much.
 MUCH_SATURATION = 0.01  # Share of torques at the limit above which there is a warning.
 POORLY_FOLLOWED = 0.5  # Error over motion above which a run that was completed has a warning.
-LARGE_GAP = 0.1
-"""Share of the position's RMSE above which the loop gap is a warning: errors are then known no better than that."""
+LARGE_GAP = 0.1  # Share of the position's RMSE above which the loop gap is a warning: errors are known no better.
 
 
 def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,10 +153,7 @@ class RunRows:
         return np.sqrt(sums / np.maximum(1, np.bincount(window, minlength=count)))
 
     def left(self) -> dict[str, tuple[float, int | None]]:
-        """Bounds that were left while the controller was in charge -> when [s] and at which leg, or None.
-
-        A run that starts outside has to come inside once; one that never did left at its start.
-        """
+        """Bounds left, once inside, by the controller in charge -> when [s] and leg or None; 0 s for never inside."""
         found: dict[str, tuple[float, int | None]] = {}
         for name, size in self.sizes.items() if self.steps else ():
             bound = getattr(self.scenario.bounds, name)

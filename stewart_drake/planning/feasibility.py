@@ -69,12 +69,7 @@ def check_motion(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> FeasibilityReport:
-    """Margins to all limits along a sampled motion: times (n,) [s], poses (n, 6), their rates and accelerations.
-
-    That no crank changes its branch follows from `reach` and `transmission`, that the platform stays in its assembly
-    from `conditioning`. A pose out of reach does not raise: it breaks `reach`, and the samples after it are checked all
-    the same.
-    """
+    """Margins to all limits along a motion: times (n,) [s], poses (n, 6), rates and accelerations; out of reach too."""
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
         if values.shape != (len(time), 6) or not np.isfinite(values).all():
             raise ConfigurationError(name, values, f"finite numbers of shape ({len(time)}, 6)")
@@ -182,10 +177,7 @@ def largest_scale(
     gravity: float,
     samples_per_second: float = 500.0,
 ) -> float:
-    """Largest scale in [0, 1] for which the scaled reference, and each smaller one tried, is feasible; to 1e-4.
-
-    A larger scale may be feasible where a smaller one is not; 16 equal steps look for that before bisection.
-    """
+    """Largest scale in [0, 1] for which it, and each smaller one of 16 steps, is feasible; to 1e-4."""
 
     def feasible(scale: float) -> bool:
         return check_reference(robot, limits, make_reference(scale), duration, gravity, samples_per_second).feasible

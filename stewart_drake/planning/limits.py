@@ -118,10 +118,7 @@ def limit_margins(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> dict[str, np.ndarray]:
-    """Margins (n, k) of a sampled motion (n, 6) to each limit that is on, a column for each of its `PLACES`.
-
-    It never raises for a pose out of reach: NaN where a rod cannot span, -inf where the quantity itself is infinite.
-    """
+    """Margins (n, k) of a motion (n, 6) to each limit that is on, by `PLACES`; NaN where a rod cannot span."""
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["side"][~np.isnan(m["side"])]
     margins: dict[str, Callable[[float], np.ndarray]] = {
@@ -238,10 +235,7 @@ def _rod_directions(legs: Any, made: Any) -> None:
 
 @njit
 def segment_distance(start: Any, way: Any, other_start: Any, other_way: Any) -> float:
-    """Shortest distance between two line segments, of start and way (3,) [m], also parallel, crossing or of no length.
-
-    C. Ericson, Real-Time Collision Detection (2005), 5.1.9: the optimum of each line's parameter, clamped in turn.
-    """
+    """Distance [m] between segments of start and way (3,): Ericson, Real-Time Collision Detection (2005), 5.1.9."""
     uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         u, v, r = way[k], other_way[k], start[k] - other_start[k]

@@ -58,10 +58,7 @@ def sample_poses(
     limits: Limits | None = None,
     gravity: float = STANDARD_GRAVITY,
 ) -> PoseSample:
-    """`count` poses uniform over a box, fewer where hardly any can be reached.
-
-    Left out are poses whose `kinematics.reach_margin` is below `least_margin`, and that break `limits` at rest.
-    """
+    """`count` poses uniform over a box, in reach by `least_margin` and within `limits`; fewer where hardly any are."""
     kept, drawn = np.empty((0, 6)), 0
     while len(kept) < count and drawn < _MOST * _DRAWN:
         poses = robot.home_pose + rng.uniform(-1.0, 1.0, (_DRAWN, 6)) * region.half_width

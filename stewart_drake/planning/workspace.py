@@ -52,11 +52,7 @@ _STEPS, _BISECTIONS = 64, 16
 def utilisation(
     robot: RobotParameters, limits: Limits, pose: np.ndarray, measures: np.recarray
 ) -> dict[str, np.ndarray]:
-    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up, by their `POSE_MEASURES` records.
-
-    NaN where a rod cannot span, but for `reach` and `euler_pitch`; infinite beyond a singularity and where links
-    overlap.
-    """
+    """Part (n,) [-] of each limit that is on which poses (n, 6) at rest take up; NaN where a rod cannot span."""
     bounds = limit_bounds(robot, limits)
     if "joint_swing" in bounds:
         bounds["ball_swing"] = bounds["universal_swing"] = bounds["joint_swing"]
@@ -113,10 +109,7 @@ class Grid:
 
     @cached_property
     def cell_size(self) -> np.ndarray:
-        """(n,) size of each cell: product of its sides; of an orientation workspace, the share [-] of all orientations.
-
-        A random orientation has roll and yaw uniform and pitch of density cos(pitch): 8 pi^2 in all.
-        """
+        """(n,) product of a cell's sides; of orientations the share of all, 8 pi^2 with pitch of density cos(pitch)."""
         if self.coordinates != COORDINATES["orientation"]:
             return np.full(math.prod(self.counts), float(np.prod(self.width)))
         roll, pitch, yaw = self.width
@@ -237,10 +230,7 @@ def way_out(
     most: float = 1.0,
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far (m,) along ways (m, 6) from a pose no limit is taken up by more than `most`; which one then is, or -1.
-
-    Looked at in steps (k,), then by bisections; a gap between two steps is not seen.
-    """
+    """How far (m,) along ways (m, 6) no limit is taken up by more than `most`; which one (m,) then is, or -1."""
     torque = limit_bounds(robot, limits).get("torque")
     inner, outer = np.zeros(len(ways)), np.full(len(ways), steps[-1])
     limit = np.full(len(ways), -1)
@@ -331,8 +321,7 @@ def study_poses(
 ) -> tuple[dict[str, Any], dict[Kind, Survey]]:
     """What the poses around a centre (6,) [rad, m] allow: plain numbers, and a survey of each of both workspaces.
 
-    Of grids of `samples` poses and so many ways out; around other centres of a twentieth of the samples. Sizes are in
-    m^3, or shares of all orientations; None of a centre that cannot be reached.
+    Sizes are in m^3, or shares of all orientations; None of a centre that cannot be reached.
     """
     center = np.asarray(center, dtype=float)
 

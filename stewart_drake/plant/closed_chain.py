@@ -121,10 +121,7 @@ def _rub(friction: Any, jacobian: Any, pushed: Any, step: float, state: Any, twi
 
 @njit
 def _turn(axis: Any, omega: Any, step: float, out: Any) -> None:
-    """An axis (3,) of P after a step of a quaternion along its rate, made of length one again.
-
-    v + 2 q x (v + q x v) / (1 + q q) with q = h w / 2: a turn by 2 atan(h w / 2).
-    """
+    """An axis (3,) of P after a step of a quaternion along its rate, of length one: a turn by 2 atan(h w / 2)."""
     half, inner, outer = 0.5 * step * omega, np.empty(3), np.empty(3)
     scale = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
     laws.cross(half, axis, inner)

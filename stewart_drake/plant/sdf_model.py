@@ -135,10 +135,7 @@ def _upright(robot: RobotParameters, leg: int) -> bool:
 
 
 def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, Any]:
-    """A motor's housing, on its axis and beside its crank: centre (3,) [m], length [m], turn of z into the axis.
-
-    Coaxial motors of a pair stand back to back between their cranks; any other behind its crank, seen from outside.
-    """
+    """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair stand back to back."""
     r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
     partner = robot.shaft_positions[leg ^ 1] - shaft
     apart = float(partner @ axis)

@@ -59,11 +59,7 @@ class HoldReference(Section, key="reference"):
 
 
 class SineReference(Section, key="reference"):
-    """center + amplitude sin(angular_frequency t + phase) on each axis.
-
-    The defaults are the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero; for another
-    robot about its home, with lengths in proportion.
-    """
+    """center + amplitude sin(angular_frequency t + phase) on each axis; by default the paper's (37), (38)."""
 
     kind: Literal["sine"] = "sine"
     center: Annotated[Vector6, HOME_POSE] = HOME
@@ -164,10 +160,7 @@ class MinimumJerkReference(Section, key="reference"):
 
 
 class SplineReference(Section, key="reference"):
-    """A quintic spline through timed poses, at rest at both ends; before the first and after the last it stays there.
-
-    Four times continuously differentiable between its ends and twice at them.
-    """
+    """A quintic spline through timed poses, at rest at both ends; before and after them it stays there."""
 
     kind: Literal["spline"] = "spline"
     times: tuple[NotNegative, ...]

@@ -60,10 +60,7 @@ _POSE, _CRANKS = (slice(at, at + 12) for at in (CHAIN_STATE.fields[name][1] // 8
 
 
 class FastRun:
-    """The parts of a scenario called in order, on the closed form of the robot.
-
-    At a step sensors read that instant's state; at a tick parts answer in order; late parts tick; the plant steps.
-    """
+    """The parts of a scenario called in order, on the closed form of the robot; late ones before the plant steps."""
 
     state_names: tuple[str, ...] = ()
 

@@ -1,8 +1,4 @@
-"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop.
-
-Where what is measured breaks a limit the robot is taken from its controller; where a message is wrong the last good
-command is held.
-"""
+"""A tick of the safety layer, compiled: its monitors, its levels and reactions, and the part of a loop."""
 
 from __future__ import annotations
 
@@ -39,10 +35,9 @@ LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 FROZEN = failure_code("frozen")
 ABSURD = 10.0  # A command of so many times the limit is an error of the controller and no wish for torque.
-REFILL = 0.05
-"""Ticks by which the budget of holding recovers in a good tick, so that a fault that flickers uses it up too."""
+REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
+# Nearer to a singularity the weight's torque is not trusted any more, and the last one stays.
 USABLE_TRANSMISSION, USABLE_CONDITIONING = 0.02, 0.01
-"""Nearer to a singularity the weight's torque is not trusted any more, and the last one stays."""
 _ROUNDING = 1e-9
 
 _STATE = fields(
@@ -57,8 +52,7 @@ of ramp and safe hold. side: sign of the rods' determinant at the start, 0 befor
 monitor, level, leg, tick and cause in `FAILURES` of the first trip, zeros before. worst: highest level so far. command:
 that of the last tick, if it was finite [N m]. readings, anchors, encoders: see `_frozen`."""
 
-GOES_ON, BLIND, RUNAWAY, HELD = range(4)
-"""How a tick ends: the run goes on, or is over: blind, with a robot that runs away, or held for long enough."""
+GOES_ON, BLIND, RUNAWAY, HELD = range(4)  # How a tick ends: in the last three the run is over.
 
 NOT_THERE = {
     "age": np.zeros(1),

@@ -19,8 +19,7 @@ from stewart_drake.stability.linear_loop import LinearLoops
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_SLOWEST = 0.1
-"""Of the slowest closed-loop pole's frequency, where the grid of frequencies begins; it ends at Nyquist's."""
+_SLOWEST = 0.1  # Of the slowest closed-loop pole's frequency, where the grid begins; it ends at Nyquist's.
 _SWEEPS = 5
 _POWER = 32.0  # Of the singular values whose sum stands for the largest one: that alone has corners.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")

@@ -195,12 +195,7 @@ class TaskSpaceSensor(LeafSystem):
 
 
 class PlatformWrench(LeafSystem):
-    """The disturbances of a scenario, at the centre of the platform.
-
-    Ports:
-        wrench: out (6,) [N m, N], moment about P and force, in B.
-        spatial_force: out, for the plant's port `applied_spatial_force`.
-    """
+    """The disturbances of a scenario: out `wrench` (6,) [N m, N] about P in B, `spatial_force` for the plant."""
 
     def __init__(self, plant: StewartPlant, disturbances: Sequence[Disturbance]) -> None:
         super().__init__()
