@@ -161,12 +161,8 @@ def render(template: str, **values: Any) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(
-        loader=PackageLoader("stewart_drake.plant"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
+    form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
+    made = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
     made.globals |= {"exact": _exact, "short": _short, "zip": zip, "pi": math.pi, "cos": math.cos, "sin": math.sin}
     made.globals["inf"] = math.inf
     return made
@@ -232,13 +228,16 @@ class StateMap:
         crank_rotation = np.stack(np.broadcast_arrays(legs.crank, self._lateral, legs.e_n), axis=-1)
         to_joint = np.swapaxes(crank_rotation @ self._home.rod_in_crank, -1, -2)
         direction = _times(to_joint, legs.e_l)
-        _refuse_small("rod_joint", np.hypot(direction[..., 1], direction[..., 2]), pose)
-        angles = _universal_angles(direction)
+        x, y, z = np.moveaxis(direction, -1, 0)
+        across = np.hypot(y, z)
+        _refuse_small("rod_joint", across, pose)
+        # Rx(a) Ry(b) z = [sin b, -sin a cos b, cos a cos b] is the direction.
+        angles = np.stack([np.arctan2(-y, z), np.arctan2(x, across)], axis=-1)
+        (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
         if self.rod_joint == "universal":
-            rates = _universal_rates(angles, _times(to_joint, e_l_rate - cross(w_crank, legs.e_l)))
+            x, y, z = np.moveaxis(_times(to_joint, e_l_rate - cross(w_crank, legs.e_l)), -1, 0)
+            rates = np.stack([-(ca * y + sa * z) / cb, cb * x + sb * (sa * y - ca * z)], axis=-1)
         else:
-            # Of Rx(a) Ry(b).
-            (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
             angles = np.stack([np.arctan2(sa, ca * cb), np.arcsin(ca * sb), np.arctan2(sa * sb, cb)], axis=-1)
             rates = _times(to_joint, cross(legs.e_l, e_l_rate) - w_crank)
 
@@ -307,19 +306,6 @@ def _refuse_small(kind: Literal["serial", "rod_joint"], margins: np.ndarray, pos
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return (matrix @ vector[..., None])[..., 0]
-
-
-def _universal_angles(direction: np.ndarray) -> np.ndarray:
-    """(..., 2) [rad] a, b for which Rx(a) Ry(b) z is `direction`."""
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return np.stack([np.arctan2(-y, z), np.arctan2(x, np.hypot(y, z))], axis=-1)
-
-
-def _universal_rates(angles: np.ndarray, direction_rate: np.ndarray) -> np.ndarray:
-    """(..., 2) [rad/s] rates of a, b from that of the direction, both in the joint's frame F."""
-    x, y, z = np.moveaxis(direction_rate, -1, 0)
-    (sa, sb), (ca, cb) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    return np.stack([-(ca * y + sa * z) / cb, cb * x + sb * (sa * y - ca * z)], axis=-1)
 
 
 def _quaternion(rpy: np.ndarray) -> np.ndarray:

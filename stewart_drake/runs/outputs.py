@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import stat
 import subprocess
 import tempfile
 from contextlib import suppress
@@ -57,13 +56,7 @@ def prepare_folder(path: str | Path, named: str | Path | None = None) -> Path:
 def prepare_file(path: Path) -> None:
     """Makes sure, before anything is computed, that a file can be written afterwards; its folder is made."""
     prepare_folder(path.parent, path)
-    try:
-        folder = stat.S_ISDIR(path.stat().st_mode)
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise ConfigurationError("--out", str(path), f"a file that can be written ({error.strerror})") from None
-    if folder:
+    if os.path.isdir(path):  # noqa: PTH112 - never raises, unlike `Path.is_dir`
         raise ConfigurationError("--out", str(path), "a file, not a folder")
 
 
@@ -112,8 +105,15 @@ def write_run(
             "log.parquet": log.to_parquet(),
             "metrics.json": (json.dumps(metrics, indent=2, allow_nan=False) + "\n").encode(),
             **_own_files(log.scenario),
-            **({} if graph is None else _graph_files(graph)),
         }
+        if graph is not None:
+            files["diagram.dot"], dot = graph.encode(), shutil.which("dot")
+            with suppress(OSError, subprocess.SubprocessError):
+                if dot is not None:
+                    done = subprocess.run(
+                        [dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True
+                    )
+                    files["diagram.svg"] = done.stdout
         for name, content in files.items():
             (part / name).parent.mkdir(exist_ok=True)
             write_atomically(part / name, content)
@@ -181,12 +181,3 @@ def _own_files(scenario: Scenario) -> dict[str, bytes]:
             here[str(code)] += f":{code.name}"
     data = with_texts(scenario.to_dict(), lambda _, text: here.get(text, text))
     return {"scenario.yaml": (_AS_RUN + to_yaml(data)).encode(), **files}
-
-
-def _graph_files(graph: str) -> dict[str, bytes]:
-    files, dot = {"diagram.dot": graph.encode()}, shutil.which("dot")
-    with suppress(OSError, subprocess.SubprocessError):
-        if dot is not None:
-            done = subprocess.run([dot, "-Tsvg"], input=graph.encode(), capture_output=True, timeout=60, check=True)
-            files["diagram.svg"] = done.stdout
-    return files

@@ -17,22 +17,10 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 
 MONITORS = (
-    "none",
-    "measurement_not_finite",
-    "sensor_failed",
-    "controller_failed",
-    "command_not_finite",
-    "deadline",
-    "workspace",
-    "serial_singularity",
-    "parallel_singularity",
-    "crank_speed",
-    "following_error",
-    "torque_limit",
-    "torque_rate",
-    "innovation",
-    "reading_stuck",
-)
+    "none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline",
+    "workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit",
+    "torque_rate", "innovation", "reading_stuck",
+)  # fmt: skip
 """Stable names of the monitors, by their number in the log: new ones come last."""
 MEANINGS = {"reading_stuck": "a sensor repeats itself, or friction holds what it reads"}
 """What a name leaves open, for the message of a run that the monitor ends."""

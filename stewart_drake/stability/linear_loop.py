@@ -254,9 +254,8 @@ def _loop(
 def _derivatives(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Value (m,) and derivative (m, n), by central differences."""
     columns = []
-    for k in range(len(at)):
-        ahead, behind = at.copy(), at.copy()
-        ahead[k], behind[k] = ahead[k] + _STEP, behind[k] - _STEP
+    for k, way in enumerate(_STEP * np.eye(len(at))):
+        ahead, behind = at + way, at - way
         columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
     return function(at), np.stack(columns, axis=-1)
 

@@ -17,16 +17,9 @@ from stewart_drake.control.joint_pid import PidOptions, pid_part
 from stewart_drake.control.lqi import LqiOptions, lqi_part
 from stewart_drake.control.network import TunerNetwork, network_part
 from stewart_drake.errors import ConfigurationError
+from stewart_drake.hardware import motors
 from stewart_drake.hardware.disturbances import Disturbance, total_wrench
 from stewart_drake.hardware.estimator import difference_part
-from stewart_drake.hardware.motors import (
-    FrictionCompensation,
-    LinkOptions,
-    MotorOptions,
-    friction_part,
-    link_part,
-    motor_part,
-)
 from stewart_drake.hardware.observer import ObserverOptions, observer_part
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.plant.multibody_plant import StewartPlant
@@ -107,22 +100,22 @@ class PlatformObserver(
 class FrictionFeedforward(PartSystem, ports="reference -> against_friction"):
     """Torque against the motors' friction along the reference."""
 
-    def __init__(self, robot: RobotParameters, options: FrictionCompensation, period: float) -> None:
-        super().__init__(friction_part(robot, options), period)
+    def __init__(self, robot: RobotParameters, options: motors.FrictionCompensation, period: float) -> None:
+        super().__init__(motors.friction_part(robot, options), period)
 
 
 class CommandLink(PartSystem, ports="torque -> torque age"):
     """Passes a controller's commands on, or loses, delays and spoils them, at every step [s]; `initial` (6,) [N m]."""
 
-    def __init__(self, options: LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
-        super().__init__(link_part(options, steps_per_tick, initial), time_step)
+    def __init__(self, options: motors.LinkOptions, time_step: float, steps_per_tick: int, initial: np.ndarray) -> None:
+        super().__init__(motors.link_part(options, steps_per_tick, initial), time_step)
 
 
 class MotorDrive(PartSystem, ports="torque crank_state -> torque"):
     """Torque of imperfect motors for the torque asked for, at every step [s] of the plant."""
 
-    def __init__(self, options: MotorOptions, time_step: float) -> None:
-        super().__init__(motor_part(options), time_step)
+    def __init__(self, options: motors.MotorOptions, time_step: float) -> None:
+        super().__init__(motors.motor_part(options), time_step)
 
 
 class SafetyLayer(
@@ -195,7 +188,12 @@ class TaskSpaceSensor(LeafSystem):
 
 
 class PlatformWrench(LeafSystem):
-    """The disturbances of a scenario: out `wrench` (6,) [N m, N] about P in B, `spatial_force` for the plant."""
+    """The disturbances of a scenario, at the centre of the platform.
+
+    Ports:
+        wrench: out (6,) [N m, N], moment about P and force, in B.
+        spatial_force: out, for the plant's port `applied_spatial_force`.
+    """
 
     def __init__(self, plant: StewartPlant, disturbances: Sequence[Disturbance]) -> None:
         super().__init__()
